@@ -1,0 +1,88 @@
+"""Errors of gauge-envs. Each message says what was wrong, where, and what would be right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+
+__all__ = [
+    "ActionError",
+    "EpisodeError",
+    "GaugeError",
+    "MissingExtraError",
+    "ParameterError",
+    "RenderError",
+    "ResultFileError",
+    "ShapeError",
+    "TaskFileError",
+    "TrajectoryFileError",
+    "UnknownNameError",
+    "UnsupportedSceneError",
+]
+
+
+class GaugeError(Exception):
+    """Base of every error that gauge-envs raises on purpose; the command line prints it without a traceback."""
+
+
+class ShapeError(GaugeError, ValueError):
+    """Arrays that must agree in shape do not, or hold values that the function cannot use."""
+
+
+class ActionError(GaugeError, ValueError):
+    """An action has the wrong shape, lies outside its space, or is not a number."""
+
+
+class EpisodeError(GaugeError, RuntimeError):
+    """An environment was used out of order: a step before reset, or after the episode's end."""
+
+
+class ParameterError(GaugeError, ValueError):
+    """A parameter set or a single override names something that the scene does not have, or an impossible value."""
+
+
+class RenderError(GaugeError, RuntimeError):
+    """A picture cannot be made, usually because the machine lacks an OpenGL library."""
+
+
+class UnsupportedSceneError(GaugeError, RuntimeError):
+    """A backend declines a scene; the message carries the backend's own reasons."""
+
+
+class MissingExtraError(GaugeError, ImportError):
+    """An optional dependency is missing; the message names the pip command that installs it."""
+
+    def __init__(self, feature: str, extra: str, cause: ImportError) -> None:
+        super().__init__(
+            f"{feature} needs {cause.name or cause}, which is not installed: pip install 'gauge-envs[{extra}]'"
+        )
+
+
+class TaskFileError(GaugeError, ValueError):
+    """A task file is wrong: names the file, the key and the reason."""
+
+    def __init__(self, file: Path | str, key: str, reason: str) -> None:
+        super().__init__(f"{file}: {key}: {reason}")
+        self.file = Path(file)
+        self.key = key
+        self.reason = reason
+
+
+class ResultFileError(GaugeError, OSError):
+    """A result file or folder cannot be written or read back."""
+
+
+class TrajectoryFileError(GaugeError, ValueError):
+    """A trajectory file brought by a user cannot be scored: names file, place and what was expected."""
+
+
+class UnknownNameError(GaugeError, LookupError):
+    """A name is not one of the known ones; the message offers the nearest."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        names = sorted(known)
+        near = get_close_matches(name, names, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names) or 'none'}"
+        super().__init__(f"unknown {kind} {name!r}; {hint}")
+        self.name = name

@@ -1,0 +1,199 @@
+"""Generalized trajectories g(t) from poses and markers: positions, angle-deficit curvature, face areas.
+
+All functions are pure and vectorized over frames. Positions come in metres, a missing marker is NaN; what goes out is
+in the units of the published scores: mm, rad and mm^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from gauge_envs.errors import ShapeError
+
+__all__ = [
+    "angle_deficit_curvature",
+    "assign_markers",
+    "face_areas_mm2",
+    "line_turning_angle",
+    "positions_mm",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+def positions_mm(positions_m: ArrayLike) -> FloatArray:
+    """Positions of rigid bodies, or of single markers, as one row of coordinates a frame (paper, g(t) = P).
+
+    Args:
+        positions_m: Positions, shape [frame_count, body_count, 3], m.
+
+    Returns:
+        x, y, z of the first body, then of the next, shape [frame_count, 3 * body_count], mm.
+
+    Raises:
+        ShapeError: The positions have another shape.
+    """
+    positions_m = _points("positions_m", positions_m, dimension=3)
+    return 1e3 * positions_m.reshape(len(positions_m), -1)
+
+
+def angle_deficit_curvature(
+    markers_m: ArrayLike, faces: ArrayLike, *, corner: Collection[int], edge: Collection[int]
+) -> FloatArray:
+    """Discrete Gaussian curvature at each marker of a textile (paper, appendix on physics-engine metrics, K).
+
+    k_i is the full angle of a flat sheet at the marker (2 pi inside, pi on an edge, pi/2 in a corner) less the sum of
+    the interior angles that its faces have there. Angles of faces with a missing or a coincident vertex are left out
+    of the sum, as in the paper, although that raises k_i by the angle that is missing.
+
+    Args:
+        markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
+        faces: Marker indices of the triangles, shape [face_count, 3].
+        corner: Indices of the markers in a corner of the sheet.
+        edge: Indices of the markers on a straight edge; all others lie inside.
+
+    Returns:
+        Curvature, shape [frame_count, marker_count], rad; NaN where the marker itself is missing.
+
+    Raises:
+        ShapeError: Markers or faces have another shape, an index names no marker, or a marker is in both sets.
+    """
+    markers_m = _points("markers_m", markers_m, dimension=3)
+    marker_count = markers_m.shape[1]
+    faces = _indices("faces", faces, width=3, marker_count=marker_count)
+    corner, edge = (_indices(name, list(ids), marker_count=marker_count) for name, ids in (("corner", corner), ("edge", edge)))
+    if shared := set(corner.tolist()) & set(edge.tolist()):
+        raise ShapeError(f"corner and edge share marker {min(shared)}")
+    full_angle = np.full(marker_count, 2 * np.pi)
+    full_angle[edge] = np.pi
+    full_angle[corner] = np.pi / 2
+
+    vertices = markers_m[:, faces]  # [frame, face, vertex, xyz]
+    to_next = np.roll(vertices, -1, axis=2) - vertices
+    to_previous = np.roll(vertices, 1, axis=2) - vertices
+    lengths = np.linalg.norm(to_next, axis=-1)
+    valid = (lengths > 0).all(axis=-1)  # False for NaN as well
+    angles = np.where(valid[..., None], _angle_between(to_next, to_previous), 0.0)
+    # A matrix product with the incidence of corners and markers adds the angles up, for all frames at once.
+    incidence = np.zeros((faces.size, marker_count))
+    incidence[np.arange(faces.size), faces.ravel()] = 1.0
+    curvature = full_angle - angles.reshape(len(angles), -1) @ incidence
+    return np.where(np.isnan(markers_m).any(axis=-1), np.nan, curvature)
+
+
+def line_turning_angle(markers_m: ArrayLike, lines: ArrayLike) -> FloatArray:
+    """Turning angle at the inner markers of polylines: the curvature of a textile that is marked along lines only.
+
+    Textile bending publishes `lines`, pairs of consecutive markers along two rows, and no faces. The angle between
+    the segments that meet at a marker is 0 where the row is straight. Markers at the end of a row have none.
+
+    Args:
+        markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
+        lines: Marker indices of consecutive segments, from and to, shape [line_count, 2].
+
+    Returns:
+        Angles in [0, pi] at the markers where one segment ends and another starts, in order of the marker's index,
+        shape [frame_count, inner_count], rad; NaN where a neighbour is missing or coincides.
+
+    Raises:
+        ShapeError: Markers or lines have another shape, an index names no marker, a marker starts or ends more than
+            one segment, or no marker has a segment on both sides.
+    """
+    markers_m = _points("markers_m", markers_m, dimension=3)
+    lines = _indices("lines", lines, width=2, marker_count=markers_m.shape[1])
+    before = {int(end): int(start) for start, end in lines}
+    after = {int(start): int(end) for start, end in lines}
+    if len(before) < len(lines) or len(after) < len(lines):
+        raise ShapeError("lines: a marker starts, or ends, more than one segment; rows must neither branch nor double")
+    inner = sorted(before.keys() & after.keys())
+    if not inner:
+        raise ShapeError("lines: no marker has a segment on both sides")
+    incoming = markers_m[:, inner] - markers_m[:, [before[i] for i in inner]]
+    outgoing = markers_m[:, [after[i] for i in inner]] - markers_m[:, inner]
+    coincident = (incoming == 0).all(axis=-1) | (outgoing == 0).all(axis=-1)
+    return np.where(coincident, np.nan, _angle_between(incoming, outgoing))
+
+
+def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
+    """Areas of the triangles between neighbouring markers of a deformable body (paper, g(t) = A).
+
+    Args:
+        markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
+        faces: Marker indices of the triangles, shape [face_count, 3].
+
+    Returns:
+        Areas, shape [frame_count, face_count], mm^2; NaN where a vertex is missing.
+
+    Raises:
+        ShapeError: Markers or faces have another shape, or an index names no marker.
+    """
+    markers_m = _points("markers_m", markers_m, dimension=3)
+    faces = _indices("faces", faces, width=3, marker_count=markers_m.shape[1])
+    a, b, c = np.moveaxis(1e3 * markers_m[:, faces], 2, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+
+
+def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01) -> NDArray[np.intp]:
+    """Node of a simulated mesh that stands for each real marker: unique nodes, least summed distance (Hungarian).
+
+    Args:
+        markers_m: Initial marker positions, shape [marker_count, 3], m.
+        nodes_m: Initial node positions of the mesh, shape [node_count, 3], m.
+        max_distance_m: Largest distance at which a node can stand for a marker, m.
+
+    Returns:
+        Node index of each marker, shape [marker_count].
+
+    Raises:
+        ShapeError: Other shapes, positions that are not finite, fewer nodes than markers, or a marker whose node is
+            further away than allowed.
+    """
+    markers_m, nodes_m = _points("markers_m", markers_m, dimension=2), _points("nodes_m", nodes_m, dimension=2)
+    for name, points in (("markers_m", markers_m), ("nodes_m", nodes_m)):
+        if not np.isfinite(points).all():
+            raise ShapeError(f"{name}: point {np.argwhere(~np.isfinite(points))[0, 0]} is not finite")
+    if len(nodes_m) < len(markers_m):
+        raise ShapeError(f"{len(nodes_m)} nodes cannot stand for {len(markers_m)} markers; refine the mesh")
+    distances = cdist(markers_m, nodes_m)
+    _, nodes = linear_sum_assignment(distances)
+    assigned = distances[np.arange(len(nodes)), nodes]
+    worst = int(np.argmax(assigned))
+    if assigned[worst] > max_distance_m:
+        raise ShapeError(
+            f"marker {worst} is {1e3 * assigned[worst]:.1f} mm from its node {nodes[worst]}; "
+            f"the limit is {1e3 * max_distance_m:.1f} mm"
+        )
+    return nodes
+
+
+def _points(name: str, values: ArrayLike, *, dimension: int) -> FloatArray:
+    points = np.asarray(values, dtype=np.float64)
+    if points.ndim != dimension or points.shape[-1] != 3 or points.size == 0:
+        wanted = "[frame_count, point_count, 3]" if dimension == 3 else "[point_count, 3]"
+        raise ShapeError(f"{name} has shape {points.shape}; {wanted} is needed")
+    return points
+
+
+def _indices(name: str, values: ArrayLike | Sequence[int], *, marker_count: int, width: int | None = None) -> NDArray[np.intp]:
+    """Marker indices as a checked array: shape [count, width], or [count] without a width."""
+    indices = np.asarray(values)
+    if indices.size == 0 and width is None:
+        return np.zeros(0, dtype=np.intp)
+    if indices.ndim != (1 if width is None else 2) or (width is not None and indices.shape[1] != width):
+        raise ShapeError(f"{name} has shape {indices.shape}; [count{'' if width is None else f', {width}'}] is needed")
+    if not np.issubdtype(indices.dtype, np.integer):
+        raise ShapeError(f"{name} holds {indices.dtype} values; marker indices are integers")
+    wrong = indices[(indices < 0) | (indices >= marker_count)]
+    if wrong.size:
+        raise ShapeError(f"{name} names marker {wrong[0]}; there are {marker_count} markers, from 0")
+    return indices.astype(np.intp)
+
+
+def _angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Angle in [0, pi] between vectors of the last axis; atan2 keeps its precision near 0 and pi, where arccos has none."""
+    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
