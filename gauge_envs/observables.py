@@ -66,7 +66,9 @@ def angle_deficit_curvature(
     markers_m = _points("markers_m", markers_m, dimension=3)
     marker_count = markers_m.shape[1]
     faces = _indices("faces", faces, width=3, marker_count=marker_count)
-    corner, edge = (_indices(name, list(ids), marker_count=marker_count) for name, ids in (("corner", corner), ("edge", edge)))
+    corner, edge = (
+        _indices(name, list(ids), marker_count=marker_count) for name, ids in (("corner", corner), ("edge", edge))
+    )
     if shared := set(corner.tolist()) & set(edge.tolist()):
         raise ShapeError(f"corner and edge share marker {min(shared)}")
     full_angle = np.full(marker_count, 2 * np.pi)
@@ -179,7 +181,9 @@ def _points(name: str, values: ArrayLike, *, dimension: int) -> FloatArray:
     return points
 
 
-def _indices(name: str, values: ArrayLike | Sequence[int], *, marker_count: int, width: int | None = None) -> NDArray[np.intp]:
+def _indices(
+    name: str, values: ArrayLike | Sequence[int], *, marker_count: int, width: int | None = None
+) -> NDArray[np.intp]:
     """Marker indices as a checked array: shape [count, width], or [count] without a width."""
     indices = np.asarray(values)
     if indices.size == 0 and width is None:
@@ -195,5 +199,5 @@ def _indices(name: str, values: ArrayLike | Sequence[int], *, marker_count: int,
 
 
 def _angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Angle in [0, pi] between vectors of the last axis; atan2 keeps its precision near 0 and pi, where arccos has none."""
+    """Angle in [0, pi] between vectors of the last axis; atan2 is precise near 0 and pi, arccos is not."""
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))

@@ -314,6 +314,8 @@ def _bundled_band(folder: Path, variant: str) -> Band | None:
             raise ReferenceFileError(file, line, f"frame {row['frame']} where {len(columns['frame'])} is next")
         if row["measured"] not in ("0", "1"):
             raise ReferenceFileError(file, line, f"measured is {row['measured']!r}, neither 0 nor 1")
+        if _number(file, line, "sigma", row["sigma"]) < 0:
+            raise ReferenceFileError(file, line, f"sigma is {row['sigma']}, a standard deviation is never negative")
         for name, values in columns.items():
             values.append(_number(file, line, name, row[name]))
     grade = _field(facts_file, facts, "grade", str)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gauge_envs.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.reference import published_baselines
@@ -250,7 +250,7 @@ def statistics_toml(values: FloatArray) -> str:
     return f"mean = {np.mean(values):.6f}\nstd = {np.std(values, ddof=1):.6f}\n"
 
 
-def inline_statistics(values: ArrayLike) -> str:
+def inline_statistics(values: Sequence[float] | FloatArray) -> str:
     """Mean, sample standard deviation and median as an inline TOML table."""
     return f"{{ mean = {np.mean(values):.6f}, std = {np.std(values, ddof=1):.6f}, median = {np.median(values):.6f} }}"
 

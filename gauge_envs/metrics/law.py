@@ -6,12 +6,14 @@ simulated trajectory they read the same. Every function takes one motion and no 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.metrics.events import dominant_frequency
+from gauge_envs.metrics.events import oscillation_period
 
 __all__ = ["coefficient_of_determination", "dynamic_error", "fitted_acceleration", "quadratic_form_improvement"]
 
@@ -41,8 +43,8 @@ def fitted_acceleration(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
 def quadratic_form_improvement(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
     """F statistic of adding a t^4 term to s = b + k t^2: small for constant acceleration (paper, equation of QFI).
 
-    It grows with the number of samples and with noise-freeness, so it compares motions of equal length only; a noise
-    free simulation with a slight systematic curvature has a large one.
+    It grows with the number of samples and with their precision, so compare only motions of equal length and noise: a
+    simulation without noise scores high for the slightest systematic curvature.
 
     Args:
         times_s: Times since the release, shape [sample_count], s.
@@ -58,10 +60,11 @@ def quadratic_form_improvement(times_s: ArrayLike, displacement_m: ArrayLike) ->
     terms = np.vander((times_s / np.abs(times_s).max()) ** 2, 3, increasing=True)
     _, sse_linear = _fit(terms[:, :2], displacement_m)
     _, sse_quadratic = _fit(terms, displacement_m)
-    # Both residuals are rounding for an exact parabola, and their ratio would be noise.
-    if sse_linear <= len(times_s) * (8 * np.finfo(float).eps * np.abs(displacement_m).max()) ** 2:
+    # Below this both residuals are rounding, and their ratio would be noise or a division by zero.
+    rounding = len(times_s) * (8 * np.finfo(float).eps * float(np.abs(displacement_m).max())) ** 2
+    if sse_linear <= rounding:
         return 0.0
-    return float((sse_linear - sse_quadratic) / (sse_quadratic / (len(times_s) - 3)))
+    return (sse_linear - sse_quadratic) / (max(sse_quadratic, rounding) / (len(times_s) - 3))
 
 
 def coefficient_of_determination(times_s: ArrayLike, angle_rad: ArrayLike) -> float:
@@ -76,10 +79,10 @@ def coefficient_of_determination(times_s: ArrayLike, angle_rad: ArrayLike) -> fl
         angle_rad: Angle from the vertical, shape [sample_count], rad; any unit gives the same R^2.
 
     Returns:
-        R^2, at most 1.
+        R^2, at most 1; NaN for a constant angle, which leaves nothing to explain.
 
     Raises:
-        ShapeError: Not one finite angle for each of at least six ascending, evenly spaced times, or a constant angle.
+        ShapeError: Not one finite angle for each of at least six ascending, evenly spaced times.
     """
     times_s, angle_rad = _series(times_s, angle_rad, least=6)
     steps = np.diff(times_s)
@@ -87,17 +90,19 @@ def coefficient_of_determination(times_s: ArrayLike, angle_rad: ArrayLike) -> fl
         raise ShapeError("times_s: ascending, evenly spaced times are needed")
     centred = angle_rad - angle_rad.mean()
     if np.abs(centred).max() <= 1e-12 * np.abs(angle_rad).max():
-        raise ShapeError("angle_rad is constant; a fit to it explains nothing")
+        return math.nan
     elapsed_s = times_s - times_s[0]
 
     def residual_share(parameters: FloatArray) -> float:
         beta, omega = parameters
         decay = np.exp(np.clip(-beta * elapsed_s, -50.0, 50.0))
-        terms = np.column_stack((np.ones_like(decay), decay * np.cos(omega * elapsed_s), decay * np.sin(omega * elapsed_s)))
+        terms = np.column_stack(
+            (np.ones_like(decay), decay * np.cos(omega * elapsed_s), decay * np.sin(omega * elapsed_s))
+        )
         _, sse = _fit(terms, centred)
         return sse / float(centred @ centred)
 
-    omega = 2 * np.pi * dominant_frequency(angle_rad, frame_rate_hz=1 / float(steps.mean()))
+    omega = 2 * np.pi / oscillation_period(angle_rad, frame_rate_hz=1 / float(steps.mean()))
     # The first simplex spans one Fourier bin in omega and a decay by e over the record in beta.
     reach = np.array([1.0, np.pi]) / elapsed_s[-1]
     start = np.array([0.0, omega])
@@ -115,7 +120,7 @@ def dynamic_error(
 
     Args:
         times_s: Ascending times, not necessarily even, shape [sample_count], s.
-        positions_m: Horizontal positions, shape [sample_count, 2], m.
+        positions_m: Horizontal positions, shape [sample_count, axis_count], m.
         mass_kg: Mass of the block, kg.
         friction: Friction coefficient between block and table.
         gravity: Gravitational acceleration, m/s^2.
@@ -136,12 +141,12 @@ def dynamic_error(
     return float(np.maximum(force - friction * mass_kg * gravity, 0.0).mean())
 
 
-def _series(
-    times_s: ArrayLike, values: ArrayLike, *, least: int, dimension: int = 1
-) -> tuple[FloatArray, FloatArray]:
+def _series(times_s: ArrayLike, values: ArrayLike, *, least: int, dimension: int = 1) -> tuple[FloatArray, FloatArray]:
     times_s, values = np.asarray(times_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if times_s.ndim != 1 or values.ndim != dimension or len(values) != len(times_s):
-        raise ShapeError(f"times_s has shape {times_s.shape}, the values {values.shape}; one row for each time is needed")
+        raise ShapeError(
+            f"times_s has shape {times_s.shape}, the values {values.shape}; one row for each time is needed"
+        )
     if not (np.isfinite(times_s).all() and np.isfinite(values).all()):
         raise ShapeError("times and values must be finite; leave missing samples out, with their times")
     if len(np.unique(times_s)) < least:

@@ -1,0 +1,128 @@
+"""The contract between an environment and a physics engine.
+
+A backend is one class with three methods. It sees a `Scene` and never the name of an experiment:
+
+    class BackendMine(Backend):
+        name = "mine"
+
+        def supports(self, scene): ...
+        def build(self, scene, settings): ...
+        def versions(self): ...
+
+`build` returns a `Simulation`, which an environment resets, drives and reads once every frame. A backend becomes
+available under its name through an entry point of the group `gauge_envs.backends`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.scene import Pose, Scene
+
+__all__ = ["Backend", "Simulation", "Support"]
+
+
+@dataclass(frozen=True)
+class Support:
+    """Whether a backend can build a scene, and if not, everything that it lacks.
+
+    Attributes:
+        missing: One sentence for each thing that the backend cannot do; empty when it can build the scene.
+    """
+
+    missing: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return not self.missing
+
+
+class Simulation(ABC):
+    """One running scene. Poses are body frames in the world; everything is in SI units.
+
+    Attributes:
+        settings: Every numerical setting in force, flat, JSON-ready; it is written into each result.
+    """
+
+    settings: Mapping[str, Any]
+
+    @abstractmethod
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start at time 0; the same seed gives the same trajectory."""
+
+    @abstractmethod
+    def drive(
+        self, body: str, pose: Pose, linear_m_per_s: NDArray[np.float64], angular_rad_per_s: NDArray[np.float64]
+    ) -> None:
+        """Prescribe a kinematic body for the coming `advance`.
+
+        Args:
+            body: Name of a kinematic body.
+            pose: Its pose at the start of the interval.
+            linear_m_per_s: Constant velocity of its origin in the world frame, shape [3].
+            angular_rad_per_s: Constant angular velocity in the world frame, shape [3].
+        """
+
+    @abstractmethod
+    def advance(self, seconds: float) -> None:
+        """Simulate an interval; a multiple of 1/180 s whenever an environment calls."""
+
+    @abstractmethod
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Poses and velocities now.
+
+        Returns:
+            Shape [len(names), 13]: position [m] (3), quaternion w x y z (4), linear velocity of the body origin [m/s]
+            (3) and angular velocity [rad/s] (3), both in the world frame.
+        """
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Positions of a deformable body's nodes [m], shape [node_count, 3]."""
+        raise KeyError(name)
+
+    @abstractmethod
+    def state(self) -> Any:
+        """Everything that `restore` needs to go on from here bit for bit."""
+
+    @abstractmethod
+    def restore(self, state: Any) -> None:
+        """Go back to a state that `state` returned."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what the simulation holds; calling it twice is harmless."""
+
+
+class Backend(ABC):
+    """A physics engine.
+
+    Attributes:
+        name: What users type: `backend="mujoco"`.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def versions(self) -> dict[str, str]:
+        """Versions of the engine's packages, written into each result."""
+
+    @abstractmethod
+    def supports(self, scene: Scene) -> Support:
+        """Whether `build` will work on a scene, and if not, why."""
+
+    @abstractmethod
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build a scene.
+
+        Args:
+            scene: What to build; `supports` is true for it.
+            settings: Numerical settings that replace the backend's defaults, by name; `preset` picks a named set.
+
+        Raises:
+            ParameterError: A setting of that name does not exist or has an impossible value.
+        """

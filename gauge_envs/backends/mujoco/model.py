@@ -1,0 +1,197 @@
+"""Scene -> MuJoCo model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import mujoco
+import numpy as np
+
+from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.scene import (
+    Box,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Motion,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+    Tether,
+)
+
+__all__ = ["add_geoms", "build_model"]
+
+EXPLICIT_PAIR_LIMIT = 1000
+"""Contacts with more geom pairs than this go through MuJoCo's broad phase instead of explicit pairs."""
+
+INTEGRATORS = {
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+}
+CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
+SOLVERS = {
+    "PGS": mujoco.mjtSolver.mjSOL_PGS,
+    "CG": mujoco.mjtSolver.mjSOL_CG,
+    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
+}
+
+
+def add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape) -> list[mujoco.MjsGeom]:
+    """Add a shape to a body as geoms that collide with nothing; concave solids become one mesh a convex piece."""
+    if isinstance(shape, ConvexUnion):
+        geoms = []
+        for index, piece in enumerate(shape.pieces_m):
+            # Vertices about the piece's own mean: MuJoCo merges vertices of meshes that lie far from the origin.
+            points = np.asarray(piece)
+            mesh = spec.add_mesh(name=f"{name}/{index}", uservert=points.ravel())
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+            geoms.append(body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, name=f"{name}/{index}"))
+    else:
+        if isinstance(shape, Box):
+            kind, size = mujoco.mjtGeom.mjGEOM_BOX, [0.5 * edge for edge in shape.size_m]
+        elif isinstance(shape, Sphere):
+            kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius_m, 0.0, 0.0]
+        elif isinstance(shape, Cylinder):
+            kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+        else:
+            kind, size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.05]
+        geoms = [body.add_geom(type=kind, size=size, name=name)]
+    for geom in geoms:
+        geom.contype = 0
+        geom.conaffinity = 0
+    return geoms
+
+
+def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Compile a rigid scene.
+
+    Bodies keep their names; a body without a hinge has a free joint of the same name. Driven bodies are free bodies
+    of huge mass without weight, whose pose and velocity are written before each interval: unlike a mocap body they
+    have a velocity, and so they carry what rests on them.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.timestep = settings.timestep_s
+    spec.option.integrator = INTEGRATORS[settings.integrator]
+    spec.option.cone = CONES[settings.cone]
+    spec.option.impratio = settings.impratio
+    spec.option.solver = SOLVERS[settings.solver]
+    spec.option.iterations = settings.iterations
+    spec.option.tolerance = settings.tolerance
+    spec.option.gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
+
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    geoms: dict[str, list[mujoco.MjsGeom]] = {}
+    for body in scene.bodies:
+        geoms[body.name] = _add_body(spec, body, hinges.get(body.name), settings)
+    for joint in scene.joints:
+        if isinstance(joint, Tether):
+            _add_tether(spec, joint, settings)
+    for index, contact in enumerate(scene.contacts):
+        _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
+    return spec, spec.compile()
+
+
+def _add_body(
+    spec: mujoco.MjSpec, body: RigidBody, hinge: Hinge | None, settings: SettingsMuJoCo
+) -> list[mujoco.MjsGeom]:
+    frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion)
+    geoms = add_geoms(spec, frame, body.name, body.shape)
+    if body.motion is Motion.FIXED:
+        return geoms
+    if hinge is not None:
+        anchor = body.pose.to_body(np.asarray(hinge.anchor_m))
+        axis = body.pose.rotation.apply(np.asarray(hinge.axis), inverse=True)
+        frame.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, name=body.name, pos=anchor, axis=axis)
+    else:
+        frame.add_freejoint(name=body.name)
+    if body.motion is Motion.KINEMATIC:
+        frame.gravcomp = 1.0
+        frame.explicitinertial = True
+        frame.mass = settings.kinematic_mass_kg
+        frame.ipos = [0.0, 0.0, 0.0]
+        frame.inertia = [settings.kinematic_mass_kg] * 3
+        return geoms
+    if isinstance(body.shape, ConvexUnion):
+        volumes = [ConvexUnion(pieces_m=(piece,)).volume_m3 for piece in body.shape.pieces_m]
+        for geom, volume in zip(geoms, volumes, strict=True):
+            geom.mass = body.mass_kg * volume / sum(volumes)
+    else:
+        geoms[0].mass = body.mass_kg
+    return geoms
+
+
+def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -> None:
+    name = f"{tether.body}/tether"
+    spec.worldbody.add_site(name=f"{name}/anchor", pos=tether.anchor_m)
+    spec.body(tether.body).add_site(name=f"{name}/end")
+    tendon = spec.add_tendon(name=name, limited=True, range=[0.0, tether.length_m])
+    # Twice the step is the stiffest limit that stays stable.
+    tendon.solref_limit = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
+    tendon.solimp_limit = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+    tendon.wrap_site(f"{name}/anchor")
+    tendon.wrap_site(f"{name}/end")
+
+
+def _contact_parameters(contact: Contact, settings: SettingsMuJoCo) -> dict[str, list[float]]:
+    """MuJoCo's solref, solreffriction and solimp of a contact.
+
+    Impacts use MuJoCo's direct solref with damping (1 + e)/h: one step then reverses the normal velocity to -e times
+    itself. The same damping would reverse the tangential velocity too, so friction gets 1/h, which stops it.
+    """
+    if contact.mode is ContactMode.SUSTAINED:
+        return {"solref": [*settings.sustained_solref], "solimp": [*settings.sustained_solimp, 0.5, 2.0]}
+    step = settings.timestep_s
+    parameters = {
+        "solref": [-settings.impact_stiffness / step**2, -(1.0 + contact.restitution) / step],
+        "solimp": [*settings.impact_solimp, 0.5, 2.0],
+    }
+    if settings.cone == "elliptic":
+        parameters["solreffriction"] = [0.0, -1.0 / step]
+    return parameters
+
+
+def _pairs(scene: Scene, contact: Contact) -> Iterator[tuple[str, str]]:
+    """Distinct pairs of bodies of which at least one moves under forces."""
+    seen = set()
+    for first, second in product(contact.first, contact.second):
+        pair = tuple(sorted((first, second)))
+        moves = any(scene.body(name).motion is Motion.DYNAMIC for name in pair)
+        if first != second and moves and pair not in seen:
+            seen.add(pair)
+            yield first, second
+
+
+def _add_contact(
+    spec: mujoco.MjSpec,
+    scene: Scene,
+    contact: Contact,
+    geoms: dict[str, list[mujoco.MjsGeom]],
+    settings: SettingsMuJoCo,
+    bit: int,
+) -> None:
+    parameters = _contact_parameters(contact, settings)
+    pairs = list(_pairs(scene, contact))
+    if set(contact.first) == set(contact.second) and len(pairs) > EXPLICIT_PAIR_LIMIT:
+        for name in contact.first:
+            for geom in geoms[name]:
+                geom.contype |= bit
+                geom.conaffinity |= bit
+                geom.friction = [contact.friction, 0.0, 0.0]
+                geom.solref = parameters["solref"]
+                geom.solimp = parameters["solimp"]
+        return
+    for first, second in pairs:
+        for one, other in product(geoms[first], geoms[second]):
+            # A contact without friction has no tangential rows at all, which is exact and cheap.
+            pair = spec.add_pair(geomname1=one.name, geomname2=other.name, condim=3 if contact.friction > 0.0 else 1)
+            pair.friction = [contact.friction, contact.friction, 0.0, 0.0, 0.0]
+            for key, value in parameters.items():
+                setattr(pair, key, value)

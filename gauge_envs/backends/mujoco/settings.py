@@ -1,0 +1,112 @@
+"""Numerical settings of the MuJoCo backend: the presets, and which preset a scene gets.
+
+A preset is picked from what the scene contains, never from how well it scores. What is engine default and what is
+not, and why, stands beside each number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.scene import ContactMode, Scene
+
+__all__ = ["PRESETS", "SettingsMuJoCo", "settings_for"]
+
+
+class SettingsMuJoCo(BaseModel):
+    """Settings of one simulation.
+
+    Attributes:
+        preset: Name of the preset that these started from.
+        timestep_s: Step of the integrator; frames (1/30 s) and driver intervals (1/180 s) must be multiples of it.
+        integrator: MuJoCo's name of the integrator.
+        cone: Friction cone.
+        impratio: Ratio of frictional to normal constraint impedance; above 1 it keeps resting bodies from creeping.
+        solver: Constraint solver.
+        iterations: Cap on solver iterations.
+        tolerance: Solver tolerance.
+        sustained_solref: Time constant [s] and damping ratio of sustained contacts.
+        sustained_solimp: Impedance of sustained contacts: d0, dwidth, width [m].
+        impact_stiffness: Dimensionless stiffness s of impacts; MuJoCo's direct solref is (-s/h^2, -(1+e)/h).
+        impact_solimp: Impedance of impacts; constant in depth, since the rebound would depend on depth otherwise.
+        kinematic_mass_kg: Mass of a driven body, so large that contacts do not slow it between two drives.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    preset: str
+    timestep_s: float = Field(gt=0.0, le=1 / 180)
+    integrator: Literal["Euler", "RK4", "implicit", "implicitfast", "discrete"] = "implicitfast"
+    cone: Literal["pyramidal", "elliptic"] = "elliptic"
+    impratio: float = Field(default=10.0, gt=0.0)
+    solver: Literal["PGS", "CG", "Newton"] = "Newton"
+    iterations: int = Field(default=100, ge=1)
+    tolerance: float = Field(default=1e-8, ge=0.0)
+    sustained_solref: tuple[float, float] = (0.02, 1.0)
+    sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
+    impact_stiffness: float = Field(default=0.002, gt=0.0)
+    impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
+    kinematic_mass_kg: float = Field(default=1e6, gt=0.0)
+
+
+PRESETS: dict[str, SettingsMuJoCo] = {
+    # Contact: ten steps per 180 Hz capture frame, so that a sliding box hops by 0.1 mm and not by 1 mm; an elliptic
+    # cone with impratio 10, so that a resting body creeps by micrometres. solref 0.02 and solver are engine defaults.
+    "contact": SettingsMuJoCo(preset="contact", timestep_s=1 / 1800),
+    # Touching bodies that collide in a chain: the impulse must pass one contact before it reaches the next, which
+    # takes several steps a contact; impedance near 1 keeps the contacts hard.
+    "impact_chain": SettingsMuJoCo(preset="impact_chain", timestep_s=1 / 9000, impact_solimp=(0.9999, 0.9999, 0.001)),
+    # No contact: RK4 holds the energy of a pendulum to about 1e-6 in 100 s even at the capture rate.
+    "contact_free": SettingsMuJoCo(preset="contact_free", timestep_s=1 / 1800, integrator="RK4"),
+    # Many resting contacts: the cheaper pyramidal cone, a stiffer reference and a longer step.
+    "stack": SettingsMuJoCo(
+        preset="stack",
+        timestep_s=1 / 900,
+        cone="pyramidal",
+        impratio=1.0,
+        sustained_solref=(0.01, 1.0),
+        sustained_solimp=(0.95, 0.99, 0.001),
+    ),
+}
+
+STACK_BODY_COUNT = 20
+"""From this many dynamic bodies on, contacts are so many that the `stack` preset is used."""
+
+
+def _preset_name(scene: Scene) -> str:
+    dynamic = {body.name for body in scene.dynamic_bodies}
+    if not scene.contacts:
+        return "contact_free"
+    if len(dynamic) >= STACK_BODY_COUNT:
+        return "stack"
+    chain = any(
+        c.mode is ContactMode.IMPACT and len(dynamic & set(c.first) & set(c.second)) > 2 for c in scene.contacts
+    )
+    return "impact_chain" if chain else "contact"
+
+
+def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> SettingsMuJoCo:
+    """Settings of a scene: its preset, with overrides put in.
+
+    Raises:
+        UnknownNameError: No such preset.
+        ParameterError: No such setting, or an impossible value.
+    """
+    changes = dict(overrides or {})
+    name = changes.pop("preset", None) or _preset_name(scene)
+    if name not in PRESETS:
+        raise UnknownNameError("MuJoCo preset", name, PRESETS)
+    try:
+        settings = SettingsMuJoCo.model_validate(PRESETS[name].model_dump() | changes)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        known = ", ".join(SettingsMuJoCo.model_fields)
+        raise ParameterError(f"MuJoCo setting {first['loc'][0]!r}: {first['msg']}; settings: {known}") from error
+    steps = 1 / 180 / settings.timestep_s
+    if abs(steps - round(steps)) > 1e-6:
+        raise ParameterError(f"MuJoCo setting 'timestep_s': 1/180 s is {steps:.6g} steps, not a whole number")
+    return settings

@@ -1,0 +1,409 @@
+"""The Gymnasium environment: one experiment, stepped at the frame rate of its real trials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.registry import backend as find_backend
+from gauge_envs.backends.registry import backend_names
+from gauge_envs.driver import Driver, mean_twist
+from gauge_envs.errors import ActionError, EpisodeError, GaugeError, ParameterError, UnsupportedSceneError
+from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_band
+from gauge_envs.scene import Pose, Scene
+from gauge_envs.task import FRAME_RATE_HZ, Experiment, Observable, Parameters, experiment
+
+__all__ = ["SAMPLES_PER_FRAME", "GaugeEnv", "Trajectory", "reference_band"]
+
+SAMPLES_PER_FRAME = 6
+"""Samples kept per frame: 180 Hz, the rate of the motion-capture cameras (paper, data acquisition)."""
+
+SAMPLE_INTERVAL_S = 1.0 / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
+
+Observation = dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """What an episode recorded so far.
+
+    Attributes:
+        times_s: Times of the dense samples, shape [sample_count], 180 a second.
+        samples: The generalized trajectory g(t) at those times, shape [sample_count, coordinate_count].
+        frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
+        bodies: States of the recorded bodies at the frames, shape [frame_count, body_count, 13].
+    """
+
+    times_s: NDArray[np.float64]
+    samples: NDArray[np.float64]
+    frames: NDArray[np.float64]
+    bodies: NDArray[np.float64]
+
+
+def reference_band(resolved: Experiment) -> Band | None:
+    """The best reference there is for an experiment: real trials, else a law, else none."""
+    bundled = load_band(resolved.variant.name)
+    if bundled is not None:
+        return bundled
+    law = law_for(resolved.variant.name)
+    if law is None:
+        return None
+    return carried_band(
+        variant=resolved.variant.name,
+        positions_mm=_carried_positions_mm(resolved.scene, law.body, law.carrier, resolved.frame_count),
+    )
+
+
+def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:
+    """Positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
+    start = scene.body(carrier).pose
+    place = start.to_body(np.asarray(scene.body(body).pose.position_m))
+    driver = next((d for d in scene.drivers if d.body == carrier), None)
+    poses = [start if driver is None else driver.pose(start, k / FRAME_RATE_HZ) for k in range(frame_count)]
+    return 1e3 * np.array([pose.to_world(place) for pose in poses])
+
+
+class GaugeEnv(gymnasium.Env[Observation, Any]):
+    """One experiment of the GAUGE benchmark.
+
+    An episode starts from the motion-capture initial state and lasts the published number of frames; `reset` returns
+    frame 0 and each `step` the next one, 1/30 s later. The last frame truncates the episode; a simulation that
+    diverges terminates it.
+
+    | observation  | shape       | what                                                                         |
+    |--------------|-------------|------------------------------------------------------------------------------|
+    | `observable` | [C]         | generalized trajectory g(t): mm, rad or mm^2                                 |
+    | `bodies`     | [N, 13]     | recorded bodies: position m, quaternion wxyz, velocity m/s, spin rad/s       |
+    | `driver`     | [D, 13]     | driven bodies, likewise; only where something is driven                      |
+    | `time`       | [1]         | s                                                                            |
+
+    Action: where a body is driven, a Box in [-1, 1] with one entry a motion of the driver, a velocity that is added to
+    the recorded one (scale: `residual_rate_*` in the task file); zero replays the recorded motion. Elsewhere
+    `Discrete(1)`.
+
+    Reward: minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 where there is no reference.
+
+    `info`: `frame`, `time_s`, `reference` (grade of the band) and, when the simulation diverged, `diverged` (why).
+
+    Args:
+        variant: Name of the variant, as `SlopeSlider-2-wood`.
+        backend: Name of an installed physics engine.
+        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`.
+        settings: Numerical settings of the backend that replace its defaults.
+        render_mode: None or `rgb_array`.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
+
+    Raises:
+        UnknownNameError: No such variant or backend.
+        ParameterError: A parameter or setting does not exist or is out of range.
+        UnsupportedSceneError: The backend cannot build the scene.
+
+    Example:
+        >>> import gymnasium as gym, gauge_envs
+        >>> env = gym.make("GAUGE/SlopeSlider-2-wood")
+        >>> observation, info = env.reset(seed=0)
+        >>> terminated = truncated = False
+        >>> while not (terminated or truncated):
+        ...     observation, reward, terminated, truncated, info = env.step(0)
+        >>> info["frame"], info["score"].grade
+        (18, 'trials')
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(FRAME_RATE_HZ)}
+
+    def __init__(
+        self,
+        variant: str,
+        *,
+        backend: str = "mujoco",
+        parameters: Parameters = "calibrated",
+        settings: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        self.experiment = experiment(variant, parameters)
+        self.backend_name = backend
+        self.render_mode = render_mode
+        self._picture_size = (width, height)
+        self._renderer: Any = None
+        scene = self.experiment.scene
+        engine = find_backend(backend)
+        support = engine.supports(scene)
+        if not support:
+            raise UnsupportedSceneError(_unsupported_message(self.experiment, backend, support.missing))
+        self.versions = engine.versions()
+        self.simulation: Simulation = engine.build(scene, settings)
+        self.band = reference_band(self.experiment)
+        self.seed_used: int | None = None
+
+        self._drivers = [_DriverPath(driver, scene, self.experiment.frame_count) for driver in scene.drivers]
+        self._driven = tuple(driver.body for driver in scene.drivers)
+        self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
+        self._recorded_rows = [self._dynamic.index(name) for name in self.experiment.recorded]
+        self._masses = np.array([body.mass_kg for body in scene.dynamic_bodies])
+        self._is_finite_limit = (
+            scene.speed_limit_m_per_s,
+            scene.distance_limit_m,
+            scene.kinetic_energy_limit_j,
+        )
+        self._band_rows = _band_rows(self.band)
+        self._frame: int | None = None
+        self._over = False
+        self._allocate()
+        self.action_space = self._action_space()
+        self.observation_space = self._observation_space()
+
+    # --- spaces ---
+
+    def _action_space(self) -> spaces.Space[Any]:
+        count = sum(path.motion_count for path in self._drivers)
+        return spaces.Box(-1.0, 1.0, (count,), np.float64) if count else spaces.Discrete(1)
+
+    def _observation_space(self) -> spaces.Dict:
+        scene = self.experiment.scene
+        distance, speed = scene.distance_limit_m, scene.speed_limit_m_per_s
+        state = np.concatenate([np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)])
+
+        def states(count: int) -> spaces.Box:
+            bound = np.tile(state, (count, 1))
+            return spaces.Box(-bound, bound, dtype=np.float64)
+
+        entries: dict[str, spaces.Space[Any]] = {
+            "observable": spaces.Box(-1e3 * distance, 1e3 * distance, (self._samples.shape[1],), np.float64),
+            "bodies": states(len(self._recorded_rows)),
+            "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
+        }
+        if self._driven:
+            entries["driver"] = states(len(self._driven))
+        return spaces.Dict(entries)
+
+    # --- episode ---
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict]:
+        """Start a new episode from the motion-capture initial state; there are no options.
+
+        Raises:
+            ParameterError: Options were given.
+        """
+        super().reset(seed=seed)
+        if options:
+            raise ParameterError(f"reset knows no options, got {', '.join(map(repr, options))}")
+        self.seed_used = 0 if seed is None else seed
+        self.simulation.reset(self.seed_used)
+        for path in self._drivers:
+            path.reset()
+        self._frame = 0
+        self._over = False
+        states = self.simulation.body_states(self._dynamic)
+        self._samples[0] = 1e3 * states[self._recorded_rows, :3].ravel()
+        self._bodies[0] = states[self._recorded_rows]
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Simulate one frame, 1/30 s.
+
+        Raises:
+            ActionError: The action has the wrong shape, is out of range or is not a number.
+            EpisodeError: The environment was not reset, or the episode is over.
+        """
+        if self._frame is None:
+            raise EpisodeError(f"{self.experiment.variant.id}: call reset before step")
+        if self._over:
+            raise EpisodeError(f"{self.experiment.variant.id}: the episode is over, call reset")
+        rates = self._checked(action)
+        first = self._frame * SAMPLES_PER_FRAME
+        states = None
+        for sample in range(first, first + SAMPLES_PER_FRAME):
+            offset = 0
+            for path in self._drivers:
+                end = offset + path.motion_count
+                self.simulation.drive(path.body, *path.interval(sample, rates[offset:end]))
+                offset = end
+            self.simulation.advance(SAMPLE_INTERVAL_S)
+            states = self.simulation.body_states(self._dynamic)
+            self._samples[sample + 1] = 1e3 * states[self._recorded_rows, :3].ravel()
+        self._frame += 1
+        self._bodies[self._frame] = states[self._recorded_rows]
+        fault = self._fault(states)
+        truncated = not fault and self._frame == self.experiment.frame_count - 1
+        self._over = bool(fault) or truncated
+        info = self._info()
+        if fault:
+            info["diverged"] = fault
+        return self._observation(), self._reward(), bool(fault), truncated, info
+
+    def trajectory(self) -> Trajectory:
+        """What the current episode recorded so far.
+
+        Raises:
+            EpisodeError: The environment was not reset.
+        """
+        if self._frame is None:
+            raise EpisodeError(f"{self.experiment.variant.id}: no trajectory before reset")
+        last = self._frame * SAMPLES_PER_FRAME + 1
+        return Trajectory(
+            times_s=np.arange(last) * SAMPLE_INTERVAL_S,
+            samples=self._samples[:last].copy(),
+            frames=self._samples[:last:SAMPLES_PER_FRAME].copy(),
+            bodies=self._bodies[: self._frame + 1].copy(),
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Picture of the scene now, shape [height, width, 3]; None without `render_mode="rgb_array"`.
+
+        Raises:
+            RenderError: The machine has no OpenGL library.
+            EpisodeError: The environment was not reset.
+        """
+        if self.render_mode is None:
+            return None
+        if self._frame is None:
+            raise EpisodeError(f"{self.experiment.variant.id}: call reset before render")
+        if self._renderer is None:
+            from gauge_envs.rendering import SceneRenderer
+
+            self._renderer = SceneRenderer(self.experiment.scene, *self._picture_size)
+        moving = (*self._dynamic, *self._driven)
+        return self._renderer.picture(dict(zip(moving, self.simulation.body_states(moving)[:, :7], strict=True)))
+
+    def close(self) -> None:
+        """Free the simulation and the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        self.simulation.close()
+
+    # --- parts of a step ---
+
+    def _allocate(self) -> None:
+        if self.experiment.spec.score.observable is not Observable.POSITION:
+            raise UnsupportedSceneError(f"{self.experiment.variant.id}: only rigid bodies are observed yet")
+        bodies = len(self._recorded_rows)
+        frames = self.experiment.frame_count
+        self._samples = np.full(((frames - 1) * SAMPLES_PER_FRAME + 1, 3 * bodies), np.nan)
+        self._bodies = np.full((frames, bodies, 13), np.nan)
+
+    def _checked(self, action: Any) -> NDArray[np.float64]:
+        space = self.action_space
+        if isinstance(space, spaces.Discrete):
+            if not isinstance(action, int | np.integer | np.ndarray) or not space.contains(action):
+                raise ActionError(f"action {action!r}: nothing is driven here, the only action is 0")
+            return np.zeros(0)
+        try:
+            rates = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ActionError(f"action {action!r} is not an array of numbers") from error
+        if rates.shape != space.shape:
+            raise ActionError(f"action has shape {rates.shape}, expected {space.shape}: one entry a driven motion")
+        if not np.isfinite(rates).all() or np.abs(rates).max() > 1.0:
+            raise ActionError(f"action {rates.tolist()} must hold numbers from -1 to 1")
+        return rates
+
+    def _observation(self) -> Observation:
+        frame = self._frame or 0
+        observation = {
+            "observable": self._samples[frame * SAMPLES_PER_FRAME].copy(),
+            "bodies": self._bodies[frame].copy(),
+            "time": np.array([frame / FRAME_RATE_HZ]),
+        }
+        if self._driven:
+            observation["driver"] = self.simulation.body_states(self._driven)
+        return observation
+
+    def _info(self) -> dict[str, Any]:
+        frame = self._frame or 0
+        grade = self.band.grade.value if self.band else BandGrade.NONE.value
+        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, "reference": grade}
+
+    def _reward(self) -> float:
+        if self._band_rows is None:
+            return 0.0
+        projection, mean, weight = self._band_rows
+        frame = self._frame or 0
+        deviation = projection @ self._samples[frame * SAMPLES_PER_FRAME] - mean[frame]
+        return -float(np.abs(deviation) @ weight[frame])
+
+    def _fault(self, states: NDArray[np.float64]) -> str | None:
+        """Why the simulation counts as diverged, judged by physics: it may be wrong and still finite."""
+        speed_limit, distance_limit, energy_limit = self._is_finite_limit
+        velocity = states[:, 7:10]
+        squared = np.einsum("ij,ij->i", velocity, velocity)
+        fastest = float(squared.max())
+        furthest = float(np.abs(states[:, :3]).max())
+        energy = 0.5 * float(self._masses @ squared)
+        # A comparison with NaN is false, so that each bound also catches what is not a number.
+        if fastest <= speed_limit**2 and furthest <= distance_limit and energy <= energy_limit:
+            return None
+        if not np.isfinite(states).all():
+            return "the state is not finite"
+        if not fastest <= speed_limit**2:
+            name = self._dynamic[int(squared.argmax())]
+            return f"{name} moves at {fastest**0.5:.3g} m/s, more than the scene can give ({speed_limit:.3g} m/s)"
+        if not furthest <= distance_limit:
+            return f"a body is {furthest:.3g} m away, further than it can get ({distance_limit:.3g} m)"
+        return f"kinetic energy is {energy:.3g} J, more than was there ({energy_limit:.3g} J)"
+
+
+def _band_rows(band: Band | None) -> tuple[NDArray, NDArray, NDArray] | None:
+    """Projection, mean and weights such that |deviation| @ weight is the mean of |z| over measured coordinates."""
+    if band is None:
+        return None
+    usable = band.measured[:, None] & (band.sigma > 0.0) & np.isfinite(band.mean)
+    count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
+    weight = np.where(usable, 1.0, 0.0) / np.where(usable, band.sigma, 1.0) / count
+    return band.projection, np.nan_to_num(band.mean), weight
+
+
+def _unsupported_message(resolved: Experiment, asked: str, missing: tuple[str, ...]) -> str:
+    able = []
+    for name in backend_names():
+        try:
+            if name != asked and find_backend(name).supports(resolved.scene):
+                able.append(name)
+        except GaugeError:
+            continue
+    reasons = "; ".join(missing)
+    others = f"backend={able[0]!r} can" if able else "no installed backend can run this experiment yet"
+    return f"{resolved.variant.id}: backend {asked!r} cannot build it: {reasons}; {others}"
+
+
+class _DriverPath:
+    """A driver's motion cut into sample intervals; the undisturbed path is computed once."""
+
+    def __init__(self, driver: Driver, scene: Scene, frame_count: int) -> None:
+        self.body = driver.body
+        self.motion_count = len(driver.motions)
+        self._driver = driver
+        self._start = scene.body(driver.body).pose
+        self._scale = np.array([motion.residual_rate for motion in driver.motions])
+        self._offsets = np.zeros(self.motion_count)
+        count = (frame_count - 1) * SAMPLES_PER_FRAME
+        poses = [driver.pose(self._start, k * SAMPLE_INTERVAL_S) for k in range(count + 1)]
+        self._path = [(a, *mean_twist(a, b, SAMPLE_INTERVAL_S)) for a, b in zip(poses, poses[1:], strict=False)]
+
+    def reset(self) -> None:
+        """Back to the recorded motion."""
+        self._offsets[:] = 0.0
+
+    def interval(
+        self, sample: int, rates: NDArray[np.float64]
+    ) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
+        """Pose at the start of a sample interval, and the velocity that leads to its end."""
+        if not self._offsets.any() and not rates.any():
+            return self._path[sample]
+        before = self._driver.pose(self._start, sample * SAMPLE_INTERVAL_S, self._offsets)
+        self._offsets = self._offsets + rates * self._scale * SAMPLE_INTERVAL_S
+        after = self._driver.pose(self._start, (sample + 1) * SAMPLE_INTERVAL_S, self._offsets)
+        return before, *mean_twist(before, after, SAMPLE_INTERVAL_S)

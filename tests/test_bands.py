@@ -1,0 +1,211 @@
+"""The bundled bands are what the facts give, and they reproduce what was published about the real trials."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from gauge_envs.paths import data_folder
+from gauge_envs.reference import Band, load_band, published_baselines
+
+MATERIALS = ("wood", "plastic", "metal")
+VARIANTS = (*(f"SlopeSlider-2-{material}" for material in MATERIALS), "BouncingBall-rubber")
+GRAVITY = 9.80665
+
+
+def load_script() -> ModuleType:
+    file = Path(__file__).parents[1] / "scripts" / "build_bands.py"
+    spec = importlib.util.spec_from_file_location("build_bands", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["build_bands"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+build_bands = load_script()
+
+
+def band_of(variant: str) -> Band:
+    band = load_band(variant)
+    assert band is not None
+    return band
+
+
+def sidecar(variant: str) -> dict:
+    return tomllib.loads((data_folder("scoring") / "bands" / f"{variant}.toml").read_text(encoding="utf-8"))
+
+
+# Current
+
+
+def test_checked_in_files_are_current() -> None:
+    assert build_bands.main(["--check"]) == 0
+
+
+@pytest.mark.parametrize("name", ["bands/SlopeSlider-2-wood.csv", "bands/BouncingBall-rubber.toml"])
+def test_check_notices_a_changed_and_a_missing_file(name: str, tmp_path: Path, capsys) -> None:
+    scoring = tmp_path / "scoring"
+    shutil.copytree(data_folder("scoring"), scoring)
+    arguments = ["--check", "--scoring", str(scoring)]
+    assert build_bands.main(arguments) == 0
+    file = scoring / name
+    file.write_text(file.read_text(encoding="utf-8").replace("5", "6", 1), encoding="utf-8")
+    assert build_bands.main(arguments) == 1
+    assert str(file) in capsys.readouterr().err
+    file.unlink()
+    assert build_bands.main(arguments) == 1
+    assert build_bands.main(arguments[1:]) == 0
+    assert build_bands.main(arguments) == 0
+
+
+def test_check_notices_changed_facts(tmp_path: Path) -> None:
+    scoring = tmp_path / "scoring"
+    shutil.copytree(data_folder("scoring"), scoring)
+    facts = scoring / "facts" / "bouncing_ball.csv"
+    facts.write_text(facts.read_text(encoding="utf-8").replace("2.821644", "2.831644"), encoding="utf-8")
+    assert build_bands.main(["--check", "--scoring", str(scoring)]) == 1
+
+
+# Reproduction of the published scatter
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_real_trials_reproduce_the_published_baseline(variant: str) -> None:
+    published, ours = published_baselines(variant), sidecar(variant)
+    assert ours["rmse"]["mean"] == pytest.approx(published["rmse"].mean, rel=0.03)
+    assert ours["rmse"]["std"] == pytest.approx(published["rmse"].std, rel=0.03)
+    # DTW absorbs the dominant scatter of release times; what is left includes directions that the facts lack.
+    assert ours["dtw"]["mean"] == pytest.approx(published["dtw"].mean, rel=0.07)
+    assert ours["dtw"]["std"] == pytest.approx(published["dtw"].std, rel=0.08)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_sigma_agrees_with_the_scores_of_the_trials(variant: str) -> None:
+    """Time-averaged variance = mean over trials of E_RMSE squared, both with n - 1 where the std has it."""
+    count, rmse = sidecar(variant)["trial_count"], sidecar(variant)["rmse"]
+    expected = rmse["mean"] ** 2 * count / (count - 1) + rmse["std"] ** 2
+    assert np.square(band_of(variant).sigma).mean() == pytest.approx(expected, rel=1e-5)
+
+
+# What is measured
+
+
+@pytest.mark.parametrize(("material", "first", "last"), [("wood", 6, 14), ("plastic", 6, 13), ("metal", 7, 15)])
+def test_slope_frames_without_half_of_the_trials_are_extrapolated(material: str, first: int, last: int) -> None:
+    measured = np.flatnonzero(band_of(f"SlopeSlider-2-{material}").measured)
+    assert measured.tolist() == list(range(first, last + 1))
+
+
+def test_ball_frames_before_the_arcs_are_extrapolated() -> None:
+    assert np.flatnonzero(band_of("BouncingBall-rubber").measured).tolist() == list(range(4, 18))
+
+
+def test_a_slide_keeps_its_samples_and_rests_before_the_vertex() -> None:
+    slides = build_bands.read_slides(data_folder("scoring") / "facts", "wood")
+    trials = build_bands.reconstruct_slides(slides, 19)
+    first = trials.positions_mm[0]
+    assert np.flatnonzero(trials.measured[0]).tolist() == list(range(6, 15))
+    assert first[6:15].tolist() == [-43.14, -23.53, -1.29, 23.84, 51.88, 82.74, 116.53, 153.28, 193.10]
+    assert (np.diff(trials.positions_mm, axis=1) >= 0).all()
+    assert (trials.positions_mm[:, 0] < -80).all()
+
+
+def test_samples_past_the_last_frame_are_left_out() -> None:
+    slides = build_bands.read_slides(data_folder("scoring") / "facts", "wood")
+    trials = build_bands.reconstruct_slides(slides, 10)
+    assert trials.positions_mm.shape == (20, 10)
+    assert trials.positions_mm[0, 9] == 23.84
+
+
+def test_a_second_impact_within_the_window_is_refused() -> None:
+    impacts = build_bands.read_impacts(data_folder("scoring") / "facts")
+    assert len(impacts) == 22
+    with pytest.raises(ValueError, match="impact 2 at"):
+        build_bands.reconstruct_bounces(impacts, 30)
+
+
+# Ideal bodies
+
+
+@pytest.mark.parametrize(
+    ("material", "x", "z", "friction", "score"),
+    [
+        ("wood", 97.247, 359.354, 0.273673, 0.42),
+        ("plastic", 99.205, 359.256, 0.275018, 0.87),
+        ("metal", 98.720, 359.680, 0.262758, 0.76),
+    ],
+)
+def test_ideal_coulomb_cube(material: str, x: float, z: float, friction: float, score: float) -> None:
+    """Released at frame 0 from the metadata's position, with the metadata's friction."""
+    variant, slope = f"SlopeSlider-2-{material}", math.radians(30)
+    baseline = published_baselines(variant)["rmse"]
+    time = np.arange(baseline.frames) / 30
+    travel = 500 * GRAVITY * (math.sin(slope) - friction * math.cos(slope)) * time**2
+    positions = np.array([x, 400.0, z]) + travel[:, np.newaxis] * [math.cos(slope), 0, -math.sin(slope)]
+    band = band_of(variant)
+    rmse = math.sqrt(np.square(band.project(positions) - band.mean).mean())
+    assert rmse / baseline.mean == pytest.approx(score, abs=0.01)
+
+
+def ball_score(*, restitution: float, start: float, contact: float, release: float) -> float:
+    """Normalized E_RMSE of a ball dropped at a time, from a height, over a contact height (m, s)."""
+    time = np.maximum(np.arange(18) / 30 - release, 0)
+    fall_time = math.sqrt(2 * (start - contact) / GRAVITY)
+    after = time - fall_time
+    falling = start - GRAVITY / 2 * time**2
+    rising = contact + restitution * GRAVITY * fall_time * after - GRAVITY / 2 * after**2
+    z = 1000 * np.where(after < 0, falling, rising)
+    band = band_of("BouncingBall-rubber")
+    deviation = band.project(np.column_stack([0 * z, 0 * z, z])) - band.mean
+    return math.sqrt(np.square(deviation).mean()) / published_baselines("BouncingBall-rubber")["rmse"].mean
+
+
+@pytest.mark.parametrize(
+    ("restitution", "start", "contact", "release", "score"),
+    [
+        (0.576733, 0.451023, 0.043297, 0.0, 14.1),
+        (0.576733, 0.451023, 0.043297, 0.056, 6.6),
+        (0.735, 0.451023, 0.043297, 0.0577, 1.27),
+        (0.735, 0.4423, 0.0372, 0.0601, 0.13),
+    ],
+)
+def test_ideal_ball(restitution: float, start: float, contact: float, release: float, score: float) -> None:
+    """Metadata ball, the same released late, with the recorded rebound too, with the recorded heights too."""
+    measured = ball_score(restitution=restitution, start=start, contact=contact, release=release)
+    assert measured == pytest.approx(score, rel=0.02)
+    if release > 0:
+        assert measured <= min(
+            ball_score(restitution=restitution, start=start, contact=contact, release=release + shift)
+            for shift in (-0.002, 0.002)
+        )
+
+
+def test_effective_parameters_leave_almost_nothing() -> None:
+    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(encoding="utf-8")
+    summary = tomllib.loads(text)
+    assert summary["rebound_ratio"]["mean"] == pytest.approx(0.737, abs=0.001)
+    assert summary["start_height_m"]["mean"] == pytest.approx(0.4425, abs=0.0002)
+    score = ball_score(
+        restitution=summary["rebound_ratio"]["mean"],
+        start=summary["start_height_m"]["mean"],
+        contact=summary["contact_height_m"]["mean"],
+        release=summary["release_time_s"]["mean"],
+    )
+    assert score < 0.03
+
+
+def test_slope_summary_inverts_coulomb_sliding() -> None:
+    text = (data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml").read_text(encoding="utf-8")
+    for material, summary in tomllib.loads(text).items():
+        friction, acceleration = summary["friction"]["mean"], summary["acceleration_m_s2"]["mean"]
+        expected = GRAVITY * (math.sin(math.radians(30)) - friction * math.cos(math.radians(30)))
+        assert acceleration == pytest.approx(expected, abs=1e-5), material

@@ -1,0 +1,275 @@
+"""Published baselines, bands and laws: what is loaded is what was published, and damage is named."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gauge_envs import reference
+from gauge_envs.errors import ShapeError, UnknownNameError
+from gauge_envs.paths import data_folder
+from gauge_envs.reference import (
+    Band,
+    BandGrade,
+    ReferenceFileError,
+    band_grade,
+    carried_band,
+    law_for,
+    load_band,
+    published_baselines,
+    published_variants,
+)
+
+TRIAL_VARIANTS = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal", "BouncingBall-rubber")
+LAW_VARIANTS = tuple(
+    f"{family}-1-{material}" for family in ("SlopeSlider", "Turntable") for material in ("wood", "plastic", "metal")
+)
+
+
+@pytest.fixture
+def scoring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A private copy of the data that the loaders read."""
+    copy = tmp_path / "scoring"
+    shutil.copytree(data_folder("scoring"), copy)
+    monkeypatch.setattr(reference, "data_folder", lambda name: tmp_path / name)
+    return copy
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def make_band(**changes: object) -> Band:
+    values: dict[str, object] = {
+        "grade": BandGrade.TRIALS,
+        "unit": "mm",
+        "coordinates": ("a",),
+        "projection": np.array([[0.0, 2.0, 0.0]]),
+        "mean": np.zeros((4, 1)),
+        "sigma": np.ones((4, 1)),
+        "measured": np.ones(4, dtype=bool),
+        "trial_count": 3,
+        "source": "made up",
+    }
+    return Band(**(values | changes))  # type: ignore[arg-type]
+
+
+# Published baselines
+
+
+def test_table_5_is_complete() -> None:
+    rows = [row for variant in published_variants() for row in published_baselines(variant).values()]
+    assert len(rows) == 110
+    assert Counter(row.metric for row in rows) == {"rmse": 53, "dtw": 53, "lsd": 1, "mte": 1, "pd": 1, "el": 1}
+    missing = Counter(engine for row in rows for engine, score in row.engines.items() if score is None)
+    assert missing == {"genesis": 2, "newton": 4}
+    # Sums over the columns of the paper's table: a digit that slips anywhere moves one of them.
+    assert sum(row.frames for row in rows) == 20210
+    assert sum(row.engines["isaacsim"] or 0 for row in rows) == pytest.approx(2214.039)
+    assert sum(row.engines["genesis"] or 0 for row in rows) == pytest.approx(913.682)
+    assert sum(row.engines["newton"] or 0 for row in rows) == pytest.approx(1714.982)
+    means = sum(row.mean for row in rows if row.metric != "mte")
+    stds = sum(row.std or 0 for row in rows if row.metric != "mte")
+    assert means == pytest.approx(699.7616)
+    assert stds == pytest.approx(402.27344)
+
+
+@pytest.mark.parametrize(
+    ("variant", "metric", "frames", "unit", "mean", "std", "isaacsim", "genesis", "newton"),
+    [
+        ("SlopeSlider-2-wood", "rmse", 19, "mm", 18.00, 15.89, 1.23, 0.53, 1.71),
+        ("NonsmoothContact-3-plastic", "dtw", 20, "mm", 8.92, 2.44, 1.9, 14.37, 8.01),
+        ("BouncingBall-rubber", "rmse", 18, "mm", 5.29, 3.60, 15.63, 22.5, 22.71),
+        ("NewtonsCradle-metal", "lsd", 1027, "s", 0.38, 0.015, 0, None, 0),
+        ("NewtonsCradle-metal", "mte", 1027, "1", 0.9302, 0.0247, 0.2, None, 0.26),
+        ("Pendulum-metal", "pd", 300, "s", 1.14, 0.066, 1.1, 2.47, 1.09),
+        ("Pendulum-metal", "el", 3000, "1", 0.0, None, 0.034, -0.041, 0.022),
+        ("TextileStretching-uniform", "rmse", 432, "rad", 0.018, 0.012, 6.12, 13.79, None),
+        ("TextileFlinging-leather", "dtw", 219, "rad", 0.0063, 0.00023, 84.39, 7.89, 25.72),
+        ("FoamBending-hard", "dtw", 33, "mm^2", 2.28, 0.21, 72.88, 12.41, 69.62),
+    ],
+)
+def test_rows_read_as_printed(variant, metric, frames, unit, mean, std, isaacsim, genesis, newton) -> None:
+    row = published_baselines(variant)[metric]
+    assert (row.variant, row.metric, row.frames, row.unit) == (variant, metric, frames, unit)
+    assert row.mean == pytest.approx(mean, rel=1e-12)
+    assert row.std == (None if std is None else pytest.approx(std, rel=1e-12))
+    assert row.engines == {"isaacsim": isaacsim, "genesis": genesis, "newton": newton}
+
+
+def test_an_unpublished_variant_has_no_baseline() -> None:
+    assert published_baselines("WallBreaking-wood") == {}
+
+
+def test_the_table_cannot_be_emptied_through_the_returned_dict() -> None:
+    published_baselines("SlopeSlider-2-wood").clear()
+    assert set(published_baselines("SlopeSlider-2-wood")) == {"rmse", "dtw"}
+
+
+def test_world_model_table_is_complete() -> None:
+    lines = (data_folder("scoring") / "published" / "world_model_results.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + 14
+    assert {line.count(",") for line in lines} == {13}
+    fields = [field for line in lines[1:] for field in line.split(",")[3:]]
+    assert fields.count("") == 6
+    assert sum(float(field) for field in fields if field) == pytest.approx(15987.42155)
+
+
+# Bands
+
+
+@pytest.mark.parametrize("variant", TRIAL_VARIANTS)
+def test_bundled_bands_load(variant: str) -> None:
+    band = load_band(variant)
+    frames = published_baselines(variant)["rmse"].frames
+    assert band is not None
+    assert (band.grade, band.unit, band.mean.shape) == (BandGrade.TRIALS, "mm", (frames, 1))
+    assert np.linalg.norm(band.projection, axis=1) == pytest.approx(1)
+    assert band.trial_count in (19, 20, 22)
+    assert (band.sigma > 0).all()
+    assert 0 < band.measured.sum() < frames
+
+
+def test_band_arrays_are_read_only_copies() -> None:
+    mean = np.zeros((4, 1))
+    band = make_band(mean=mean)
+    mean[0] = 5
+    assert band.mean[0, 0] == 0
+    for array in (band.mean, band.sigma, band.measured, band.projection):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mean": np.zeros(4)},
+        {"mean": np.zeros((4, 2))},
+        {"sigma": np.ones((3, 1))},
+        {"sigma": -np.ones((4, 1))},
+        {"measured": np.ones(3, dtype=bool)},
+        {"projection": np.ones(3)},
+        {"projection": np.ones((2, 3))},
+        {"coordinates": ("a", "b")},
+    ],
+)
+def test_a_band_of_arrays_that_disagree_is_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(ShapeError):
+        make_band(**changes)
+
+
+def test_project_maps_any_number_of_frames() -> None:
+    assert make_band().project([[1, 10, 100], [2, 20, 200]]).tolist() == [[20], [40]]
+
+
+@pytest.mark.parametrize("shape", [(3,), (5, 2), (5, 4)])
+def test_project_refuses_another_width(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ShapeError, match=r"\[frame_count, 3\]"):
+        make_band().project(np.zeros(shape))
+
+
+# Laws
+
+
+@pytest.mark.parametrize("variant", LAW_VARIANTS)
+def test_carried_band_repeats_the_published_scatter(variant: str) -> None:
+    baseline = published_baselines(variant)["rmse"]
+    positions = np.arange(3.0 * baseline.frames).reshape(-1, 3)
+    band = carried_band(variant=variant, positions_mm=positions)
+    assert band.grade is BandGrade.LAW
+    assert (band.mean == positions).all()
+    assert (band.project(positions) == positions).all()
+    assert band.measured.all()
+    assert baseline.std is not None
+    assert np.square(band.sigma).sum(axis=1) == pytest.approx(baseline.mean**2 + baseline.std**2)
+
+
+def test_carried_band_recovers_the_sigma_of_an_ensemble(scoring: Path) -> None:
+    """Publish mean and std of E_RMSE of trials with a known scatter; the band must give that scatter back."""
+    trials = np.random.default_rng(7).normal(scale=1.7, size=(4000, 9, 3))
+    deviations = trials - trials.mean(axis=0)
+    rmse = np.sqrt(np.square(deviations).sum(axis=2).mean(axis=1))
+    table = scoring / "published" / "engine_results.csv"
+    edit(table, "SlopeSlider-1-wood,9,rmse,mm,0.59,0.28", f"SlopeSlider-1-wood,9,rmse,mm,{rmse.mean()},{rmse.std()}")
+    band = carried_band(variant="SlopeSlider-1-wood", positions_mm=np.zeros((9, 3)))
+    assert np.square(band.sigma).sum(axis=1).mean() == pytest.approx(np.square(deviations).sum(axis=2).mean())
+    assert band.sigma == pytest.approx(np.full((9, 3), 1.7), rel=0.01)
+
+
+@pytest.mark.parametrize("positions", [np.zeros((10, 3)), np.zeros((9, 2)), np.full((9, 3), np.nan)])
+def test_carried_band_refuses_other_positions(positions: np.ndarray) -> None:
+    with pytest.raises(ShapeError):
+        carried_band(variant="SlopeSlider-1-wood", positions_mm=positions)
+
+
+@pytest.mark.parametrize("variant", ["SlopeSlider-2-wood", "WallBreaking-wood", "SlopeSlider-1-cheese"])
+def test_carried_band_refuses_variants_without_the_law(variant: str) -> None:
+    with pytest.raises(UnknownNameError, match="carried variant"):
+        carried_band(variant=variant, positions_mm=np.zeros((9, 3)))
+
+
+def test_laws_name_who_is_carried_by_what() -> None:
+    slider, turntable = law_for("SlopeSlider-1-metal"), law_for("Turntable-1-wood")
+    assert slider is not None and turntable is not None
+    assert (slider.kind, slider.body, slider.carrier) == ("carried", "cube", "board")
+    assert (turntable.kind, turntable.body, turntable.carrier) == ("carried", "cube", "plate")
+
+
+def test_grades_of_all_published_variants() -> None:
+    grades = {variant: band_grade(variant) for variant in published_variants()}
+    assert {variant for variant, grade in grades.items() if grade is BandGrade.TRIALS} == set(TRIAL_VARIANTS)
+    assert {variant for variant, grade in grades.items() if grade is BandGrade.LAW} == set(LAW_VARIANTS)
+    assert band_grade("WallBreaking-wood") is BandGrade.NONE
+
+
+# Damage
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("published/engine_results.csv", "variant,frames", "variant,frame", "line 1: columns are"),
+        ("published/engine_results.csv", "5.17", "5.l7", "line 2: baseline_std is '5.l7', not a number"),
+        ("published/engine_results.csv", "10,dtw", "ten,dtw", "line 3: frames is 'ten', not a whole number"),
+        ("published/engine_results.csv", "wood,10,dtw", "wood,10,rmse", "line 3: SlopeContact-wood has a second row"),
+        ("published/engine_results.csv", "10,dtw", "10,dwt", "line 3: metric 'dwt'"),
+        ("published/engine_results.csv", "9.25", "", "line 2: baseline_mean is empty"),
+        ("published/engine_results.csv", ",2.98", "", "line 2: 8 fields, expected 9"),
+        ("bands/SlopeSlider-2-wood.csv", "\n3,", "\n4,", "line 5: frame 4 where 3 is next"),
+        ("bands/SlopeSlider-2-wood.csv", "-96.678904", "nan", "line 3: mean is 'nan', not finite"),
+        ("bands/SlopeSlider-2-wood.csv", ",0,3\n", ",2,3\n", "line 7: measured is '2', neither 0 nor 1"),
+        ("bands/SlopeSlider-2-wood.csv", "0.817780", "-0.817780", "line 2: sigma is -0.817780"),
+        ("bands/SlopeSlider-2-wood.toml", '"trials"', '"guess"', "grade 'guess' is none of trials, recording, law"),
+        ("bands/SlopeSlider-2-wood.toml", "trial_count = 20", "", "trial_count is None, expected a int"),
+        ("bands/SlopeSlider-2-wood.toml", "[0.866025403784,", '["x",', "could not convert string"),
+        ("bands/SlopeSlider-2-wood.toml", 'unit = "mm"', 'unit = "mm', "at line 3"),
+        ("bands/laws.toml", 'kind = "carried"', 'kind = "thrown"', "kind 'thrown' is none of carried"),
+        ("bands/laws.toml", 'carrier = "board"', "", "expected a table of variants, kind, body"),
+    ],
+)
+def test_damaged_files_are_named(scoring: Path, file: str, old: str, new: str, message: str) -> None:
+    edit(scoring / file, old, new)
+    with pytest.raises(ReferenceFileError) as caught:
+        published_variants(), load_band("SlopeSlider-2-wood"), law_for("SlopeSlider-1-wood")
+    assert str(scoring / file) in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_a_band_without_its_sidecar_is_damage(scoring: Path) -> None:
+    (scoring / "bands" / "SlopeSlider-2-wood.toml").unlink()
+    with pytest.raises(ReferenceFileError, match=r"SlopeSlider-2-wood\.toml: the file is missing"):
+        load_band("SlopeSlider-2-wood")
+
+
+def test_import_is_light() -> None:
+    program = "import sys, gauge_envs.reference; print({'pandas', 'matplotlib', 'torch'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
