@@ -59,6 +59,7 @@ __all__ = [
     "find_variant",
     "load_task",
     "task_files",
+    "task_path",
     "task_spec",
     "variants",
 ]
@@ -204,10 +205,8 @@ class PlateWithHoleSpec(_Table):
         half_x, half_y, half_z = (0.5 * edge for edge in self.size_m)
         # Angles of the polygon and of the plate's four corners, so that each piece is convex.
         corner = float(np.arctan2(half_y, half_x))
-        angles = np.concatenate(
-            [np.linspace(0, 2 * np.pi, self.hole_segments, endpoint=False)]
-            + [[corner, np.pi - corner, np.pi + corner, 2 * np.pi - corner]]
-        )
+        corners = [corner, np.pi - corner, np.pi + corner, 2 * np.pi - corner]
+        angles = np.concatenate([np.linspace(0, 2 * np.pi, self.hole_segments, endpoint=False), corners])
         angles = np.unique(np.round(angles, 12))
         radius = self.hole_radius_m / np.cos(np.pi / self.hole_segments)
         directions = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -772,9 +771,11 @@ def _number_keys(value: Any, key: str = "") -> Iterator[str]:
     elif isinstance(value, list) and any(isinstance(entry, dict) for entry in value):
         for index, inner in enumerate(value):
             yield from _number_keys(inner, f"{key}.{index}")
-    elif isinstance(value, list) or (isinstance(value, int | float) and not isinstance(value, bool)):
-        if not (isinstance(value, list) and all(isinstance(entry, str) for entry in value)):
+    elif isinstance(value, list):
+        if not all(isinstance(entry, str) for entry in value):
             yield key
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield key
 
 
 def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
@@ -792,10 +793,31 @@ def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
 
 
 @cache
-def _specs() -> dict[str, tuple[Path, TaskSpec]]:
-    return {spec.family: (path, spec) for path in task_files() for spec in [load_task(path)]}
+def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
+    """Path and raw content of every task file, by family; read once, validated only when a family is used."""
+    headers = {}
+    for path in task_files():
+        try:
+            raw = tomllib.loads(path.read_text(encoding="utf-8"))
+            headers[raw["family"]] = (path, raw)
+        except (tomllib.TOMLDecodeError, KeyError) as error:
+            raise TaskFileError(path, "family", f"cannot be read: {error}") from error
+    return headers
 
 
+def task_path(family: str) -> Path:
+    """Path of a family's task file.
+
+    Raises:
+        UnknownNameError: No such family.
+    """
+    try:
+        return _headers()[family][0]
+    except KeyError:
+        raise UnknownNameError("family", family, _headers()) from None
+
+
+@cache
 def task_spec(family: str) -> TaskSpec:
     """The validated task file of a family.
 
@@ -803,10 +825,7 @@ def task_spec(family: str) -> TaskSpec:
         UnknownNameError: No such family.
         TaskFileError: Its file is wrong.
     """
-    try:
-        return _specs()[family][1]
-    except KeyError:
-        raise UnknownNameError("family", family, _specs()) from None
+    return load_task(task_path(family))
 
 
 # --- variants --------------------------------------------------------------------------------------------------------
@@ -837,12 +856,12 @@ def variants() -> tuple[Variant, ...]:
 
     Reads only names, so that importing the package stays light; a file is validated when one of its variants is used.
     """
-    found = []
-    for path in task_files():
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-        for subtask in raw.get("subtasks") or {None: None}:
-            found.extend(Variant(raw["family"], subtask, material) for material in raw["materials"])
-    return tuple(found)
+    return tuple(
+        Variant(family, subtask, material)
+        for family, (_, raw) in _headers().items()
+        for subtask in raw.get("subtasks") or {None: None}
+        for material in raw["materials"]
+    )
 
 
 def find_variant(name: str) -> Variant:
@@ -897,7 +916,7 @@ def experiment(name: str | Variant, parameters: Parameters = "calibrated") -> Ex
         TaskFileError: The task file is wrong.
     """
     variant = find_variant(name) if isinstance(name, str) else name
-    path, spec = _specs()[variant.family]
+    path, spec = task_path(variant.family), task_spec(variant.family)
     label, overrides = _overrides(spec, variant, parameters)
     builder = _SceneBuilder(path, spec, variant, overrides)
     scene = builder.build()

@@ -81,6 +81,18 @@ class Simulation(ABC):
             (3) and angular velocity [rad/s] (3), both in the world frame.
         """
 
+    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
+        """Advance `count` intervals and read where bodies are after each; override where a tighter loop is possible.
+
+        Returns:
+            Positions of the body origins [m], shape [count, len(names), 3].
+        """
+        positions = np.empty((count, len(names), 3))
+        for row in positions:
+            self.advance(interval_s)
+            row[:] = self.body_states(names)[:, :3]
+        return positions
+
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Positions of a deformable body's nodes [m], shape [node_count, 3]."""
         raise KeyError(name)

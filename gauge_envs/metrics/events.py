@@ -142,8 +142,9 @@ def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
     """
     height_mm = _samples("height_mm", height_mm, least=3)
     turning_points = _turning_points(height_mm)
-    # From rest the drop grows as t^2, fourfold after twice the time; with speed it would grow about twofold.
-    if height_mm[0] - height_mm[2] >= 3 * (height_mm[0] - height_mm[1]) >= 0:
+    # From rest the drop grows as t^2, fourfold after twice the time: less when already falling, more when still rising.
+    first_drop, second_drop = height_mm[0] - height_mm[1:3]
+    if first_drop >= 0 and 3.0 * first_drop <= second_drop <= 4.5 * first_drop:
         start_mm, remaining = float(height_mm[0]), turning_points
     elif turning_points.size:
         start_mm, remaining = _apex_height(height_mm, turning_points[0]), turning_points[1:]

@@ -358,11 +358,11 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
 def _walk(total: FloatArray, i: int, j: int) -> NDArray[np.intp]:
     """Cells of the cheapest path from (i, j) back to (0, 0), by the table that `_optimal_cells` lays out."""
     cells = [(i, j)]
-    total = memoryview(total)  # gives Python floats, three times as fast here as numpy scalars
+    table = memoryview(total)  # gives Python floats, three times as fast here as numpy scalars
     while i or j:
         d = i + j
-        up, left = total[d + 1, i], total[d + 1, i + 1]
-        if total[d, i] <= (up if up <= left else left) * (1 + _TIE):
+        up, left = table[d + 1, i], table[d + 1, i + 1]
+        if table[d, i] <= (up if up <= left else left) * (1 + _TIE):
             i, j = i - 1, j - 1
         elif up <= left:
             i -= 1

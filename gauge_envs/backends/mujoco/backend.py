@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Backend, Simulation, Support
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
-from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 __all__ = ["BackendMuJoCo", "SimulationMuJoCo"]
 
@@ -52,19 +52,8 @@ class SimulationMuJoCo(Simulation):
         self.data = mujoco.MjData(self.model)
         self._steps_per_second = round(1.0 / settings.timestep_s)
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._readers: dict[tuple[str, ...], _Reader] = {}
         self._scene = scene
-        # A free body's state is read straight from qpos and qvel; of a fixed one nothing changes.
-        self._free: dict[str, tuple[int, int]] = {}
-        self._fixed: dict[str, NDArray[np.float64]] = {}
-        self._body_ids = {body.name: self.model.body(body.name).id for body in scene.bodies}
-        for body in scene.bodies:
-            if body.motion is Motion.FIXED:
-                self._fixed[body.name] = np.concatenate([body.pose.position_m, body.pose.quaternion, np.zeros(6)])
-                continue
-            joint = self.model.joint(body.name)
-            if joint.type[0] == mujoco.mjtJoint.mjJNT_FREE:
-                self._free[body.name] = (int(joint.qposadr[0]), int(joint.dofadr[0]))
-        self._addresses: dict[tuple[str, ...], tuple[NDArray[np.intp], NDArray[np.intp]] | None] = {}
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start; MuJoCo draws no random numbers, so the seed changes nothing."""
@@ -74,12 +63,12 @@ class SimulationMuJoCo(Simulation):
         self, body: str, pose: Pose, linear_m_per_s: NDArray[np.float64], angular_rad_per_s: NDArray[np.float64]
     ) -> None:
         """Write the body's pose and velocity; its huge mass keeps the velocity constant until the next call."""
-        position, velocity = self._free[body]
+        position, velocity = _free_joint_addresses(self.model, body)
         self.data.qpos[position : position + 3] = pose.position_m
         self.data.qpos[position + 3 : position + 7] = pose.quaternion
         self.data.qvel[velocity : velocity + 3] = linear_m_per_s
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        self.data.qvel[velocity + 3 : velocity + 6] = pose.rotation.apply(angular_rad_per_s, inverse=True)
+        self.data.qvel[velocity + 3 : velocity + 6] = _rotated_back(pose.quaternion, angular_rad_per_s)
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
@@ -87,45 +76,23 @@ class SimulationMuJoCo(Simulation):
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Poses and velocities of bodies, shape [len(names), 13]; see `Simulation.body_states`."""
-        key = tuple(names)
-        if key not in self._addresses:
-            free = all(name in self._free for name in key)
-            self._addresses[key] = (
-                (
-                    np.array([np.arange(7) + self._free[name][0] for name in key]),
-                    np.array([np.arange(6) + self._free[name][1] for name in key]),
-                )
-                if free
-                else None
-            )
-        addresses = self._addresses[key]
-        if addresses is None:
-            return self._mixed_states(key)
-        states = np.empty((len(key), 13))
-        states[:, :7] = self.data.qpos[addresses[0]]
-        states[:, 7:] = self.data.qvel[addresses[1]]
-        for state in states:
-            mujoco.mju_rotVecQuat(state[10:], state[10:].copy(), state[3:7])
-        return states
+        return self._reader(names).states()
 
-    def _mixed_states(self, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """States of bodies that are not all free: a hinged body's pose follows from its angle."""
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_comVel(self.model, self.data)
-        states = np.empty((len(names), 13))
-        velocity = np.empty(6)
-        for state, name in zip(states, names, strict=True):
-            if name in self._fixed:
-                state[:] = self._fixed[name]
-                continue
-            index = self._body_ids[name]
-            state[:3] = self.data.xpos[index]
-            state[3:7] = self.data.xquat[index]
-            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, index, velocity, 0)
-            state[7:10] = velocity[3:]
-            state[10:] = velocity[:3]
-        return states
+    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
+        """Advance and read positions; see `Simulation.sample_positions`."""
+        positions = np.empty((count, len(names), 3))
+        read = self._reader(names).read_positions
+        steps = round(interval_s * self._steps_per_second)
+        for row in positions:
+            mujoco.mj_step(self.model, self.data, nstep=steps)
+            read(row)
+        return positions
+
+    def _reader(self, names: Sequence[str]) -> _Reader:
+        key = tuple(names)
+        if key not in self._readers:
+            self._readers[key] = _reader(self._scene, self.model, self.data, key)
+        return self._readers[key]
 
     def state(self) -> NDArray[np.float64]:
         """Integration state, shape [state_size]."""
@@ -139,3 +106,108 @@ class SimulationMuJoCo(Simulation):
 
     def close(self) -> None:
         """Nothing is held outside memory."""
+
+
+class _Reader(Protocol):
+    """Reads the states of a fixed list of bodies."""
+
+    def states(self) -> NDArray[np.float64]: ...
+
+    def read_positions(self, out: NDArray[np.float64]) -> None: ...
+
+
+def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> _Reader:
+    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
+    free = [scene.body(name).motion is not Motion.FIXED and name not in hinged for name in names]
+    if len(names) == 1 and free[0]:
+        return _OneFreeBody(model, data, names[0])
+    return _FreeBodies(model, data, names) if all(free) else _AnyBodies(model, data, names)
+
+
+def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
+    joint = model.joint(name)
+    return int(joint.qposadr[0]), int(joint.dofadr[0])
+
+
+def _rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    inverse, rotated = np.empty(4), np.empty(3)
+    mujoco.mju_negQuat(inverse, np.asarray(quaternion))
+    mujoco.mju_rotVecQuat(rotated, vector, inverse)
+    return rotated
+
+
+class _OneFreeBody:
+    """A single free body: its state is a slice of qpos and qvel, read through views that are made once."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
+        position, velocity = _free_joint_addresses(model, name)
+        self._position = data.qpos[position : position + 3]
+        self._pose = data.qpos[position : position + 7]
+        self._quaternion = data.qpos[position + 3 : position + 7]
+        self._linear = data.qvel[velocity : velocity + 3]
+        self._angular = data.qvel[velocity + 3 : velocity + 6]
+
+    def states(self) -> NDArray[np.float64]:
+        """State of the body, shape [1, 13]."""
+        state = np.empty((1, 13))
+        row = state[0]
+        row[:7] = self._pose
+        row[7:10] = self._linear
+        mujoco.mju_rotVecQuat(row[10:], self._angular, self._quaternion)
+        return state
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Position of the body into `out`, shape [1, 3]."""
+        out[0] = self._position
+
+
+class _FreeBodies:
+    """Free bodies: qpos and qvel by index arrays."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
+        addresses = [_free_joint_addresses(model, name) for name in names]
+        self._data = data
+        self._poses = np.array([np.arange(7) + position for position, _ in addresses])
+        self._velocities = np.array([np.arange(6) + velocity for _, velocity in addresses])
+
+    def states(self) -> NDArray[np.float64]:
+        """States of the bodies, shape [body_count, 13]."""
+        states = np.empty((len(self._poses), 13))
+        states[:, :7] = self._data.qpos[self._poses]
+        states[:, 7:] = self._data.qvel[self._velocities]
+        for state in states:
+            mujoco.mju_rotVecQuat(state[10:], state[10:].copy(), state[3:7])
+        return states
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Positions of the bodies into `out`, shape [body_count, 3]."""
+        out[:] = self._data.qpos[self._poses[:, :3]]
+
+
+class _AnyBodies:
+    """Free, hinged and fixed bodies: a hinged body's pose follows from its angle."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
+        self._model = model
+        self._data = data
+        self._ids = [model.body(name).id for name in names]
+
+    def states(self) -> NDArray[np.float64]:
+        """States of the bodies, shape [body_count, 13]."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_comVel(self._model, self._data)
+        states = np.empty((len(self._ids), 13))
+        states[:, :3] = self._data.xpos[self._ids]
+        states[:, 3:7] = self._data.xquat[self._ids]
+        velocity = np.empty(6)
+        for state, index in zip(states, self._ids, strict=True):
+            mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, index, velocity, 0)
+            state[7:10] = velocity[3:]
+            state[10:] = velocity[:3]
+        return states
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Positions of the bodies into `out`, shape [body_count, 3]."""
+        mujoco.mj_kinematics(self._model, self._data)
+        out[:] = self._data.xpos[self._ids]

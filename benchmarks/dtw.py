@@ -1,0 +1,83 @@
+"""Time `dtw_path` against tslearn and dtaidistance on two trajectories of the longest textile task, 562 x 63.
+
+Prints the ratio of medians (ours over theirs, below 1 is faster) of interleaved runs, and exits 1 when slower than any.
+
+    python benchmarks/dtw.py [--repeats 101]
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from gauge_envs.errors import MissingExtraError
+from gauge_envs.metrics import dtw_path
+
+FRAME_COUNT, MARKER_COUNT = 562, 63
+
+
+def competitors(first: np.ndarray, second: np.ndarray) -> dict[str, Callable[[], object]]:
+    try:
+        from dtaidistance import dtw_ndim
+        from tslearn.metrics import dtw_path as tslearn_path
+        from tslearn.metrics import dtw_path_from_metric
+    except ImportError as error:
+        raise MissingExtraError("the DTW benchmark", "bench", error) from error
+    return {
+        "tslearn.dtw_path": lambda: tslearn_path(first, second),
+        "tslearn.dtw_path_from_metric(euclidean)": lambda: dtw_path_from_metric(first, second, metric="euclidean"),
+        "dtaidistance.dtw_ndim.distance_fast": lambda: dtw_ndim.distance_fast(first, second),
+        "dtaidistance.dtw_ndim.warping_path(use_c)": lambda: dtw_ndim.warping_path(first, second, use_c=True),
+    }
+
+
+def medians_ms(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median of each call; one repeat runs all of them in turn, so that a busy machine slows all alike."""
+    for call in calls.values():
+        call()  # compiles, where a library does that on first use
+    times_ms: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(repeats):
+        for name, call in calls.items():
+            start = time.perf_counter()
+            call()
+            times_ms[name].append(1e3 * (time.perf_counter() - start))
+    return {name: statistics.median(values) for name, values in times_ms.items()}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=101)
+    repeats = parser.parse_args().repeats
+    rng = np.random.default_rng(0)
+    inputs = {
+        "random walks": [rng.normal(size=(FRAME_COUNT, MARKER_COUNT)).cumsum(axis=0) for _ in range(2)],
+        "one motion, warped and noisy": [
+            np.sin(np.linspace(0.0, 12.0, FRAME_COUNT)[:, None] ** power + np.arange(MARKER_COUNT))
+            + rng.normal(scale=0.02, size=(FRAME_COUNT, MARKER_COUNT))
+            for power in (1.0, 1.05)
+        ],
+    }
+    slower = False
+    for title, (first, second) in inputs.items():
+        try:
+            others = competitors(first, second)
+        except MissingExtraError as error:
+            print(error, file=sys.stderr)
+            return 2
+        medians = medians_ms({"gauge_envs.dtw_path": lambda a=first, b=second: dtw_path(a, b)} | others, repeats)
+        ours = medians["gauge_envs.dtw_path"]
+        print(f"{title}: gauge_envs.dtw_path {ours:.2f} ms")
+        for name in others:
+            ratio = ours / medians[name]
+            slower |= ratio >= 1
+            print(f"  {ratio:5.2f} of {name} ({medians[name]:.2f} ms){'  SLOWER' if ratio >= 1 else ''}")
+    return int(slower)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,184 @@
+"""Pictures of a scene: one renderer for all engines, fed with poses, without a display."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from ctypes.util import find_library
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.mujoco.model import add_geoms
+from gauge_envs.errors import RenderError
+from gauge_envs.scene import Motion, Plane, RigidBody, Scene
+
+__all__ = ["SceneRenderer"]
+
+COLORS = {
+    Motion.DYNAMIC: (0.90, 0.52, 0.17, 1.0),
+    Motion.KINEMATIC: (0.30, 0.50, 0.75, 1.0),
+    Motion.FIXED: (0.72, 0.66, 0.56, 1.0),
+}
+STRING_COLOR = (0.25, 0.25, 0.25, 1.0)
+STRING_RADIUS_M = 0.0015
+ELEVATION_DEG = -18.0
+AZIMUTH_DEG = 125.0
+FIELD_OF_VIEW_DEG = 40.0
+
+DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
+
+
+def _graphics_context(width: int, height: int) -> Any:
+    """An off-screen OpenGL context: what MUJOCO_GL names, else EGL, else OSMesa, whichever library is there."""
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    if not wanted:
+        wanted = "egl" if find_library("EGL") else "osmesa" if find_library("OSMesa") else ""
+    try:
+        if wanted == "egl":
+            from mujoco.egl import GLContext
+        elif wanted == "osmesa":
+            from mujoco.osmesa import GLContext
+        elif wanted:
+            from mujoco.gl_context import GLContext
+        else:
+            raise ImportError("neither libEGL nor libOSMesa is installed")
+        context = GLContext(width, height)
+        context.make_current()
+    except Exception as error:
+        # OpenGL bindings raise whatever their loader trips over: ImportError, AttributeError, their own errors.
+        raise RenderError(
+            f"no off-screen OpenGL (MUJOCO_GL={os.environ.get('MUJOCO_GL', '')!r}): {error}. On Debian or Ubuntu: "
+            f"apt-get install {DEBIAN_PACKAGES}; or libosmesa6 alone, with MUJOCO_GL=osmesa"
+        ) from error
+    return context
+
+
+class SceneRenderer:
+    """Draws a scene from its bodies' poses; no physics runs in it.
+
+    Args:
+        scene: What to draw.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
+
+    Raises:
+        RenderError: The machine has no OpenGL library; the message names the packages.
+    """
+
+    def __init__(self, scene: Scene, width: int, height: int) -> None:
+        self._context = _graphics_context(width, height)
+        self._scene = scene
+        self._viewport = mujoco.MjrRect(0, 0, width, height)
+        self._model = _visual_model(scene, width, height)
+        self._data = mujoco.MjData(self._model)
+        self._mocap_ids = {body.name: int(self._model.body(body.name).mocapid[0]) for body in scene.bodies}
+        self._option = mujoco.MjvOption()
+        self._drawing = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + len(scene.joints) + 100)
+        self._drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        self._camera = _camera(scene)
+        self._device = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
+
+    def picture(self, poses: Mapping[str, NDArray[np.float64]]) -> NDArray[np.uint8]:
+        """Draw the scene with bodies at given poses.
+
+        Args:
+            poses: For each body that has moved, position [m] and quaternion w x y z, shape [7].
+
+        Returns:
+            Shape [height, width, 3], top row first.
+        """
+        for name, pose in poses.items():
+            index = self._mocap_ids[name]
+            self._data.mocap_pos[index] = pose[:3]
+            self._data.mocap_quat[index] = pose[3:]
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._context.make_current()
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._drawing
+        )
+        for joint in self._scene.joints:
+            self._draw_string(np.asarray(joint.anchor_m), self._data.mocap_pos[self._mocap_ids[joint.body]])
+        pixels = np.empty((self._viewport.height, self._viewport.width, 3), dtype=np.uint8)
+        mujoco.mjr_render(self._viewport, self._drawing, self._device)
+        mujoco.mjr_readPixels(pixels, None, self._viewport, self._device)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._device.free()
+        self._context.free()
+
+    def _draw_string(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+        geom = self._drawing.geoms[self._drawing.ngeom]
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.float32(STRING_COLOR))
+        mujoco.mjv_connector(geom, kind, STRING_RADIUS_M, start, end)
+        self._drawing.ngeom += 1
+
+
+def _visual_model(scene: Scene, width: int, height: int) -> mujoco.MjModel:
+    """A model of shapes without physics: every body is a mocap body, placed by hand."""
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth = width
+    spec.visual.global_.offheight = height
+    spec.visual.global_.fovy = FIELD_OF_VIEW_DEG
+    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+    spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
+    spec.visual.headlight.specular = [0.1, 0.1, 0.1]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.95, 0.96, 0.98],
+        rgb2=[0.72, 0.76, 0.82],
+        width=64,
+        height=64,
+    )
+    spec.add_texture(
+        name="table",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.33, 0.35, 0.38],
+        rgb2=[0.38, 0.40, 0.43],
+        width=256,
+        height=256,
+    )
+    textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "table"
+    # One checker square is 25 mm, the hole pitch of the real optical table.
+    spec.add_material(name="table", textures=textures, texrepeat=[20, 20], texuniform=True, reflectance=0.0)
+    spec.worldbody.add_light(pos=[0.0, -1.0, 2.5], dir=[0.2, 0.5, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    for body in scene.bodies:
+        frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
+        for geom in add_geoms(spec, frame, body.name, body.shape):
+            if isinstance(body.shape, Plane):
+                geom.material = "table"
+                geom.size = [0.0, 0.0, 0.05]
+            else:
+                geom.rgba = COLORS[body.motion]
+    return spec.compile()
+
+
+def _camera(scene: Scene) -> mujoco.MjvCamera:
+    """Looks at the middle of everything solid at the start, strings included, from a fixed side."""
+    points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if _is_solid(body)]
+    points += [np.asarray(joint.anchor_m)[None] for joint in scene.joints]
+    corners = np.concatenate(points) if points else np.zeros((1, 3))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    low[2] = min(low[2], max(scene.floor_height_m, low[2] - 0.2))
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(mujoco.MjSpec().compile(), camera)
+    camera.lookat[:] = 0.5 * (low + high)
+    radius = 0.5 * float(np.linalg.norm(high - low))
+    camera.distance = 1.25 * radius / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+    camera.azimuth, camera.elevation = AZIMUTH_DEG, ELEVATION_DEG
+    return camera
+
+
+def _is_solid(body: RigidBody) -> bool:
+    return not isinstance(body.shape, Plane)
