@@ -78,9 +78,8 @@ def angle_deficit_curvature(
     vertices = markers_m[:, faces]  # [frame, face, vertex, xyz]
     to_next = np.roll(vertices, -1, axis=2) - vertices
     to_previous = np.roll(vertices, 1, axis=2) - vertices
-    lengths = np.linalg.norm(to_next, axis=-1)
-    valid = (lengths > 0).all(axis=-1)  # False for NaN as well
-    angles = np.where(valid[..., None], _angle_between(to_next, to_previous), 0.0)
+    angles = _angle_between(to_next, to_previous)  # 0 with coincident vertices, so these drop out by themselves
+    angles = np.where(np.isnan(angles), 0.0, angles)
     # A matrix product with the incidence of corners and markers adds the angles up, for all frames at once.
     incidence = np.zeros((faces.size, marker_count))
     incidence[np.arange(faces.size), faces.ravel()] = 1.0

@@ -3,11 +3,9 @@
 No physics engine is needed. Values are in the unit of the observable: mm for positions, rad for curvatures, mm^2 for
 face areas. Columns are the coordinates of g(t) in the order of `coordinate_names`.
 
-| format | content                                                                                                      |
-|--------|--------------------------------------------------------------------------------------------------------------|
-| CSV    | one row a sample; an optional header; a column `time_s` where the header names one; `#` starts a comment     |
-| NPZ    | arrays `g`, shape [T, C], and optionally `time_s`, shape [T]                                                 |
-| JSON   | an object with `g`, a list of rows, optionally `time_s` and `id`; or a result file that this package wrote   |
+- CSV: one row a sample; an optional header; a column `time_s` where the header names one; `#` starts a comment.
+- NPZ: arrays `g`, shape [T, C], and optionally `time_s`, shape [T].
+- JSON: an object with `g`, a list of rows, optionally `time_s` and `id`; or a result file that this package wrote.
 
 A CSV header that names coordinates (`cube.x`, also `cube.x [mm]`) may list them in any order; other headers only say
 that the first row is not data. Without times, rows are the 30 Hz frames. With times, the first is 0; a sample within
@@ -42,6 +40,9 @@ __all__ = [
 
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame: times printed with three digits are off by that much [s]."""
+
+LARGEST = 10**12
+"""Larger values are a mistake, and their squares would overflow."""
 
 UNITS = {
     Observable.POSITION: "mm",
@@ -157,6 +158,8 @@ class _Layout:
             raise self.error(place, f"{column} is {_short(value)}, expected a number [{unit}]") from None
         if not math.isfinite(number):
             raise self.error(place, f"{column} is {_short(value)}, expected a finite number [{unit}]")
+        if abs(number) > LARGEST:
+            raise self.error(place, f"{column} is {_short(value)}, expected at most {LARGEST:g} [{unit}]")
         return number
 
     def table(self, rows: Sequence[Any], places: Sequence[str]) -> NDArray[np.float64]:
@@ -172,7 +175,9 @@ class _Layout:
 
 
 def _short(value: Any) -> str:
-    text = repr(value) if not isinstance(value, int) or abs(value) < 10**15 else "a huge integer"
+    if isinstance(value, dict | list):
+        return f"a {type(value).__name__} of {len(value)}"
+    text = repr(value) if not isinstance(value, int) or abs(value) <= LARGEST else "a huge integer"
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
@@ -270,27 +275,27 @@ def _read_npz(layout: _Layout) -> Columns:
     content = _bytes(layout.file)
     try:
         archive = np.load(io.BytesIO(content), allow_pickle=False)
-        arrays = {name: archive[name] for name in archive.files} if isinstance(archive, np.lib.npyio.NpzFile) else {}
+        members = {name: archive[name] for name in archive.files} if isinstance(archive, np.lib.npyio.NpzFile) else {}
     except Exception as error:  # A damaged archive makes zipfile, zlib and numpy raise whatever they meet first.
         raise layout.error("", f"not an NPZ file: {error}") from error
+    arrays = {name: member for name, member in members.items() if isinstance(member, np.ndarray)}
     if "g" not in arrays:
         raise layout.error("", f"no array 'g', it has: {', '.join(arrays) or 'none'}; {layout.expected}")
     for name, array in arrays.items():
         if name in ("g", "time_s") and array.dtype.kind not in "fiu":
             raise layout.error(name, f"holds {array.dtype} values, expected numbers")
-    g = np.asarray(arrays["g"], dtype=np.float64)
+    with np.errstate(over="ignore"):
+        g = np.asarray(arrays["g"], dtype=np.float64)
+        times = np.asarray(arrays["time_s"], dtype=np.float64) if "time_s" in arrays else None
     if g.ndim != 2 or g.shape[1] != len(layout.names):
         raise layout.error("g", f"shape is {list(g.shape)}, expected [T, {len(layout.names)}]; {layout.expected}")
-    bad = np.argwhere(~np.isfinite(g))
-    if len(bad):
-        row, column = bad[0]
+    for row, column in np.argwhere(~(np.abs(g) <= LARGEST))[:1]:
         layout.number(f"g, row {row}", layout.names[column], g[row, column].item())
-    if "time_s" not in arrays:
+    if times is None:
         return None, g
-    times = np.asarray(arrays["time_s"], dtype=np.float64)
     if times.shape != g.shape[:1]:
         raise layout.error("time_s", f"shape is {list(times.shape)}, expected [{len(g)}] as g has {len(g)} rows")
-    for row in np.flatnonzero(~np.isfinite(times)):
+    for row in np.flatnonzero(~(np.abs(times) <= LARGEST))[:1]:
         layout.number(f"row {row}", "time_s", times[row].item())
     return times, g
 

@@ -152,6 +152,7 @@ def test_slow_drift_ends_a_rest_at_the_height_range():
     heights = np.concatenate(([60.0, 30.0], drift, [-30.0, -60.0]))
     assert longest_stationary_duration(heights) == pytest.approx(4 / 30)
     assert longest_stationary_duration(heights, height_range_mm=10.0) == pytest.approx(20 / 30)
+    assert longest_stationary_duration(heights, height_range_mm=0.1) == 0.0
 
 
 def test_fast_jitter_within_the_height_range_is_no_rest():
@@ -190,6 +191,7 @@ def test_momentum_transfer_finds_the_apex_between_frames(top_deg, phase_s):
 def test_momentum_transfer_takes_the_first_swing_only():
     hop = np.sin(np.pi * np.arange(13) / 12)
     heights = np.concatenate((np.zeros(10), 20 * hop, np.zeros(5), 80 * hop, np.zeros(5)))
+    heights[4] = 0.3  # noise at rest, below the rise that begins a swing
     ratio = momentum_transfer_efficiency(heights, drop_height_mm=80.0, rest_height_mm=0.0)
     assert ratio == pytest.approx(0.5, rel=1e-6)
 

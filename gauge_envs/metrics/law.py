@@ -154,7 +154,7 @@ def _series(times_s: ArrayLike, values: ArrayLike, *, least: int, dimension: int
     return times_s, values
 
 
-def _fit(terms: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
+def _fit(terms: FloatArray, values: FloatArray) -> tuple[NDArray[np.floating], float]:
     """Least-squares coefficients and the sum of squared residuals."""
     coefficients = np.linalg.lstsq(terms, values, rcond=None)[0]
     residuals = values - terms @ coefficients

@@ -348,17 +348,18 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
     j = meeting - is_over - i
     tied = joined <= joined.min() * (1 + _TIE)
     chosen = np.argmin(np.where(tied, np.abs(i * (column_count - 1) - j * (row_count - 1)), np.inf))
-    i, j, step = int(i[chosen]), int(j[chosen]), int(is_over[chosen])
-    to_start = _walk(total[:, 0], i, j)
-    to_end = _walk(total[:, 1], row_count - 1 - i - step, column_count - 1 - j - step)
+    cell = np.array([i[chosen], j[chosen]])
+    step = int(is_over[chosen])
     last = np.array([row_count - 1, column_count - 1])
+    to_start = _walk(total[:, 0], *cell.tolist())
+    to_end = _walk(total[:, 1], *(last - cell - step).tolist())
     return np.concatenate((to_start[::-1], (last - to_end)[1 - step :]))
 
 
 def _walk(total: FloatArray, i: int, j: int) -> NDArray[np.intp]:
     """Cells of the cheapest path from (i, j) back to (0, 0), by the table that `_optimal_cells` lays out."""
     cells = [(i, j)]
-    table = memoryview(total)  # gives Python floats, three times as fast here as numpy scalars
+    table = total.data  # a memoryview gives Python floats, three times as fast here as numpy scalars
     while i or j:
         d = i + j
         up, left = table[d + 1, i], table[d + 1, i + 1]

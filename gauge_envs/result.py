@@ -1,0 +1,225 @@
+"""The result of one episode and its file, which holds all that is needed to judge, plot or repeat the episode."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.score import Score
+from gauge_envs.task import find_variant, task_files
+
+__all__ = [
+    "Outcome",
+    "RecordedTrajectory",
+    "Result",
+    "json_ready",
+    "load_result",
+    "result_file_name",
+    "task_sha256",
+    "versions",
+    "write_result",
+]
+
+
+def versions() -> dict[str, str]:
+    """Versions of gauge-envs, gymnasium, numpy and python."""
+    packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
+    return packages | {"python": platform.python_version()}
+
+
+class Outcome(StrEnum):
+    """How an episode ended."""
+
+    FINISHED = "finished"
+    """It ran to its last frame."""
+    DIVERGED = "diverged"
+    """The simulation left what is physically possible; there is no score."""
+    DECLINED = "declined"
+    """Not run: the backend cannot build the scene, or the experiment lacks the parameters that were asked for."""
+    FAILED = "failed"
+    """Not run to the end because of an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedTrajectory:
+    """What an episode did, dense enough to plot and to score again.
+
+    Attributes:
+        unit: Unit of the samples.
+        coordinates: Names of the coordinates, as `cube.x`.
+        times_s: Times [s], 180 a second, shape [sample_count].
+        samples: g(t) at those times, shape [sample_count, coordinate_count]; None where a diverged one was not finite.
+    """
+
+    unit: str
+    coordinates: list[str]
+    times_s: list[float]
+    samples: list[list[float | None]]
+
+    def __post_init__(self) -> None:
+        if len(self.samples) != len(self.times_s):
+            raise ValueError(f"{len(self.times_s)} times but {len(self.samples)} samples")
+        if any(len(row) != len(self.coordinates) for row in self.samples):
+            raise ValueError(f"a sample has not {len(self.coordinates)} coordinates")
+
+    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None."""
+        samples = np.array(self.samples, dtype=np.float64)
+        return np.array(self.times_s), samples.reshape(len(self.times_s), len(self.coordinates))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """One episode, or one trajectory that a user brought (then `backend`, `seed` and `wall_s` are None).
+
+    Attributes:
+        id: Gymnasium id.
+        outcome: How the episode ended.
+        backend: Name of the physics engine.
+        parameters: Name of the parameter set, or the overrides.
+        frames: Frames that there are, the first included.
+        diverged: Whether the simulation left what is physically possible.
+        diverged_reason: How it did.
+        wall_s: Time that reset and steps took [s], building the scene not included.
+        sim_s: Simulated time [s].
+        settings: Every numerical setting of the engine that was in force.
+        settings_given: Those of them that the caller gave.
+        versions: Versions of the engine, gauge-envs, gymnasium, numpy and python.
+        seed: Seed of the reset.
+        score: Distance to reality; metrics are None where they do not apply.
+        task_sha256: Hash of the task file that the episode was built from.
+        driver_provenance: Where the driven motion is from; None where nothing is driven.
+        created: When, ISO 8601, UTC.
+        error: Why it was declined or failed.
+        trajectory: What it did; None when it did not run.
+    """
+
+    id: str
+    outcome: Outcome
+    parameters: str | dict[str, Any]
+    score: Score
+    task_sha256: str
+    backend: str | None = None
+    frames: int = 0
+    diverged: bool = False
+    diverged_reason: str | None = None
+    wall_s: float | None = None
+    sim_s: float = 0.0
+    settings: dict[str, Any] = field(default_factory=dict)
+    settings_given: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=versions)
+    seed: int | None = None
+    driver_provenance: str | None = None
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    error: str | None = None
+    trajectory: RecordedTrajectory | None = None
+
+    def to_dict(self, *, trajectory: bool = True) -> dict[str, Any]:
+        """JSON-ready dictionary, every field present; without the bulky trajectory on request."""
+        kept = self if trajectory else replace(self, trajectory=None)
+        values = json_ready(asdict(kept)) | {"score": json_ready(self.score.to_dict())}
+        if not trajectory:
+            del values["trajectory"]
+        return values
+
+
+def json_ready(value: Any) -> Any:
+    """Plain containers, None for numbers that are not finite: JSON has neither NaN nor infinity."""
+    if isinstance(value, Mapping):
+        return {str(key): json_ready(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+@cache
+def task_sha256(family: str) -> str:
+    """Hash of the task file of a family."""
+    for path in task_files():
+        content = path.read_bytes()
+        if tomllib.loads(content.decode())["family"] == family:
+            return hashlib.sha256(content).hexdigest()
+    raise AssertionError(family)
+
+
+def result_file_name(result: Result) -> str:
+    """`SlopeSlider-2-wood.mujoco.calibrated.json`; overrides and settings by a hash of theirs, seeds other than 0."""
+    named = result.parameters
+    parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
+    parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
+    if result.settings_given:
+        parts.append(f"settings-{_digest(result.settings_given)}")
+    if result.seed:
+        parts.append(f"seed-{result.seed}")
+    return ".".join([*parts, "json"])
+
+
+def _digest(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:8]
+
+
+def write_result(result: Result, file: Path) -> None:
+    """Write a result file, whole or not at all.
+
+    Raises:
+        ResultFileError: It cannot be written.
+    """
+    part = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        with part.open("w", encoding="utf-8") as stream:
+            json.dump(result.to_dict(), stream, allow_nan=False)
+            stream.write("\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(file)
+    except OSError as error:
+        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load_result(file: Path) -> Result:
+    """Read a result file.
+
+    Raises:
+        ResultFileError: It cannot be read, or is not a whole and consistent result file.
+    """
+    try:
+        content = json.loads(file.read_bytes())
+        if not isinstance(content, dict):
+            raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
+        missing = [key.name for key in fields(Result) if key.name not in content]
+        if missing:
+            raise ValueError(f"no {missing[0]!r}")
+        result = TypeAdapter(Result).validate_python(content)
+        find_variant(result.id)
+        if result.trajectory is None:
+            raise ValueError("it has no trajectory")
+    except OSError as error:
+        raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ResultFileError(f"{file}: not a result file: {place}: {first['msg']}") from error
+    except (ValueError, RecursionError, UnknownNameError) as error:
+        raise ResultFileError(f"{file}: not a result file: {error}") from error
+    return result
