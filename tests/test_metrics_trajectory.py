@@ -167,9 +167,10 @@ def test_dtw_ignores_a_pause_that_rmse_punishes():
     assert trajectory_rmse(motion, paused[:26]) > 5.0
 
 
-def test_dtw_ties_prefer_the_diagonal():
+@pytest.mark.parametrize("seed", range(6))
+def test_dtw_ties_prefer_the_diagonal(seed):
     """A first frame on the real mean makes waiting there free: without the rule the path could grow, the mean fall."""
-    simulated, real = np.random.default_rng(7).uniform(1.0, 2.0, size=(40, 1)), np.zeros((40, 1))
+    simulated, real = np.random.default_rng(seed).uniform(1.0, 2.0, size=(40, 1)), np.zeros((40, 1))
     simulated[0] = 0.0
     assert dtw_path(simulated, real)[1].tolist() == [[k, k] for k in range(40)]
     assert trajectory_dtw(simulated, real) == pytest.approx(simulated.sum() / 40)

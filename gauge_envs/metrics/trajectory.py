@@ -318,11 +318,10 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
     operations, until the two fronts meet in the middle.
     """
     row_count, column_count = local.shape
-    if row_count > column_count:
-        return _optimal_cells(local.T)[:, ::-1]
     depth = (row_count + column_count + 1) // 2
     # total[d + 2, end, i + 1] holds the local cost, then the least cost of a path from that end to cell (i, d - i).
-    # The read of (i, d - i) for i > d runs into other rows; borders of inf keep these cells, like the outside, at inf.
+    # Where d - i is no column the strided read runs into a neighbouring row. It is harmless: left of the matrix the
+    # borders of inf keep the total at inf, and a cell right of it is left of it as seen from the other end.
     total = np.full((depth + 2, 2, row_count + 1), np.inf)
     total[0, :, 0] = 0.0
     flat = local.ravel()
