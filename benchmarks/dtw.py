@@ -1,6 +1,7 @@
 """Time `dtw_path` against tslearn and dtaidistance on two trajectories of the longest textile task, 562 x 63.
 
 Prints the ratio of medians (ours over theirs, below 1 is faster) of interleaved runs, and exits 1 when slower than any.
+All run on one thread, linear algebra too, and are timed by that thread's CPU clock: a busy machine changes nothing.
 
     python benchmarks/dtw.py [--repeats 101]
 """
@@ -36,16 +37,16 @@ def competitors(first: np.ndarray, second: np.ndarray) -> dict[str, Callable[[],
     }
 
 
-def medians_ms(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median of each call; one repeat runs all of them in turn, so that a busy machine slows all alike."""
+def cpu_medians_ms(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median CPU time of each call; one repeat runs all of them in turn, so that caches and clock rates are shared."""
     for call in calls.values():
         call()  # compiles, where a library does that on first use
     times_ms: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():
-            start = time.perf_counter()
+            start = time.thread_time()
             call()
-            times_ms[name].append(1e3 * (time.perf_counter() - start))
+            times_ms[name].append(1e3 * (time.thread_time() - start))
     return {name: statistics.median(values) for name, values in times_ms.items()}
 
 
@@ -66,16 +67,19 @@ def main() -> int:
     for title, (first, second) in inputs.items():
         try:
             others = competitors(first, second)
+            from threadpoolctl import threadpool_limits  # comes with tslearn
         except MissingExtraError as error:
             print(error, file=sys.stderr)
             return 2
-        medians = medians_ms({"gauge_envs.dtw_path": lambda a=first, b=second: dtw_path(a, b)} | others, repeats)
-        ours = medians["gauge_envs.dtw_path"]
+        calls = {"gauge_envs.dtw_path": lambda a=first, b=second: dtw_path(a, b)} | others
+        with threadpool_limits(1):
+            medians = cpu_medians_ms(calls, repeats)
+        ours = medians.pop("gauge_envs.dtw_path")
         print(f"{title}: gauge_envs.dtw_path {ours:.2f} ms")
-        for name in others:
-            ratio = ours / medians[name]
-            slower |= ratio >= 1
-            print(f"  {ratio:5.2f} of {name} ({medians[name]:.2f} ms){'  SLOWER' if ratio >= 1 else ''}")
+        for name, theirs in medians.items():
+            verdict = "  SLOWER" if ours >= theirs else ""
+            print(f"  {ours / theirs:5.2f} of {name} ({theirs:.2f} ms){verdict}")
+            slower |= ours >= theirs
     return int(slower)
 
 

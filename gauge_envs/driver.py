@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Pose, RigidBody, Vector
 
-__all__ = ["CosineProfile", "Driver", "DriverMotion", "Profile", "SampledProfile", "TrapezoidProfile", "mean_twist"]
+__all__ = ["CosineProfile", "Driver", "DriverMotion", "Profile", "SampledProfile", "TrapezoidProfile", "mean_velocity"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +56,16 @@ class TrapezoidProfile:
             value -= 0.5 * self.cruise_rate * braking**2 / self.brake_s
         return value
 
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]."""
+        t = time_s - self.start_s
+        if not 0.0 <= t < self.duration_s:
+            return 0.0
+        if t < self.accelerate_s:
+            return self.cruise_rate * t / self.accelerate_s
+        left = self.duration_s - t
+        return self.cruise_rate * (left / self.brake_s if left < self.brake_s else 1.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class CosineProfile:
@@ -75,6 +85,11 @@ class CosineProfile:
         phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
         return 0.5 * self.amount * (1.0 - float(np.cos(np.pi * phase)))
 
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]."""
+        phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
+        return 0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
+
 
 class SampledProfile:
     """Coordinate measured at times, interpolated by a monotone cubic (no overshoot), held before and after.
@@ -88,6 +103,7 @@ class SampledProfile:
         self.times_s = times_s
         self.values = values
         self._curve = PchipInterpolator(times_s, values)
+        self._slope = self._curve.derivative()
 
     @property
     def largest_rate(self) -> float:
@@ -96,11 +112,15 @@ class SampledProfile:
         fine = np.interp(
             np.linspace(0, len(self.times_s) - 1, 10 * len(self.times_s)), range(len(self.times_s)), self.times_s
         )
-        return float(np.abs(self._curve.derivative()(fine)).max())
+        return float(np.abs(self._slope(fine)).max())
 
     def value(self, time_s: float) -> float:
         """Coordinate at a time, relative to the start pose [m or rad]."""
         return float(self._curve(min(max(time_s, self.times_s[0]), self.times_s[-1])))
+
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
+        return float(self._slope(time_s)) if self.times_s[0] <= time_s < self.times_s[-1] else 0.0
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SampledProfile) and (self.times_s, self.values) == (other.times_s, other.values)
@@ -134,6 +154,10 @@ class DriverMotion:
         """Coordinate at a time [m or rad]."""
         return sum(profile.value(time_s) for profile in self.profiles)
 
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]."""
+        return sum(profile.rate(time_s) for profile in self.profiles)
+
     @property
     def largest_rate(self) -> float:
         """Bound on the absolute rate, action included [m/s or rad/s]."""
@@ -162,19 +186,46 @@ class Driver:
             time_s: Time since the start of the episode.
             offsets: Added to each motion's coordinate [m or rad], shape [motion_count]; where actions have led.
         """
-        position = np.asarray(start.position_m)
-        rotation = start.rotation
+        return self.state(start, time_s, offsets)[0]
+
+    def state(
+        self,
+        start: Pose,
+        time_s: float,
+        offsets: NDArray[np.float64] | None = None,
+        rates: NDArray[np.float64] | None = None,
+    ) -> tuple[Pose, NDArray[np.float64]]:
+        """Pose and velocity at a time.
+
+        Args:
+            start: Pose of the body before anything moves.
+            time_s: Time since the start of the episode.
+            offsets: Added to each motion's coordinate [m or rad], shape [motion_count].
+            rates: Added to each motion's rate [m/s or rad/s], shape [motion_count].
+
+        Returns:
+            The pose; and the linear velocity of the body origin [m/s] and the angular velocity [rad/s] in the world
+            frame, shape [6].
+        """
+        position, rotation = np.asarray(start.position_m), start.rotation
+        linear, angular = np.zeros(3), np.zeros(3)
         for index, motion in enumerate(self.motions):
             value = motion.value(time_s) + (0.0 if offsets is None else float(offsets[index]))
+            rate = motion.rate(time_s) + (0.0 if rates is None else float(rates[index]))
             axis = np.asarray(motion.axis)
             if motion.kind == "translate":
                 position = position + value * axis
+                linear = linear + rate * axis
             else:
                 turn = Rotation.from_rotvec(value * axis)
-                position = turn.apply(position - motion.point_m) + motion.point_m
+                arm = turn.apply(position - motion.point_m)
+                position = arm + motion.point_m
                 rotation = turn * rotation
+                linear = turn.apply(linear) + np.cross(rate * axis, arm)
+                angular = turn.apply(angular) + rate * axis
         w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
-        return Pose(position_m=(float(position[0]), float(position[1]), float(position[2])), quaternion=(w, x, y, z))
+        pose = Pose(position_m=(float(position[0]), float(position[1]), float(position[2])), quaternion=(w, x, y, z))
+        return pose, np.concatenate([linear, angular])
 
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
         """Bound on the speed of any point of the driven body [m/s]."""
@@ -189,12 +240,12 @@ class Driver:
         return speed
 
 
-def mean_twist(start: Pose, end: Pose, interval_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mean_velocity(start: Pose, end: Pose, interval_s: float) -> NDArray[np.float64]:
     """Constant velocity that carries a body from one pose to another.
 
     Returns:
-        Linear velocity of the body origin [m/s] and angular velocity [rad/s], both in the world frame, shape [3].
+        Linear velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [6].
     """
     linear = (np.asarray(end.position_m) - np.asarray(start.position_m)) / interval_s
     angular = (end.rotation * start.rotation.inv()).as_rotvec() / interval_s
-    return linear, angular
+    return np.concatenate([linear, angular])

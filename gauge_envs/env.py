@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.registry import backend as find_backend
 from gauge_envs.backends.registry import backend_names
-from gauge_envs.driver import Driver, mean_twist
+from gauge_envs.driver import Driver, mean_velocity
 from gauge_envs.errors import ActionError, EpisodeError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_band
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.task import FRAME_RATE_HZ, Experiment, Observable, Parameters, experiment
 
-__all__ = ["SAMPLES_PER_FRAME", "GaugeEnv", "Trajectory", "reference_band"]
+__all__ = ["SAMPLES_PER_FRAME", "DriverPath", "GaugeEnv", "Trajectory", "reference_band"]
 
 SAMPLES_PER_FRAME = 6
 """Samples kept per frame: 180 Hz, the rate of the motion-capture cameras (paper, data acquisition)."""
@@ -150,7 +150,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self.band = reference_band(self.experiment)
         self.seed_used: int | None = None
 
-        self._drivers = [_DriverPath(driver, scene, self.experiment.frame_count) for driver in scene.drivers]
+        self._drivers = [DriverPath(driver, scene, self.experiment.frame_count) for driver in scene.drivers]
         self._driven = tuple(driver.body for driver in scene.drivers)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         rows = [self._dynamic.index(name) for name in self.experiment.recorded]
@@ -394,7 +394,7 @@ def _unsupported_message(resolved: Experiment, asked: str, missing: tuple[str, .
     return f"{resolved.variant.id}: backend {asked!r} cannot build it: {reasons}; {others}"
 
 
-class _DriverPath:
+class DriverPath:
     """A driver's motion cut into sample intervals; the undisturbed path is computed once."""
 
     def __init__(self, driver: Driver, scene: Scene, frame_count: int) -> None:
@@ -405,20 +405,29 @@ class _DriverPath:
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
         self._offsets = np.zeros(self.motion_count)
         count = (frame_count - 1) * SAMPLES_PER_FRAME
-        poses = [driver.pose(self._start, k * SAMPLE_INTERVAL_S) for k in range(count + 1)]
-        self._path = [(a, *mean_twist(a, b, SAMPLE_INTERVAL_S)) for a, b in zip(poses, poses[1:], strict=False)]
+        states = [driver.state(self._start, k * SAMPLE_INTERVAL_S) for k in range(count + 1)]
+        self._path = [_interval(*a, *b) for a, b in zip(states, states[1:], strict=False)]
 
     def reset(self) -> None:
         """Back to the recorded motion."""
         self._offsets[:] = 0.0
 
     def interval(
-        self, sample: int, rates: NDArray[np.float64]
+        self, sample: int, action: NDArray[np.float64]
     ) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
-        """Pose at the start of a sample interval, and the velocity that leads to its end."""
-        if not self._offsets.any() and not rates.any():
+        """Pose, velocity and acceleration that lead through a sample interval; see `Simulation.drive`."""
+        if not self._offsets.any() and not action.any():
             return self._path[sample]
-        before = self._driver.pose(self._start, sample * SAMPLE_INTERVAL_S, self._offsets)
-        self._offsets = self._offsets + rates * self._scale * SAMPLE_INTERVAL_S
-        after = self._driver.pose(self._start, (sample + 1) * SAMPLE_INTERVAL_S, self._offsets)
-        return before, *mean_twist(before, after, SAMPLE_INTERVAL_S)
+        rates = action * self._scale
+        before = self._driver.state(self._start, sample * SAMPLE_INTERVAL_S, self._offsets, rates)
+        self._offsets = self._offsets + rates * SAMPLE_INTERVAL_S
+        after = self._driver.state(self._start, (sample + 1) * SAMPLE_INTERVAL_S, self._offsets, rates)
+        return _interval(*before, *after)
+
+
+def _interval(
+    start: Pose, start_velocity: NDArray[np.float64], end: Pose, end_velocity: NDArray[np.float64]
+) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
+    """Uniformly accelerated motion between two poses, as close to their velocities as ending at the pose allows."""
+    miss = mean_velocity(start, end, SAMPLE_INTERVAL_S) - 0.5 * (start_velocity + end_velocity)
+    return start, start_velocity + miss, (end_velocity - start_velocity) / SAMPLE_INTERVAL_S

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.model import add_geoms
 from gauge_envs.errors import RenderError
-from gauge_envs.scene import Motion, Plane, RigidBody, Scene
+from gauge_envs.scene import Hinge, Motion, Plane, Scene
 
 __all__ = ["SceneRenderer"]
 
@@ -27,6 +27,8 @@ STRING_RADIUS_M = 0.0015
 ELEVATION_DEG = -18.0
 AZIMUTH_DEG = 125.0
 FIELD_OF_VIEW_DEG = 40.0
+FLOOR_IN_VIEW_M = 0.6
+"""A floor further below everything solid than this is left out of the picture."""
 
 DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
@@ -151,7 +153,7 @@ def _visual_model(scene: Scene, width: int, height: int) -> mujoco.MjModel:
     textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "table"
     # One checker square is 25 mm, the hole pitch of the real optical table.
-    spec.add_material(name="table", textures=textures, texrepeat=[20, 20], texuniform=True, reflectance=0.0)
+    spec.add_material(name="table", textures=textures, texrepeat=[40, 40], texuniform=True, reflectance=0.0)
     spec.worldbody.add_light(pos=[0.0, -1.0, 2.5], dir=[0.2, 0.5, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     for body in scene.bodies:
         frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
@@ -165,20 +167,27 @@ def _visual_model(scene: Scene, width: int, height: int) -> mujoco.MjModel:
 
 
 def _camera(scene: Scene) -> mujoco.MjvCamera:
-    """Looks at the middle of everything solid at the start, strings included, from a fixed side."""
-    points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if _is_solid(body)]
-    points += [np.asarray(joint.anchor_m)[None] for joint in scene.joints]
+    """Looks at the middle of what the scene can fill: solids at the start, swings, and the floor below what falls."""
+    points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
+    azimuth_deg = AZIMUTH_DEG
+    for joint in scene.joints:
+        anchor = np.asarray(joint.anchor_m)
+        arm = np.linalg.norm(anchor - scene.body(joint.body).pose.position_m)
+        axis = np.asarray(joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0))
+        sideways = np.cross(axis, (0.0, 0.0, 1.0))
+        points.append(anchor + arm * np.array([sideways, -sideways, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)]))
+        # Nearly along the axis, so that the swing is seen face on.
+        azimuth_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) + 20.0
     corners = np.concatenate(points) if points else np.zeros((1, 3))
     low, high = corners.min(axis=0), corners.max(axis=0)
-    low[2] = min(low[2], max(scene.floor_height_m, low[2] - 0.2))
+    hanging = {joint.body for joint in scene.joints}
+    falls = any(body.name not in hanging for body in scene.dynamic_bodies)
+    if falls and low[2] - scene.floor_height_m < FLOOR_IN_VIEW_M:
+        low[2] = min(low[2], scene.floor_height_m)
     camera = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(mujoco.MjSpec().compile(), camera)
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = 0.5 * (low + high)
     radius = 0.5 * float(np.linalg.norm(high - low))
-    camera.distance = 1.25 * radius / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
-    camera.azimuth, camera.elevation = AZIMUTH_DEG, ELEVATION_DEG
+    camera.distance = 1.1 * radius / np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+    camera.azimuth, camera.elevation = azimuth_deg, ELEVATION_DEG
     return camera
-
-
-def _is_solid(body: RigidBody) -> bool:
-    return not isinstance(body.shape, Plane)

@@ -116,6 +116,8 @@ def score_trajectory(
     if band is not None:
         scores |= _band_scores(band, baselines, times_s, values, frames)
     scores |= _event_scores(resolved, baselines, frames)
+    # An event that never happens, or a scale that nothing was measured on, is NaN: no number, and so none reported.
+    scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     grade = band.grade if band is not None else BandGrade.NONE
     return Score(grade=grade.value, unit="mm" if band is None else band.unit, **scores)
 

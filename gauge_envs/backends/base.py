@@ -56,16 +56,17 @@ class Simulation(ABC):
         """Return to the scene's start at time 0; the same seed gives the same trajectory."""
 
     @abstractmethod
-    def drive(
-        self, body: str, pose: Pose, linear_m_per_s: NDArray[np.float64], angular_rad_per_s: NDArray[np.float64]
-    ) -> None:
-        """Prescribe a kinematic body for the coming `advance`.
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Prescribe a kinematic body for the coming `advance`: it starts there and accelerates uniformly.
+
+        Uniform acceleration matters: a body driven at piecewise constant speed jolts what rests on it at each change,
+        which lets it creep. An engine that cannot may use the mean velocity, and should say so.
 
         Args:
             body: Name of a kinematic body.
             pose: Its pose at the start of the interval.
-            linear_m_per_s: Constant velocity of its origin in the world frame, shape [3].
-            angular_rad_per_s: Constant angular velocity in the world frame, shape [3].
+            velocity: Its linear [m/s] and angular [rad/s] velocity at the start, in the world frame, shape [6].
+            acceleration: Its linear [m/s^2] and angular [rad/s^2] acceleration until the end, shape [6].
         """
 
     @abstractmethod

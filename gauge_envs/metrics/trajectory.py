@@ -282,9 +282,9 @@ def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
     patterns, block_of = np.unique(np.isfinite(first), axis=0, return_inverse=True)
     others, other_block_of = np.unique(np.isfinite(second), axis=0, return_inverse=True)
     for block, pattern in enumerate(patterns):
-        rows = np.flatnonzero(block_of == block)
+        rows = np.flatnonzero(block_of.ravel() == block)  # NumPy 2.0 alone gives the inverse a second axis
         for other_block, other in enumerate(others):
-            columns = np.flatnonzero(other_block_of == other_block)
+            columns = np.flatnonzero(other_block_of.ravel() == other_block)
             shared = pattern & other
             if shared.any():
                 cost[np.ix_(rows, columns)] = _distances(first[np.ix_(rows, shared)], second[np.ix_(columns, shared)])
@@ -314,7 +314,7 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
     """Cells of the path with the least summed local cost, from (0, 0) to the last, shape [cell_count, 2].
 
     The cells of one anti-diagonal i + j = d depend on the two before it only, so each is a vector operation. Python's
-    overhead an operation is then most of the time; it is halved by working from both ends at once, in the same
+    overhead per operation is then most of the time; it is halved by working from both ends at once, in the same
     operations, until the two fronts meet in the middle.
     """
     row_count, column_count = local.shape

@@ -59,16 +59,16 @@ class SimulationMuJoCo(Simulation):
         """Return to the scene's start; MuJoCo draws no random numbers, so the seed changes nothing."""
         mujoco.mj_resetData(self.model, self.data)
 
-    def drive(
-        self, body: str, pose: Pose, linear_m_per_s: NDArray[np.float64], angular_rad_per_s: NDArray[np.float64]
-    ) -> None:
-        """Write the body's pose and velocity; its huge mass keeps the velocity constant until the next call."""
-        position, velocity = _free_joint_addresses(self.model, body)
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Write the body's pose and velocity, and the force that accelerates its huge mass as asked."""
+        position, speed = _free_joint_addresses(self.model, body)
         self.data.qpos[position : position + 3] = pose.position_m
         self.data.qpos[position + 3 : position + 7] = pose.quaternion
-        self.data.qvel[velocity : velocity + 3] = linear_m_per_s
+        self.data.qvel[speed : speed + 3] = velocity[:3]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        self.data.qvel[velocity + 3 : velocity + 6] = _rotated_back(pose.quaternion, angular_rad_per_s)
+        self.data.qvel[speed + 3 : speed + 6] = _rotated_back(pose.quaternion, velocity[3:])
+        # Mass and all moments of inertia of a driven body are the same number.
+        self.data.xfrc_applied[self.model.body(body).id] = self.settings["kinematic_mass_kg"] * acceleration
 
     def advance(self, seconds: float) -> None:
         """Step the model."""

@@ -29,6 +29,9 @@ __all__ = ["add_geoms", "build_model"]
 EXPLICIT_PAIR_LIMIT = 1000
 """Contacts with more geom pairs than this go through MuJoCo's broad phase instead of explicit pairs."""
 
+PRISM_SIDES = 96
+"""Sides of the prism that stands for a cylinder; it lies within 0.06 % of the radius."""
+
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -99,11 +102,26 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     return spec, spec.compile()
 
 
+def _collision_shape(body: RigidBody) -> Shape:
+    """The shape that collides: a cylinder that carries things becomes a prism.
+
+    MuJoCo finds two or three contact points between a cylinder's flat face and a box and puts them so that friction
+    comes out 5 % off; between polyhedra it is right to 0.03 %.
+    """
+    if not isinstance(body.shape, Cylinder) or body.motion is Motion.DYNAMIC:
+        return body.shape
+    angles = 2.0 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
+    x, y = body.shape.radius_m * np.cos(angles), body.shape.radius_m * np.sin(angles)
+    z = 0.5 * body.shape.length_m
+    rings = [np.column_stack([x, y, np.full(PRISM_SIDES, height)]) for height in (-z, z)]
+    return ConvexUnion(pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),))
+
+
 def _add_body(
     spec: mujoco.MjSpec, body: RigidBody, hinge: Hinge | None, settings: SettingsMuJoCo
 ) -> list[mujoco.MjsGeom]:
     frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion)
-    geoms = add_geoms(spec, frame, body.name, body.shape)
+    geoms = add_geoms(spec, frame, body.name, _collision_shape(body))
     if body.motion is Motion.FIXED:
         return geoms
     if hinge is not None:

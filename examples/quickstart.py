@@ -1,0 +1,18 @@
+"""Run one experiment, read how far the engine is from reality, and draw it over the real trials.
+
+Needs matplotlib: pip install 'gauge-envs[plot]'.
+"""
+
+import gymnasium as gym
+
+from gauge_envs.benchmark import episode_result
+from gauge_envs.figures import draw_experiment
+
+env = gym.make("GAUGE/SlopeSlider-2-wood", backend="mujoco", parameters="calibrated")
+env.reset(seed=0)
+terminated = truncated = False
+while not (terminated or truncated):
+    *_, terminated, truncated, info = env.step(0)  # Nothing is driven here: 0 is the only action.
+score = info["score"]
+print(f"RMSE {score.rmse:.2f} mm, {score.rmse_normalized:.2f} of a typical real trial (grade: {score.grade})")
+draw_experiment([episode_result(env, info)]).savefig("slope_slider.png")

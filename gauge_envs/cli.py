@@ -1,0 +1,334 @@
+"""The `gauge` command. Heavy imports are inside the commands, so that help and completion stay quick."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import typer.core
+from rich.console import Console
+
+from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnknownNameError
+from gauge_envs.task import Parameters, Variant, find_variant, variants
+
+if TYPE_CHECKING:
+    from gauge_envs.result import Result
+
+__all__ = ["app", "main"]
+
+EXIT_FAILED = 1
+"""An episode failed, diverged, or was asked for by name and declined."""
+EXIT_USAGE = 2
+"""What was asked for cannot be done."""
+EXIT_INTERRUPTED = 130
+
+PIPE_WIDTH = 140
+"""Width of tables where there is no terminal [characters]; rich would take 80, and cut them."""
+
+GLOB_CHARACTERS = "*?["
+
+
+class _Group(typer.core.TyperGroup):
+    """Prints errors of gauge-envs without a traceback; the only place that catches them."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except GaugeError as error:
+            _stderr().print(f"[red]error:[/] {_plain(str(error))}", soft_wrap=True)
+            raise typer.Exit(EXIT_USAGE) from None
+        except KeyboardInterrupt:
+            _stderr().print("interrupted")
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+
+
+app = typer.Typer(
+    cls=_Group,
+    name="gauge",
+    help="Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark).",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=True)
+app.add_typer(backend_app, name="backend")
+
+Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, one object a line.")]
+ParametersOption = Annotated[
+    str | None,
+    typer.Option("--parameters", help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1"),
+]
+
+
+def main() -> None:
+    """Entry point of the `gauge` command."""
+    app()
+
+
+# --- commands --------------------------------------------------------------------------------------------------------
+
+
+@app.command("list")
+def list_(
+    pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
+    json_lines: Json = False,
+) -> None:
+    """List experiments: what they observe, how good their reference is, and which backends can run them."""
+    from gauge_envs.report import list_rows, list_table
+
+    rows = list_rows(_matching(pattern))
+    if json_lines:
+        _print_lines(rows)
+        return
+    families = len({row["family"] for row in rows})
+    console = _stdout()
+    console.print(list_table(rows))
+    console.print(f"{_count(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
+
+
+@app.command()
+def show(
+    name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/.")],
+    json_lines: Json = False,
+) -> None:
+    """Show one experiment: scene, constants and where each number is from, reference, published scores."""
+    from gauge_envs.report import description, description_view
+
+    values = description(find_variant(name))
+    if json_lines:
+        _print_lines([values])
+    else:
+        _stdout().print(description_view(values))
+
+
+@app.command()
+def run(
+    ids: Annotated[list[str] | None, typer.Argument(metavar="[ID or pattern]...", help="As 'SlopeSlider-*'.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="All experiments that the backend can run.")] = False,
+    backends: Annotated[list[str] | None, typer.Option("--backend", help="Repeatable; mujoco by default.")] = None,
+    parameters: ParametersOption = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Numerical setting of the backend, as timestep_s=0.0005.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
+    resume: Annotated[bool, typer.Option(help="Keep results that are there already.")] = False,
+    json_lines: Json = False,
+) -> None:
+    """Run experiments, score them against reality, and write a result file each.
+
+    Exit code 1 when an episode failed or diverged, or one that was asked for by its id was declined; those that a
+    pattern or --all adds may be declined.
+    """
+    from gauge_envs.benchmark import check_request, run_many
+    from gauge_envs.report import summary_view
+    from gauge_envs.result import Outcome
+
+    if not ids and not every:
+        raise ParameterError("nothing to run: give ids, patterns or --all; gauge list shows them")
+    patterns = ["*"] if every else ids or []
+    chosen = list(dict.fromkeys(variant for pattern in patterns for variant in _matching(pattern)))
+    by_name = {find_variant(pattern).id for pattern in ids or [] if not _is_glob(pattern)}
+    engines = list(dict.fromkeys(backends or ["mujoco"]))
+    values, settings = _parameters(parameters) or "calibrated", _settings(changes or [])
+    check_request(chosen, backends=engines, parameters=values, settings=settings)
+
+    stderr = _stderr()
+    results: list[Result] = []
+    episodes = run_many(
+        chosen,
+        backends=engines,
+        parameters=values,
+        settings=settings,
+        seed=seed,
+        out=out,
+        resume=resume,
+        notify=lambda text: stderr.print(f"[yellow]note:[/] {_plain(text)}", soft_wrap=True),
+    )
+    try:
+        with _progress(stderr) as progress:
+            bar = progress.add_task("episodes", total=len(chosen) * len(engines))
+            for result in episodes:
+                results.append(result)
+                progress.update(bar, advance=1, description=result.id.removeprefix("GAUGE/"))
+                if json_lines:
+                    _print_lines([result.to_dict(trajectory=False)])
+    except KeyboardInterrupt:
+        kept = sum(result.error is None for result in results)
+        stderr.print(f"interrupted: {_count(kept, 'result')} kept in {out}; --resume goes on from there")
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    (stderr if json_lines else _stdout()).print(summary_view(results))
+    stderr.print(_totals(results, out))
+    bad = (Outcome.FAILED, Outcome.DIVERGED)
+    if any(r.outcome in bad or (r.outcome is Outcome.DECLINED and r.id in by_name) for r in results):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def score(
+    file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
+    name: Annotated[str | None, typer.Option("--id", help="Experiment; a JSON file may state it itself.")] = None,
+    parameters: ParametersOption = None,
+    json_lines: Json = False,
+) -> None:
+    """Score a trajectory from your own simulator: g(t) in the observable's unit (mm for positions), no engine needed.
+
+    Columns are the coordinates that `gauge show ID` lists. Without a `time_s` column, rows are 30 Hz frames.
+    """
+    from gauge_envs.benchmark import score_file
+    from gauge_envs.report import summary_view
+
+    result, interpolated = score_file(file, variant=name, parameters=_parameters(parameters))
+    if interpolated:
+        _stderr().print(f"[yellow]note:[/] {_count(interpolated, 'frame')} lay between samples: interpolated linearly")
+    if json_lines:
+        _print_lines([result.to_dict(trajectory=False)])
+    else:
+        _stdout().print(summary_view([result]))
+
+
+@app.command()
+def plot(
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
+) -> None:
+    """Plot results over the real band, one PNG an experiment; several results of one experiment share it."""
+    from gauge_envs.figures import save_figures
+    from gauge_envs.result import load_result
+
+    files = [file for source in sources or [Path("results")] for file in _result_files(source)]
+    results: list[Result] = []
+    damaged = 0
+    for file in files:
+        try:
+            results.append(load_result(file))
+        except ResultFileError as error:
+            damaged += 1
+            _stderr().print(f"[yellow]skipped:[/] {_plain(str(error))}", soft_wrap=True)
+    for path in save_figures(results, out):
+        typer.echo(path)
+    if damaged:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@backend_app.command("list")
+def backend_list(json_lines: Json = False) -> None:
+    """List installed backends and the versions of their engines."""
+    from gauge_envs.report import backend_rows, backend_table
+
+    rows = backend_rows()
+    if json_lines:
+        _print_lines(rows)
+    else:
+        _stdout().print(backend_table(rows))
+
+
+# --- arguments -------------------------------------------------------------------------------------------------------
+
+
+def _is_glob(pattern: str) -> bool:
+    return any(character in pattern for character in GLOB_CHARACTERS)
+
+
+def _matching(pattern: str) -> list[Variant]:
+    """Variants of an id or a pattern, with or without `GAUGE/`.
+
+    Raises:
+        UnknownNameError: There are none; the message offers the nearest.
+    """
+    if not _is_glob(pattern):
+        return [find_variant(pattern)]
+    stem = pattern.removeprefix("GAUGE/")
+    found = [variant for variant in variants() if fnmatchcase(variant.name, stem)]
+    if not found:
+        raise UnknownNameError("experiment", pattern, (variant.name for variant in variants()))
+    return found
+
+
+def _split(text: str) -> list[str]:
+    """Split at the commas that are outside brackets."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "[") - (character == "]")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+def _assigned(text: str) -> tuple[str, Any]:
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not (key and equals and value):
+        raise ParameterError(f"{text!r}: expected NAME=VALUE")
+    try:
+        return key, json.loads(value)
+    except ValueError:
+        return key, value
+
+
+def _parameters(text: str | None) -> Parameters | None:
+    if text is None or "=" not in text:
+        return text
+    return dict(_assigned(part) for part in _split(text))
+
+
+def _settings(changes: Sequence[str]) -> dict[str, Any] | None:
+    return dict(map(_assigned, changes)) or None
+
+
+def _result_files(source: Path) -> list[Path]:
+    files = sorted(source.glob("*.json")) if source.is_dir() else [source]
+    if not files or not files[0].exists():
+        raise ResultFileError(f"{source}: holds no result files; gauge run writes them")
+    return files
+
+
+# --- output ----------------------------------------------------------------------------------------------------------
+
+
+def _stdout() -> Console:
+    console = Console()
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = PIPE_WIDTH
+    return console
+
+
+def _stderr() -> Console:
+    return Console(stderr=True, highlight=False)
+
+
+def _plain(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _progress(console: Console) -> Any:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _print_lines(rows: Sequence[Mapping[str, Any]]) -> None:
+    for row in rows:
+        typer.echo(json.dumps(row, allow_nan=False))
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _totals(results: Sequence[Result], out: Path) -> str:
+    counts: dict[str, int] = {}
+    for result in results:
+        counts[result.outcome.value] = counts.get(result.outcome.value, 0) + 1
+    return f"{', '.join(f'{number} {outcome}' for outcome, number in counts.items())}; results in {out}"

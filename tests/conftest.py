@@ -1,0 +1,41 @@
+"""Shared helpers of the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+import pytest
+
+import gauge_envs
+from gauge_envs.env import Trajectory
+
+RIGID_FAMILIES = (
+    "SlopeContact",
+    "NonsmoothContact",
+    "SlopeSlider",
+    "Turntable",
+    "BouncingBall",
+    "NewtonsCradle",
+    "WallBreaking",
+    "Pendulum",
+)
+RIGID = tuple(v.name for v in gauge_envs.variants() if v.family in RIGID_FAMILIES)
+
+
+@pytest.fixture
+def rollout() -> Callable[..., tuple[gauge_envs.GaugeEnv, Trajectory, dict]]:
+    """Runs one episode with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
+
+    def run(name: str, **options: object) -> tuple[gauge_envs.GaugeEnv, Trajectory, dict]:
+        env = gymnasium.make(f"GAUGE/{name}", **options)
+        env.reset(seed=0)
+        zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+        over = False
+        while not over:
+            *_, terminated, truncated, info = env.step(zero)
+            over = terminated or truncated
+        return env.unwrapped, env.unwrapped.trajectory(), info
+
+    return run

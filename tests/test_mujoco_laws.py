@@ -1,0 +1,392 @@
+"""MuJoCo scenes against closed forms: what a rigid body must do, whatever the score says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from gauge_envs import experiment
+from gauge_envs.backends import backend
+from gauge_envs.driver import Driver, DriverMotion, TrapezoidProfile
+from gauge_envs.env import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
+from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.metrics import fitted_acceleration
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Box,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+    Tether,
+)
+
+G = GRAVITY_M_PER_S2
+MUJOCO = backend("mujoco")
+
+
+def plane(height_m: float = 0.0) -> RigidBody:
+    return RigidBody(
+        name="ground", shape=Plane(), motion=Motion.FIXED, pose=Pose(position_m=(0, 0, height_m)), mass_kg=0.0
+    )
+
+
+def ball(name: str, position_m: tuple[float, float, float], mass_kg: float = 0.1, radius_m: float = 0.03) -> RigidBody:
+    return RigidBody(
+        name=name,
+        shape=Sphere(radius_m=radius_m),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=position_m),
+        mass_kg=mass_kg,
+    )
+
+
+def states_over_time(simulation, name: str, seconds: float) -> np.ndarray:
+    """States of one body at 180 Hz, shape [sample_count, 13]."""
+    simulation.reset(0)
+    states = [simulation.body_states([name])[0]]
+    for _ in range(round(seconds / SAMPLE_INTERVAL_S)):
+        simulation.advance(SAMPLE_INTERVAL_S)
+        states.append(simulation.body_states([name])[0])
+    return np.array(states)
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+def test_slide_has_coulombs_acceleration(material: str, rollout) -> None:
+    env, trajectory, _ = rollout(f"SlopeSlider-2-{material}")
+    friction = env.experiment.scene.contacts[0].friction
+    downhill = np.array([np.cos(np.pi / 6), 0.0, -0.5])
+    displacement_m = 1e-3 * (trajectory.frames - trajectory.frames[0]) @ downhill
+    measured = fitted_acceleration(np.arange(len(displacement_m)) / 30, displacement_m)
+    assert measured == pytest.approx(G * (0.5 - friction * np.cos(np.pi / 6)), rel=0.005)
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+def test_cube_holds_on_ten_degrees(material: str, rollout) -> None:
+    _, trajectory, _ = rollout(f"SlopeSlider-1-{material}")
+    assert np.linalg.norm(trajectory.frames - trajectory.frames[0], axis=1).max() < 0.1
+
+
+def test_friction_override_changes_the_slide_by_the_laws_amount(rollout) -> None:
+    accelerations = []
+    for friction in (0.30, 0.15):
+        _, trajectory, _ = rollout("SlopeSlider-2-wood", parameters={"cube.friction": friction})
+        displacement_m = 1e-3 * (trajectory.frames[:12] - trajectory.frames[0]) @ [np.cos(np.pi / 6), 0.0, -0.5]
+        accelerations.append(fitted_acceleration(np.arange(12) / 30, displacement_m))
+    assert accelerations[1] - accelerations[0] == pytest.approx(G * 0.15 * np.cos(np.pi / 6), rel=0.005)
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.576733, 0.735, 0.95])
+def test_ball_rebounds_at_its_restitution(restitution: float) -> None:
+    scene = Scene(
+        bodies=(ball("ball", (0, 0, 0.45)), plane()),
+        contacts=(
+            Contact(
+                first=("ball",), second=("ground",), friction=0.8, restitution=restitution, mode=ContactMode.IMPACT
+            ),
+        ),
+        duration_s=1.0,
+    )
+    states = states_over_time(MUJOCO.build(scene), "ball", 0.6)
+    rebound = int(np.flatnonzero(np.diff(states[:, 9]) > 0.05)[0])
+    # Both speeds carried to the impact's height by energy, since samples lie 5.6 ms apart.
+    incoming, outgoing = (np.sqrt(states[i, 9] ** 2 + 2 * G * (states[i, 2] - 0.03)) for i in (rebound, rebound + 1))
+    assert outgoing / incoming == pytest.approx(restitution, abs=0.0025)
+
+
+def test_impact_with_friction_stops_the_slip_and_does_not_reverse_it() -> None:
+    scene = Scene(
+        bodies=(
+            RigidBody(
+                name="slab",
+                shape=Box(size_m=(0.2, 0.2, 0.02)),
+                motion=Motion.DYNAMIC,
+                pose=Pose(position_m=(0, 0, 0.2)),
+                mass_kg=0.5,
+            ),
+            plane(),
+        ),
+        contacts=(
+            Contact(first=("slab",), second=("ground",), friction=0.5, restitution=0.5, mode=ContactMode.IMPACT),
+        ),
+        duration_s=1.0,
+    )
+    simulation = MUJOCO.build(scene)
+    simulation.reset(0)
+    simulation.data.qvel[0] = 0.5
+    simulation.advance(0.25)
+    # Coulomb: the impulse mu (1 + e) m v exceeds m times the slip, so friction takes all of it.
+    assert simulation.body_states(["slab"])[0, 7] == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("restitution", [0.3, 0.964])
+def test_two_equal_balls_exchange_momentum(restitution: float) -> None:
+    scene = Scene(
+        bodies=(ball("left", (0, 0, 1), radius_m=0.01), ball("right", (0.03, 0, 1), radius_m=0.01)),
+        contacts=(
+            Contact(first=("left",), second=("right",), friction=0.0, restitution=restitution, mode=ContactMode.IMPACT),
+        ),
+        duration_s=1.0,
+        gravity_m_per_s2=0.0,
+    )
+    simulation = MUJOCO.build(scene)
+    simulation.reset(0)
+    simulation.data.qvel[0] = 1.0
+    simulation.advance(0.1)
+    left, right = simulation.body_states(["left", "right"])[:, 7]
+    assert left + right == pytest.approx(1.0, rel=1e-6)
+    # The contact's spring adds its own share of a step, impact_stiffness = 0.002, to the coefficient.
+    assert right - left == pytest.approx(restitution, abs=0.003)
+
+
+def test_free_fall_and_torque_free_spin() -> None:
+    brick = RigidBody(
+        name="brick",
+        shape=Box(size_m=(0.1, 0.06, 0.03)),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=(0, 0, 10.0)),
+        mass_kg=0.4,
+    )
+    simulation = MUJOCO.build(Scene(bodies=(brick,), duration_s=1.0))
+    simulation.reset(0)
+    simulation.data.qvel[3:6] = (0.2, 4.0, 0.3)
+    inertia = 0.4 / 12 * np.array([0.06**2 + 0.03**2, 0.1**2 + 0.03**2, 0.1**2 + 0.06**2])
+
+    def momentum() -> np.ndarray:
+        state = simulation.body_states(["brick"])[0]
+        rotation = Pose(position_m=(0, 0, 0), quaternion=tuple(state[3:7])).rotation
+        return rotation.apply(inertia * rotation.apply(state[10:], inverse=True))
+
+    before = momentum()
+    simulation.advance(1.0)
+    assert momentum() == pytest.approx(before, rel=1e-4, abs=1e-9)
+    assert simulation.body_states(["brick"])[0, 2] == pytest.approx(10.0 - 0.5 * G, rel=1e-3)
+
+
+def test_pendulum_period_and_energy(rollout) -> None:
+    env, trajectory, info = rollout("Pendulum-metal")
+    score = info["score"]
+    assert abs(score.el) < 1e-4
+    assert 1.0 <= score.pd_normalized <= 1.1
+    hinge = env.experiment.scene.joints[0]
+    arm = np.linalg.norm(np.subtract(hinge.anchor_m, env.experiment.scene.bodies[0].pose.position_m))
+    # A sphere on a light rod, including its own inertia 2/5 m r^2.
+    stiffness = G * arm / (arm**2 + 0.4 * 0.03**2)
+    exact = solve_ivp(
+        lambda _, y: [y[1], -stiffness * np.sin(y[0])], (0, 10), [-np.pi / 2, 0.0], rtol=1e-11, atol=1e-12, t_eval=[10]
+    )
+    expected = np.asarray(hinge.anchor_m)[[0, 2]] + arm * np.array([np.sin(exact.y[0, 0]), -np.cos(exact.y[0, 0])])
+    assert 1e-3 * trajectory.frames[300, [0, 2]] == pytest.approx(expected, abs=2e-4)
+
+
+def test_tether_only_pulls_and_does_not_stretch() -> None:
+    bob = ball("bob", (0.0, 0.0, 0.9), radius_m=0.01)
+    scene = Scene(bodies=(bob,), joints=(Tether(body="bob", anchor_m=(0, 0, 1.0), length_m=0.3),), duration_s=2.0)
+    states = states_over_time(MUJOCO.build(scene), "bob", 2.0)
+    length = 1.0 - states[:, 2]
+    falling = states[: round(0.19 / SAMPLE_INTERVAL_S)]
+    times = np.arange(len(falling)) * SAMPLE_INTERVAL_S
+    assert falling[:, 2] == pytest.approx(0.9 - 0.5 * G * times**2, abs=2e-3)
+    assert length.max() < 0.3 + 2e-3
+    assert length[-1] == pytest.approx(0.3, abs=5e-4)
+
+
+def carried_scene(motions: tuple[DriverMotion, ...], friction: float, offset_m: float = 0.05) -> Scene:
+    table = RigidBody(
+        name="table",
+        shape=Cylinder(radius_m=0.3, length_m=0.02),
+        motion=Motion.KINEMATIC,
+        pose=Pose(position_m=(0, 0, 0.5)),
+        mass_kg=1.0,
+    )
+    cube = RigidBody(
+        name="cube",
+        shape=Box(size_m=(0.05, 0.05, 0.05)),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=(offset_m, 0, 0.535)),
+        mass_kg=0.2,
+    )
+    return Scene(
+        bodies=(cube, table, plane()),
+        contacts=(Contact(first=("cube",), second=("table",), friction=friction, restitution=0.0),),
+        drivers=(Driver(body="table", motions=motions, provenance="nominal"),),
+        duration_s=2.0,
+    )
+
+
+def drive(simulation, scene: Scene, seconds: float) -> np.ndarray:
+    """Cube and table states after a driven run, shape [2, 13]."""
+    simulation.reset(0)
+    path = DriverPath(scene.drivers[0], scene, round(seconds * 30) + 2)
+    for sample in range(round(seconds / SAMPLE_INTERVAL_S)):
+        simulation.drive("table", *path.interval(sample, np.zeros(len(scene.drivers[0].motions))))
+        simulation.advance(SAMPLE_INTERVAL_S)
+    return simulation.body_states(["cube", "table"])
+
+
+def test_kinematic_table_carries_a_cube_in_a_line() -> None:
+    ramp = TrapezoidProfile(start_s=0.0, duration_s=1.2, accelerate_s=0.4, brake_s=0.4, amount=0.2)
+    scene = carried_scene((DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(ramp,)),), friction=0.4)
+    cube, table = drive(MUJOCO.build(scene), scene, 1.5)
+    assert table[0] == pytest.approx(0.2, abs=1e-6)
+    assert cube[0] - 0.05 == pytest.approx(0.2, abs=1e-3)
+
+
+def test_kinematic_table_slips_under_a_cube_when_friction_cannot_hold() -> None:
+    # Constant acceleration of 2 m/s^2 against 0.5 m/s^2 of friction: the cube gets a quarter of the way.
+    ramp = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
+    friction = 0.5 / G
+    scene = carried_scene(
+        (DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(ramp,)),), friction, offset_m=0.0
+    )
+    cube, _ = drive(MUJOCO.build(scene), scene, 0.4)
+    assert cube[0] == pytest.approx(0.5 * 0.5 * 0.4**2, rel=0.02)
+
+
+def test_turning_table_carries_a_cube_round_with_the_stated_outward_creep() -> None:
+    speed = 2.0
+    turn = TrapezoidProfile(start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=speed * 9.75)
+    scene = carried_scene((DriverMotion(kind="rotate", axis=(0.0, 0.0, 1.0), profiles=(turn,)),), friction=0.35)
+    cube, _ = drive(MUJOCO.build(scene), scene, 1.75)
+    angle = np.arctan2(cube[1], cube[0])
+    assert np.angle(np.exp(1j * (angle - speed * 1.5))) == pytest.approx(0.0, abs=0.01)
+    # MuJoCo leaves the contact point's own rotation out: outward creep of about omega^2 r tau, 0.4 mm/s here.
+    assert 0.0 < np.hypot(cube[0], cube[1]) - 0.05 < 1.2e-3
+
+
+def test_driven_body_follows_its_path_exactly_under_load(rollout) -> None:
+    env, trajectory, _ = rollout("SlopeSlider-3-metal")
+    driver = env.experiment.scene.drivers[0]
+    end = driver.pose(env.experiment.scene.body("board").pose, (len(trajectory.frames) - 1) / 30)
+    board = env.simulation.body_states(["board"])[0]
+    assert board[:3] == pytest.approx(end.position_m, abs=1e-6)
+    assert abs(board[3:7] @ end.quaternion) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_tilting_board_lets_go_at_the_friction_angle(rollout) -> None:
+    env, trajectory, _ = rollout("SlopeSlider-3-metal")
+    driver, start = env.experiment.scene.drivers[0], env.experiment.scene.body("board").pose
+    poses = [driver.pose(start, t) for t in trajectory.times_s]
+    along_board = np.array([p.to_body(1e-3 * g)[0] for p, g in zip(poses, trajectory.samples, strict=True)])
+    first = int(np.flatnonzero(along_board - along_board[0] > 2e-4)[0])
+    tilt_deg = np.degrees(driver.motions[0].value(trajectory.times_s[first]))
+    friction = env.experiment.scene.contacts[0].friction
+    # 0.2 mm of slip at the growing acceleration takes about 0.05 s, which is 0.7 degrees of tilt.
+    assert np.degrees(np.arctan(friction)) < tilt_deg < np.degrees(np.arctan(friction)) + 1.2
+
+
+def test_concave_solids_are_concave(rollout) -> None:
+    scene = experiment("NonsmoothContact-1-wood").scene
+    base = scene.body("squarebase")
+    probe = ball("probe", (*base.pose.position_m[:2], base.pose.position_m[2] + 0.02), radius_m=0.005)
+    wall = ball("wall", (base.pose.position_m[0] + 0.04, *base.pose.position_m[1:2], 0.06), radius_m=0.005)
+    dropped = Scene(
+        bodies=(probe, wall, base),
+        contacts=(Contact(first=("probe", "wall"), second=("squarebase",), friction=0.5, restitution=0.0),),
+        duration_s=1.0,
+    )
+    simulation = MUJOCO.build(dropped)
+    simulation.reset(0)
+    simulation.advance(0.5)
+    top = base.pose.position_m[2]
+    heights = simulation.body_states(["probe", "wall"])[:, 2]
+    assert heights[0] == pytest.approx(top - 0.0125 + 0.005, abs=2e-4)
+    assert heights[1] == pytest.approx(top + 0.005, abs=2e-4)
+
+
+def test_inertia_of_a_convex_union_is_that_of_the_solid() -> None:
+    # An L of two boxes; mass and inertia by the parallel-axis theorem.
+    def corners(low: tuple[float, ...], high: tuple[float, ...]) -> tuple:
+        return tuple((x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2]))
+
+    union = ConvexUnion(pieces_m=(corners((0, 0, 0), (0.1, 0.02, 0.02)), corners((0, 0.02, 0), (0.02, 0.08, 0.02))))
+    body = RigidBody(name="l", shape=union, motion=Motion.DYNAMIC, pose=Pose(position_m=(0, 0, 0)), mass_kg=0.5)
+    model = MUJOCO.build(Scene(bodies=(body,), duration_s=1.0)).model
+    boxes = [
+        (np.array([0.1, 0.02, 0.02]), np.array([0.05, 0.01, 0.01])),
+        (np.array([0.02, 0.06, 0.02]), np.array([0.01, 0.05, 0.01])),
+    ]
+    masses = 0.5 * np.array([size.prod() for size, _ in boxes]) / sum(size.prod() for size, _ in boxes)
+    centre = sum(m * c for m, (_, c) in zip(masses, boxes, strict=True)) / 0.5
+    about_z = sum(
+        m * ((size[0] ** 2 + size[1] ** 2) / 12 + ((c - centre)[:2] ** 2).sum())
+        for m, (size, c) in zip(masses, boxes, strict=True)
+    )
+    assert union.volume_m3 == pytest.approx(0.1 * 0.02 * 0.02 + 0.02 * 0.06 * 0.02)
+    assert model.body("l").ipos == pytest.approx(centre, abs=1e-9)
+    assert max(model.body("l").inertia) == pytest.approx(about_z, rel=1e-6)
+
+
+def test_cradle_with_calibrated_restitution_repeats_the_papers_finding(rollout) -> None:
+    *_, info = rollout("NewtonsCradle-metal")
+    assert 0.2 <= info["score"].mte_normalized <= 0.3
+    assert info["score"].lsd_normalized < 0.2
+
+
+def test_cradle_with_effective_restitution_is_the_real_one(rollout) -> None:
+    _, trajectory, info = rollout("NewtonsCradle-metal", parameters="effective")
+    assert info["score"].mte == pytest.approx(0.93, abs=0.01)
+    assert info["score"].lsd_s > 0.2
+    height = trajectory.frames[:90, 2] - trajectory.frames[0, 2]
+    in_row = height < 1.0
+    rests = np.flatnonzero(np.diff(in_row.astype(int)) == 1)
+    assert len(rests) >= 3
+
+
+def test_wall_stands_until_it_is_hit(rollout) -> None:
+    env, trajectory, info = rollout("WallBreaking-wood")
+    bricks = trajectory.frames.reshape(len(trajectory.frames), -1, 3)
+    moved = np.linalg.norm(bricks - bricks[0], axis=2)
+    assert bricks.shape[1] == 118
+    assert "diverged" not in info
+    # The ball falls freely on its string for at least 0.2 s.
+    assert moved[:7].max() < 1.0
+    assert moved[-1].max() > 50.0
+    assert env.simulation.settings["preset"] == "stack"
+
+
+def test_state_restores_bit_for_bit() -> None:
+    simulation = MUJOCO.build(experiment("NonsmoothContact-1-wood").scene)
+    simulation.reset(0)
+    simulation.advance(0.1)
+    kept = simulation.state()
+    simulation.advance(0.2)
+    first = simulation.body_states(["pyramid"])
+    simulation.restore(kept)
+    simulation.advance(0.2)
+    assert np.array_equal(first, simulation.body_states(["pyramid"]))
+
+
+def test_hinged_body_velocity_is_the_derivative_of_its_position() -> None:
+    bob = ball("bob", (0.2, 0.0, 1.0), radius_m=0.01)
+    joint = Hinge(body="bob", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
+    states = states_over_time(MUJOCO.build(Scene(bodies=(bob,), joints=(joint,), duration_s=1.0)), "bob", 0.5)
+    central = (states[2:, :3] - states[:-2, :3]) / (2 * SAMPLE_INTERVAL_S)
+    assert states[1:-1, 7:10] == pytest.approx(central, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"preset": "nope"}, UnknownNameError, "nope"),
+        ({"timestep": 0.001}, ParameterError, "timestep"),
+        ({"timestep_s": -1.0}, ParameterError, "timestep_s"),
+        ({"timestep_s": 0.004}, ParameterError, "whole number"),
+        ({"integrator": "magic"}, ParameterError, "integrator"),
+    ],
+)
+def test_wrong_settings_are_named(settings: dict, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        MUJOCO.build(experiment("SlopeSlider-2-wood").scene, settings)
+
+
+def test_frames_hold_a_whole_number_of_samples() -> None:
+    assert SAMPLES_PER_FRAME * SAMPLE_INTERVAL_S == pytest.approx(1 / 30)

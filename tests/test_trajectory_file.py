@@ -1,0 +1,292 @@
+"""Trajectory files of users: three formats give one score; each flaw is named with file, place and expectation."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gauge_envs import experiment, reference_band, score_trajectory
+from gauge_envs.benchmark import score_file
+from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.trajectory_file import coordinate_names, observable_unit, read_trajectory
+
+NAME = "SlopeSlider-2-wood"
+RESOLVED = experiment(NAME)
+FRAMES = RESOLVED.frame_count
+
+
+def coulomb_slide(times_s):
+    """g(t) [mm] of a cube that slides from its start with the calibrated friction, shape [T, 3]."""
+    slope, friction = np.radians(30.0), 0.273673
+    acceleration = GRAVITY_M_PER_S2 * (np.sin(slope) - friction * np.cos(slope))
+    downhill = np.array([np.cos(slope), 0.0, -np.sin(slope)])
+    start = np.array(RESOLVED.scene.body("cube").pose.position_m)
+    return 1e3 * (start + 0.5 * acceleration * np.square(times_s)[:, None] * downhill)
+
+
+TIMES = np.arange(FRAMES) / 30.0
+SLIDE = coulomb_slide(TIMES)
+
+
+def write_csv(path, values, *, header="cube.x,cube.y,cube.z", times=None):
+    table = values if times is None else np.column_stack([times, values])
+    lines = [",".join(repr(float(v)) for v in row) for row in table]
+    path.write_text("\n".join([*([header] if header else []), *lines]) + "\n")
+    return path
+
+
+def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
+    file = write_csv(tmp_path / "slide.csv", SLIDE)
+    result, interpolated = score_file(file, variant=NAME)
+    assert result.score == score_trajectory(RESOLVED, reference_band(RESOLVED), times_s=TIMES, values=SLIDE)
+    # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
+    assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
+    assert (interpolated, result.backend, result.wall_s, result.seed) == (0, None, None, None)
+    assert (result.settings, result.frames, result.sim_s) == ({}, FRAMES, pytest.approx(0.6))
+
+
+def test_csv_npz_and_json_score_the_same(tmp_path):
+    csv = write_csv(tmp_path / "a.csv", SLIDE, header="time_s,cube.x [mm],cube.y [mm],cube.z [mm]", times=TIMES)
+    np.savez(tmp_path / "a.npz", g=SLIDE, time_s=TIMES)
+    (tmp_path / "a.json").write_text(json.dumps({"id": NAME, "time_s": TIMES.tolist(), "g": SLIDE.tolist()}))
+    scores = [score_file(tmp_path / f"a.{s}", variant=NAME)[0].score for s in ("npz", "json")]
+    scores += [score_file(csv, variant=NAME)[0].score, score_file(tmp_path / "a.json")[0].score]
+    assert all(score == scores[0] for score in scores)
+
+
+@pytest.mark.parametrize("header", ["cube.z,cube.x,cube.y", "# made by hand\ncube.z,cube.x,cube.y"])
+def test_named_columns_may_come_in_any_order(tmp_path, header):
+    file = write_csv(tmp_path / "a.csv", SLIDE[:, [2, 0, 1]], header=header)
+    np.testing.assert_array_equal(read_trajectory(file, RESOLVED).values, SLIDE)
+
+
+def test_other_headers_and_no_header_go_by_position(tmp_path):
+    for header in ("", "px,py,pz"):
+        np.testing.assert_array_equal(
+            read_trajectory(write_csv(tmp_path / "a.csv", SLIDE, header=header), RESOLVED).values, SLIDE
+        )
+
+
+def test_numpys_commented_header_names_the_time(tmp_path):
+    np.savetxt(tmp_path / "a.csv", np.column_stack([TIMES, SLIDE]), delimiter=",", header="time_s,x,y,z")
+    np.testing.assert_allclose(read_trajectory(tmp_path / "a.csv", RESOLVED).values, SLIDE)
+
+
+def test_times_with_three_digits_are_frames(tmp_path):
+    file = write_csv(tmp_path / "a.csv", SLIDE, header="time_s,x,y,z", times=np.round(TIMES, 3))
+    read = read_trajectory(file, RESOLVED)
+    np.testing.assert_allclose(read.times_s, TIMES)
+    np.testing.assert_array_equal(read.values, SLIDE)
+    assert read.interpolated_frames == 0
+
+
+def test_frames_between_samples_are_interpolated_and_counted(tmp_path):
+    times = np.arange(0.0, 0.61, 0.01)
+    file = write_csv(tmp_path / "a.csv", coulomb_slide(times), header="time_s,x,y,z", times=times)
+    read = read_trajectory(file, RESOLVED)
+    assert read.interpolated_frames == 12  # every frame but those at multiples of 0.1 s
+    at_frames = read.values[np.isin(read.times_s, TIMES)]
+    np.testing.assert_allclose(at_frames, SLIDE, atol=0.04)  # a dt^2 / 8 = 0.032 mm
+
+
+def test_what_comes_after_the_last_frame_is_not_used(tmp_path):
+    longer = coulomb_slide(np.arange(2 * FRAMES) / 30.0)
+    result, _ = score_file(write_csv(tmp_path / "a.csv", longer), variant=NAME)
+    exact, _ = score_file(write_csv(tmp_path / "b.csv", SLIDE), variant=NAME)
+    assert result.score == exact.score
+
+
+def broken(row, column, text):
+    rows = [[repr(float(v)) for v in r] for r in SLIDE]
+    rows[row][column] = text
+    return "cube.x,cube.y,cube.z\n" + "\n".join(map(",".join, rows))
+
+
+def timed(times):
+    return "time_s,x,y,z\n" + "\n".join(f"{t},1,2,3" for t in times)
+
+
+FLAWED_CSV = {
+    "empty": ("", ["file is empty"]),
+    "header only": ("cube.x,cube.y,cube.z\n", ["0 rows", "19 frames are needed"]),
+    "two columns": ("1,2\n3,4\n", ["line 1", "2 columns", "expected 3 columns", "cube.x [mm]", "cube.z [mm]"]),
+    "time without header": ("0,1,2,3\n", ["line 1", "4 columns", "header that names it time_s"]),
+    "semicolons": ("1;2;3\n", ["line 1", "separated by commas"]),
+    "ragged": ("1,2,3\n1,2\n", ["line 2", "2 columns"]),
+    "nan": (broken(4, 1, "nan"), ["line 6", "cube.y", "'nan'", "finite number [mm]"]),
+    "infinite": (broken(4, 2, "-inf"), ["line 6", "cube.z", "finite"]),
+    "text": (broken(7, 0, "abc"), ["line 9", "cube.x", "'abc'", "expected a number [mm]"]),
+    "blank field": (broken(7, 0, ""), ["line 9", "cube.x", "expected a number"]),
+    "huge": (broken(7, 0, "1e300"), ["line 9", "cube.x", "at most"]),
+    "too short": ("1,2,3\n" * 5, ["5 rows end at 0.1333 s", "19 frames are needed"]),
+    "one row": ("1,2,3\n", ["1 rows", "19 frames are needed"]),
+    "late start": (timed(1.0 + TIMES), ["row 0", "time_s is 1", "expected 0"]),
+    "backwards": (timed([0.0, 0.2, 0.1, 0.6]), ["row 2", "time_s is 0.1 after 0.2", "increasing"]),
+    "standing": (timed([0.0, 0.1, 0.1, 0.6]), ["row 2", "increasing"]),
+    "gap": (timed([0.0, 1 / 30, 0.5, 0.6]), ["no sample at frame 2", "0.0333", "0.5000"]),
+    "bad time": (timed([0.0, "x"]), ["line 3", "time_s is 'x'", "expected a number [s]"]),
+    "metres": ("cube.x [m],cube.y [m],cube.z [m]\n1,2,3\n", ["header", "cube.x is in [m]", "expected [mm]"]),
+    "wrong name": ("cube.x,cube.y,cube.w\n1,2,3\n", ["header", "no column 'cube.z'"]),
+    "extra name": ("cube.x,cube.y,cube.z,ball.x\n1,2,3,4\n", ["header", "unknown column 'ball.x'"]),
+    "twice": ("cube.x,cube.x,cube.z\n1,2,3\n", ["header", "'cube.x' appears twice"]),
+    "header width": ("time_s,a,b\n0,1,2\n", ["header", "2 columns beside time_s"]),
+}
+
+
+@pytest.mark.parametrize("flaw", FLAWED_CSV)
+def test_flawed_csv(tmp_path, flaw):
+    text, expected = FLAWED_CSV[flaw]
+    file = tmp_path / "flawed.csv"
+    file.write_text(text)
+    with pytest.raises(TrajectoryFileError) as error:
+        read_trajectory(file, RESOLVED)
+    for part in (str(file), *expected):
+        assert part in str(error.value)
+
+
+NAN_ROW = SLIDE.copy()
+NAN_ROW[3, 1] = np.nan
+
+FLAWED_NPZ = {
+    "no g": ({"x": SLIDE}, ["no array 'g'", "it has: x"]),
+    "shape": ({"g": SLIDE[:, :2]}, ["[19, 2]", "expected [T, 3]"]),
+    "flat": ({"g": SLIDE[:, 0]}, ["[19]", "expected [T, 3]"]),
+    "nan": ({"g": NAN_ROW}, ["g, row 3", "cube.y", "nan", "finite"]),
+    "text": ({"g": SLIDE.astype(str)}, ["g: holds", "expected numbers"]),
+    "objects": ({"g": SLIDE.astype(object)}, ["not an NPZ file"]),
+    "time length": ({"g": SLIDE, "time_s": TIMES[:5]}, ["time_s", "[5]", "[19]"]),
+    "time nan": ({"g": SLIDE, "time_s": np.where(TIMES > 0.5, np.nan, TIMES)}, ["row 16", "time_s is nan"]),
+}
+
+
+@pytest.mark.parametrize("flaw", FLAWED_NPZ)
+def test_flawed_npz(tmp_path, flaw):
+    arrays, expected = FLAWED_NPZ[flaw]
+    file = tmp_path / "flawed.npz"
+    np.savez(file, **arrays)
+    with pytest.raises(TrajectoryFileError) as error:
+        read_trajectory(file, RESOLVED)
+    for part in (str(file), *expected):
+        assert part in str(error.value)
+
+
+FLAWED_JSON = {
+    "not json": ("{", ["not a JSON file"]),
+    "a list": ("[1]", ["expected a JSON object", "list"]),
+    "no g": ('{"x": 1}', ["no list 'g'", "expected 3 columns"]),
+    "nan": ('{"g": [[1, 2, 3], [1, NaN, 3]]}', ["g, row 1", "cube.y", "finite"]),
+    "null": ('{"g": [[1, 2, null]]}', ["g, row 0", "cube.z is None", "expected a number"]),
+    "true": ('{"g": [[1, 2, true]]}', ["cube.z is True", "expected a number"]),
+    "huge": ('{"g": [[1, 2, 1' + "0" * 400 + "]]}", ["cube.z is a huge integer"]),
+    "nested": ('{"g": [[1, 2, [3]]]}', ["cube.z is a list of 1"]),
+    "row": ('{"g": [1, 2]}', ["g, row 0", "not a list of numbers"]),
+    "times": ('{"g": [[1, 2, 3]], "time_s": [0, 1]}', ["time_s", "2 entries", "list of 1 times"]),
+    "id": ('{"id": 7, "g": []}', ["id is 7", "expected text"]),
+    "deep": ("[" * 100_000, ["not a JSON file"]),
+}
+
+
+@pytest.mark.parametrize("flaw", FLAWED_JSON)
+def test_flawed_json(tmp_path, flaw):
+    text, expected = FLAWED_JSON[flaw]
+    file = tmp_path / "flawed.json"
+    file.write_text(text)
+    with pytest.raises(TrajectoryFileError) as error:
+        score_file(file, variant=NAME)
+    for part in (str(file), *expected):
+        assert part in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("no.csv", "No such file"), (".", "unknown suffix"), ("a.xlsx", "unknown suffix '.xlsx'")]
+)
+def test_unreadable_files(tmp_path, name, expected):
+    with pytest.raises(TrajectoryFileError, match=expected):
+        read_trajectory(tmp_path / name, RESOLVED)
+
+
+def test_the_id_is_needed_and_must_not_contradict_the_file(tmp_path):
+    file = write_csv(tmp_path / "a.csv", SLIDE)
+    with pytest.raises(TrajectoryFileError, match="states no id"):
+        score_file(file)
+    (tmp_path / "a.json").write_text(json.dumps({"id": NAME, "g": SLIDE.tolist()}))
+    with pytest.raises(TrajectoryFileError, match="SlopeSlider-2-metal was asked for"):
+        score_file(tmp_path / "a.json", variant="SlopeSlider-2-metal")
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "unit"),
+    [
+        (NAME, ("cube.x", "cube.y", "cube.z"), "mm"),
+        ("TextileFlinging-satin", ("marker-0", "marker-1"), "rad"),
+        ("FoamBending-soft", ("face-0", "face-1"), "mm^2"),
+        ("CantileverBeam-soft", ("marker-0.x", "marker-0.y", "marker-0.z"), "mm"),
+        ("TextileBending-satin", ("marker-1",), "rad"),
+    ],
+)
+def test_coordinates_of_every_observable_have_names(name, first, unit):
+    resolved = experiment(name)
+    assert coordinate_names(resolved)[: len(first)] == first
+    assert observable_unit(resolved) == unit
+
+
+def valid_npz():
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, g=SLIDE, time_s=TIMES)
+    return buffer.getvalue()
+
+
+NPZ = valid_npz()
+
+
+def only_a_trajectory_file_error(folder, suffix, content):
+    file = folder / f"random.{suffix}"
+    file.write_bytes(content)
+    try:
+        read = read_trajectory(file, RESOLVED)
+    except TrajectoryFileError:
+        return
+    assert np.isfinite(read.values).all()
+    assert (np.diff(read.times_s) > 0).all()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("random")
+
+
+@settings(max_examples=150, deadline=None)
+@given(suffix=st.sampled_from(["csv", "npz", "json"]), content=st.binary(max_size=300))
+def test_random_bytes_are_only_ever_a_trajectory_file_error(folder, suffix, content):
+    only_a_trajectory_file_error(folder, suffix, content)
+
+
+@settings(max_examples=150, deadline=None)
+@given(at=st.integers(0, len(NPZ) - 1), byte=st.integers(0, 255), cut=st.booleans())
+def test_damaged_archives_are_only_ever_a_trajectory_file_error(folder, at, byte, cut):
+    only_a_trajectory_file_error(folder, "npz", NPZ[:at] if cut else NPZ[:at] + bytes([byte]) + NPZ[at + 1 :])
+
+
+CELL = st.sampled_from(["", " ", "0", "1", "-1e9", "nan", "1e400", "x", "#", "time_s", "cube.x", '"', "[", "0.0333"])
+
+
+@settings(max_examples=150, deadline=None)
+@given(rows=st.lists(st.lists(CELL, max_size=5), max_size=25))
+def test_odd_tables_are_only_ever_a_trajectory_file_error(folder, rows):
+    only_a_trajectory_file_error(folder, "csv", "\n".join(map(",".join, rows)).encode())
+
+
+LEAF = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
+VALUE = st.recursive(LEAF, st.lists, max_leaves=8)
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3), st.lists, max_leaves=8
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(g=VALUE, time_s=VALUE)
+def test_odd_json_is_only_ever_a_trajectory_file_error(folder, g, time_s):
+    only_a_trajectory_file_error(folder, "json", json.dumps({"g": g, "time_s": time_s}).encode())
