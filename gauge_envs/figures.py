@@ -14,7 +14,7 @@ from gauge_envs.env import reference_band
 from gauge_envs.errors import MissingExtraError, ResultFileError, ShapeError
 from gauge_envs.reference import Band, BandGrade, published_baselines
 from gauge_envs.report import ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, result_label
-from gauge_envs.result import Result
+from gauge_envs.result import RecordedTrajectory, Result
 from gauge_envs.task import FRAME_RATE_HZ, Experiment, experiment
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _draw_results(axis: Axes, results: Sequence[Result], band: Band, column: int
     end = (len(band.mean) - 1) / FRAME_RATE_HZ
     low, high = axis.get_ylim()
     for result, color, label in zip(results, _colors(results), _labels(results), strict=True):
-        times, samples = _samples(result)
+        times, samples = _recorded(result).arrays()
         values = band.project(samples)[:, column]
         low, high = _span(low, high, values)
         ending = ", diverged" if result.diverged else ""
@@ -178,12 +178,12 @@ def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, 
 
 def _draw_coordinates(axes: Sequence[Axes], results: Sequence[Result]) -> None:
     """Curves of an experiment without a band: a panel each for x, y and z, a colour a body, a line style a result."""
-    assert results[0].trajectory is not None
-    names, unit = results[0].trajectory.coordinates, results[0].trajectory.unit
+    recorded = _recorded(results[0])
+    names, unit = recorded.coordinates, recorded.unit
     bodies = list(dict.fromkeys(name.rpartition(".")[0] or name for name in names))
     many = len(bodies) * len(results) > MOST_LEGEND_ENTRIES
     for position, (result, label) in enumerate(zip(results, _labels(results), strict=True)):
-        times, samples = _samples(result)
+        times, samples = _recorded(result).arrays()
         style = LINE_STYLES[position % len(LINE_STYLES)]
         for index, name in enumerate(names):
             body, _, direction = name.rpartition(".")
@@ -205,13 +205,13 @@ def _draw_coordinates(axes: Sequence[Axes], results: Sequence[Result]) -> None:
 
 
 def _axis_names(result: Result) -> tuple[str, ...]:
-    assert result.trajectory is not None
-    return ("x", "y", "z") if all("." in name for name in result.trajectory.coordinates) else ("g(t)",)
+    return ("x", "y", "z") if all("." in name for name in _recorded(result).coordinates) else ("g(t)",)
 
 
-def _samples(result: Result) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    assert result.trajectory is not None
-    return result.trajectory.arrays()
+def _recorded(result: Result) -> RecordedTrajectory:
+    if result.trajectory is None:
+        raise ShapeError(f"{result.id} did not run, there is nothing to draw: {result.error}")
+    return result.trajectory
 
 
 def _tidy(axis: Axes) -> None:

@@ -213,8 +213,11 @@ def _read_csv(layout: _Layout) -> Columns:
         raise layout.error("", f"not a CSV file: {error}") from error
     if not lines:
         raise layout.error("", "no rows")
+    place, first = lines[0]
+    if len(first) == 1 < len(layout.names) and len(first[0].replace(";", " ").split()) > 1:
+        raise layout.error(place, f"one column, expected columns separated by commas; {layout.expected}")
     header = comment
-    if not any(_is_number(field) for field in lines[0][1]) and "" not in lines[0][1]:
+    if not any(_is_number(field) for field in first) and "" not in first:
         header = lines.pop(0)[1]
     places, rows = [place for place, _ in lines], [fields for _, fields in lines]
     order, time_column = _csv_columns(layout, header)
@@ -223,9 +226,7 @@ def _read_csv(layout: _Layout) -> Columns:
         if len(fields) != width:
             timed = "time_s and then " if time_column == 0 else "time_s and " if time_column is not None else ""
             named = "" if header else "; a time column needs a header that names it time_s"
-            spaced = len(fields) == 1 and len(fields[0].replace(";", " ").split()) > 1
-            split = "; columns are separated by commas" if spaced else ""
-            raise layout.error(place, f"{len(fields)} columns, {timed}{layout.expected}{split or named}")
+            raise layout.error(place, f"{len(fields)} columns, {timed}{layout.expected}{named}")
     times = None
     if time_column is not None:
         times = np.array(

@@ -258,8 +258,8 @@ def test_turning_table_carries_a_cube_round_with_the_stated_outward_creep() -> N
     cube, _ = drive(MUJOCO.build(scene), scene, 1.75)
     angle = np.arctan2(cube[1], cube[0])
     assert np.angle(np.exp(1j * (angle - speed * 1.5))) == pytest.approx(0.0, abs=0.01)
-    # MuJoCo leaves the contact point's own rotation out: outward creep of about omega^2 r tau, 0.4 mm/s here.
-    assert 0.0 < np.hypot(cube[0], cube[1]) - 0.05 < 1.2e-3
+    # MuJoCo leaves the contact point's own rotation out: outward creep of about omega^2 r tau / 2, 0.2 mm/s here.
+    assert 0.0 < np.hypot(cube[0], cube[1]) - 0.05 < 6e-4
 
 
 def test_driven_body_follows_its_path_exactly_under_load(rollout) -> None:

@@ -58,9 +58,9 @@ class SettingsMuJoCo(BaseModel):
 PRESETS: dict[str, SettingsMuJoCo] = {
     # Chosen on closed forms, not on scores: a slide's acceleration and hops, creep on a slope that holds, drift on a
     # plate at constant speed. MuJoCo's contact constraints leave out the acceleration that comes from the rotation of
-    # the contact point, so a body carried round at omega slips outward at about omega^2 r times the contact's time
-    # constant: 25 mm/s with the default 0.02 s at 4 rad/s and 74 mm, 2 mm/s with 0.002 s. So short a time constant
-    # needs the short step. The elliptic cone with impratio 10 keeps creep at micrometres a second.
+    # the contact point, so a body carried round at omega slips outward at about omega^2 r times half the contact's
+    # time constant: 11 mm/s with the default 0.02 s at 4 rad/s and 74 mm, 1 mm/s with 0.002 s. So short a time
+    # constant hops when sliding unless the step is short too. The elliptic cone with impratio 10 keeps creep at 2 um/s.
     "contact": SettingsMuJoCo(preset="contact", timestep_s=1 / 9000),
     # Bodies that touch and collide in a chain: an impedance close to 1 keeps the contacts between them hard, so that
     # the impulse leaves one contact before it builds up in the next.

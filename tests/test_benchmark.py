@@ -1,0 +1,302 @@
+"""Episodes and result files: complete, written whole, resumed only where they are of the very same episode."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gauge_envs.benchmark
+import gauge_envs.result
+from gauge_envs import find_variant
+from gauge_envs.backends.mujoco import backend as mujoco_backend
+from gauge_envs.benchmark import check_request, run_episode, run_many, score_file
+from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.figures import draw_experiment, save_figures
+from gauge_envs.result import Outcome, load_result, result_file_name, write_result
+
+NAME = "SlopeSlider-2-wood"
+THREE = ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"]
+SOFT = "FoamBending-soft"
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run_episode(NAME)
+
+
+@pytest.fixture
+def run_count(monkeypatch):
+    """How many episodes were started, as a list that grows."""
+    started = []
+    reset = mujoco_backend.SimulationMuJoCo.reset
+
+    def counted(self, seed):
+        started.append(seed)
+        reset(self, seed)
+
+    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", counted)
+    return started
+
+
+def interrupt_in_episode(monkeypatch, number):
+    """Ctrl-C while an episode is being stepped: the engine raises KeyboardInterrupt in the given one."""
+    count = 0
+    reset, states = mujoco_backend.SimulationMuJoCo.reset, mujoco_backend.SimulationMuJoCo.body_states
+
+    def counted(self, seed):
+        nonlocal count
+        count += 1
+        reset(self, seed)
+
+    def interrupted(self, names):
+        if count == number:
+            raise KeyboardInterrupt
+        return states(self, names)
+
+    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", counted)
+    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "body_states", interrupted)
+
+
+def test_a_result_says_all_that_is_needed_to_repeat_it(result):
+    values = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    assert (values["id"], values["backend"], values["parameters"], values["seed"]) == (
+        "GAUGE/SlopeSlider-2-wood",
+        "mujoco",
+        "calibrated",
+        0,
+    )
+    assert (values["outcome"], values["diverged"], values["error"]) == ("finished", False, None)
+    assert (values["frames"], values["sim_s"]) == (19, pytest.approx(0.6))
+    assert values["wall_s"] > 0
+    assert {"mujoco", "gauge-envs", "gymnasium", "numpy", "python"} <= values["versions"].keys()
+    assert values["settings"]["timestep_s"] > 0
+    assert len(values["task_sha256"]) == 64
+    assert values["score"]["grade"] == "trials"
+    assert values["score"]["lsd_s"] is None
+    assert values["trajectory"]["coordinates"] == ["cube.x", "cube.y", "cube.z"]
+    assert len(values["trajectory"]["samples"]) == 18 * 6 + 1
+    assert "trajectory" not in result.to_dict(trajectory=False)
+
+
+def test_a_file_read_back_is_the_same_result_and_scores_the_same(result, tmp_path):
+    file = tmp_path / result_file_name(result)
+    write_result(result, file)
+    assert file.name == "SlopeSlider-2-wood.mujoco.calibrated.json"
+    assert load_result(file) == result
+    assert score_file(file)[0].score == result.score
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_driven_and_undriven_experiments_take_zero_actions():
+    driven = run_episode("SlopeSlider-3-metal")
+    assert driven.driver_provenance == "video"
+    assert driven.outcome is Outcome.FINISHED
+    assert driven.score.grade == "none"
+
+
+def test_file_names_tell_all_requests_apart(result):
+    from dataclasses import replace
+
+    others = [
+        replace(result, parameters="effective"),
+        replace(result, parameters={"cube.friction": 0.3}),
+        replace(result, parameters={"cube.friction": 0.31}),
+        replace(result, settings_given={"iterations": 50}),
+        replace(result, settings_given={"iterations": 51}),
+        replace(result, seed=1),
+        replace(result, backend="newton"),
+    ]
+    assert len({result_file_name(r) for r in [result, *others]}) == 8
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"variant": "SlopeSlider-2-gold"}, UnknownNameError),
+        ({"backend": "warp"}, UnknownNameError),
+        ({"parameters": "nonsense"}, ParameterError),
+        ({"parameters": {"cube.friction": -1}}, ParameterError),
+        ({"settings": {"nope": 1}}, ParameterError),
+        ({"seed": -1}, ParameterError),
+        ({"variant": SOFT}, UnsupportedSceneError),
+    ],
+)
+def test_wrong_requests(options, error):
+    with pytest.raises(error):
+        run_episode(**({"variant": NAME} | options))
+
+
+def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
+    three = [find_variant(name) for name in THREE]
+    for wrong in ({"parameters": "nonsense"}, {"settings": {"nope": 1}}):
+        with pytest.raises(ParameterError):
+            check_request(three, **({"backends": ["mujoco"], "parameters": "calibrated", "settings": None} | wrong))
+    with pytest.raises(UnknownNameError):
+        check_request(three, backends=["warp"], parameters="calibrated", settings=None)
+    assert run_count == []
+
+
+def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
+    reset = mujoco_backend.SimulationMuJoCo.reset
+
+    def fails_for_plastic(self, seed):
+        if abs(self.model.body_mass.max() - 0.1469) < 1e-6 or 0.1469 in self.model.body_mass.round(6):
+            raise RuntimeError("the engine gave up")
+        reset(self, seed)
+
+    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", fails_for_plastic)
+    results = list(run_many([SOFT, *THREE], out=tmp_path))
+    assert [r.outcome.value for r in results] == ["declined", "finished", "failed", "finished"]
+    assert "deformable" in results[0].error
+    assert results[2].error == "RuntimeError: the engine gave up"
+    assert results[2].score.grade == "trials"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_missing_parameter_set_declines():
+    declined, finished = run_many(["SlopeSlider-2-wood", "BouncingBall-rubber"], parameters="effective")
+    assert (declined.outcome, finished.outcome) == (Outcome.DECLINED, Outcome.FINISHED)
+    assert "effective" in declined.error
+
+
+def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
+    states = mujoco_backend.SimulationMuJoCo.body_states
+
+    def exploding(self, names):
+        values = states(self, names)
+        if self.data.time > 0.2:
+            values[:, :3] = np.inf
+            values[:, 7:10] = np.inf
+        return values
+
+    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "body_states", exploding)
+    (result,) = run_many([NAME], out=tmp_path)
+    assert (result.outcome, result.diverged, result.frames < 19) == (Outcome.DIVERGED, True, True)
+    assert "not finite" in result.diverged_reason
+    assert result.score.rmse is None
+    (file,) = tmp_path.iterdir()
+    assert load_result(file).diverged
+    assert "Infinity" not in file.read_text()
+    assert draw_experiment([load_result(file)])
+
+
+@pytest.mark.parametrize("out", ["/proc/nowhere", __file__, f"{__file__}/below"])
+def test_an_unwritable_folder_is_refused_before_anything_runs(out, run_count):
+    with pytest.raises(ResultFileError, match="cannot be written"):
+        run_many([NAME], out=Path(out))
+    assert run_count == []
+
+
+# --- resume ---
+
+
+def test_resume_goes_on_after_an_interrupt(tmp_path, monkeypatch, run_count):
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        interrupt_in_episode(patched, 2)
+        list(run_many(THREE, out=tmp_path))
+    assert [f.name for f in tmp_path.iterdir()] == ["SlopeSlider-2-wood.mujoco.calibrated.json"]
+    run_count.clear()
+    results = list(run_many(THREE, out=tmp_path, resume=True))
+    assert [r.outcome for r in results] == [Outcome.FINISHED] * 3
+    assert len(run_count) == 2
+    assert results == list(run_many(THREE, out=tmp_path, resume=True))
+    assert len(run_count) == 2
+
+
+def test_a_crash_while_writing_leaves_no_result_file(tmp_path, monkeypatch, result):
+    def crash(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(gauge_envs.result.os, "fsync", crash)
+    with pytest.raises(ResultFileError, match="No space left"):
+        write_result(result, tmp_path / "a.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_resume_everything_runs_again(tmp_path, run_count):
+    for _ in range(2):
+        list(run_many([NAME], out=tmp_path))
+    assert len(run_count) == 2
+
+
+@pytest.mark.parametrize(
+    "request_", [{"seed": 1}, {"settings": {"iterations": 50}}, {"parameters": {"cube.friction": 0.3}}]
+)
+def test_resume_takes_no_result_of_another_request(tmp_path, run_count, request_):
+    list(run_many([NAME], out=tmp_path))
+    for _ in range(2):
+        list(run_many([NAME], out=tmp_path, resume=True, **request_))
+    assert len(run_count) == 2
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "note"),
+    [
+        ("task_sha256", "0" * 64, "task_sha256 differs"),
+        ("seed", 5, "seed differs"),
+        ("versions", {"mujoco": "3.0.0", "gauge-envs": "0.1.0"}, "made with mujoco 3.0.0"),
+    ],
+)
+def test_resume_runs_stale_results_again_and_says_so(tmp_path, run_count, key, value, note):
+    (result,) = run_many([NAME], out=tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_text(json.dumps(result.to_dict() | {key: value}))
+    notes = []
+    list(run_many([NAME], out=tmp_path, resume=True, notify=notes.append))
+    assert len(run_count) == 2
+    assert note in notes[0]
+    assert file.name in notes[0]
+
+
+def damage(text, kind):
+    values = json.loads(text)
+    if kind == "cut":
+        return text[: len(text) // 2]
+    if kind == "no score":
+        del values["score"]
+    if kind == "uneven":
+        values["trajectory"]["times_s"].pop()
+    if kind == "type":
+        values["frames"] = "many"
+    if kind == "id":
+        values["id"] = "GAUGE/Nothing"
+    return {"list": "[]", "empty": ""}.get(kind, json.dumps(values))
+
+
+@pytest.mark.parametrize("kind", ["cut", "empty", "list", "no score", "uneven", "type", "id"])
+def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
+    (result,) = run_many([NAME], out=tmp_path)
+    (file,) = tmp_path.iterdir()
+    for count in (1, 2):
+        damaged = damage(json.dumps(result.to_dict()), kind)
+        file.write_text(damaged)
+        with pytest.raises(ResultFileError, match="not a result file"):
+            load_result(file)
+        notes = []
+        (again,) = run_many([NAME], out=tmp_path, resume=True, notify=notes.append)
+        assert again.score == result.score
+        assert load_result(file).score == result.score
+        aside = tmp_path / (file.name + (".damaged" if count == 1 else ".damaged-2"))
+        assert aside.read_text() == damaged
+        assert file.name in notes[0]
+        assert aside.name in notes[0]
+
+
+# --- pictures ---
+
+
+def test_pictures_of_bands_laws_and_nothing(tmp_path, result):
+    others = [run_episode(n) for n in ("SlopeSlider-1-wood", "SlopeSlider-3-metal")]
+    varied = run_episode(NAME, parameters={"cube.friction": 0.25})
+    paths = list(save_figures([result, varied, *others], tmp_path / "plots"))
+    assert [p.name for p in paths] == ["SlopeSlider-2-wood.png", "SlopeSlider-1-wood.png", "SlopeSlider-3-metal.png"]
+    assert all(p.stat().st_size > 10_000 for p in paths)
+
+
+def test_a_picture_needs_one_experiment(result):
+    with pytest.raises(ValueError, match="one experiment"):
+        draw_experiment([])
+    with pytest.raises(ValueError, match="one experiment"):
+        draw_experiment([result, run_episode("SlopeSlider-1-wood")])

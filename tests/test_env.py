@@ -1,0 +1,310 @@
+"""Every id through the same checks, and each misuse its error."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from conftest import RIGID
+from gymnasium.utils.env_checker import check_env
+
+import gauge_envs
+from gauge_envs.errors import (
+    ActionError,
+    EpisodeError,
+    ParameterError,
+    TaskFileError,
+    UnknownNameError,
+    UnsupportedSceneError,
+)
+from gauge_envs.scene import GRAVITY_M_PER_S2
+
+SHORT = tuple(name for name in RIGID if name.split("-")[0] not in ("Pendulum", "NewtonsCradle", "WallBreaking"))
+
+
+def test_75_ids_in_22_families_are_registered() -> None:
+    ids = [key for key in gymnasium.registry if key.startswith("GAUGE/")]
+    assert len(ids) == 75
+    assert len({variant.family for variant in gauge_envs.variants()}) == 22
+    assert {variant.id for variant in gauge_envs.variants()} == set(ids)
+    assert len(RIGID) == 30
+
+
+@pytest.mark.parametrize("name", RIGID)
+def test_gymnasiums_checker_passes(name: str) -> None:
+    env = gymnasium.make(f"GAUGE/{name}").unwrapped
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # The angular velocity of a body has no physical bound, which the checker only remarks on.
+        warnings.filterwarnings("ignore", message=".*(infinity|render|spec).*")
+        check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_same_seed_gives_the_same_trajectory_bit_for_bit(name: str, rollout) -> None:
+    first, second = rollout(name)[1], rollout(name)[1]
+    assert np.array_equal(first.samples, second.samples)
+    assert np.array_equal(first.bodies, second.bodies)
+
+
+@pytest.mark.parametrize("name", ["NewtonsCradle-metal", "WallBreaking-wood", "Pendulum-metal"])
+def test_reset_repeats_the_trajectory_of_the_long_ones(name: str) -> None:
+    env = gymnasium.make(f"GAUGE/{name}")
+    trajectories = []
+    for _ in range(2):
+        env.reset(seed=3)
+        for _ in range(20):
+            env.step(0)
+        trajectories.append(env.unwrapped.trajectory().samples)
+    assert np.array_equal(*trajectories)
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_episode_has_the_published_frames_and_ends_truncated(name: str, rollout) -> None:
+    env, trajectory, info = rollout(name)
+    assert len(trajectory.frames) == env.experiment.frame_count
+    assert len(trajectory.times_s) == 6 * (env.experiment.frame_count - 1) + 1
+    assert trajectory.frames == pytest.approx(trajectory.samples[::6])
+    assert info["frame"] == env.experiment.frame_count - 1
+    assert "diverged" not in info
+    assert isinstance(info["score"], gauge_envs.Score)
+
+
+@pytest.mark.parametrize("name", RIGID)
+def test_episode_starts_from_the_published_pose(name: str) -> None:
+    env = gymnasium.make(f"GAUGE/{name}")
+    observation, info = env.reset(seed=0)
+    scene = env.unwrapped.experiment.scene
+    recorded = env.unwrapped.experiment.recorded
+    expected = np.array([scene.body(body).pose.position_m for body in recorded])
+    assert observation["observable"] == pytest.approx(1e3 * expected.ravel(), abs=1e-6)
+    assert observation["bodies"][:, 7:] == pytest.approx(0.0, abs=1e-12)
+    assert observation["time"] == pytest.approx([0.0])
+    assert info["reference"] == (env.unwrapped.band.grade if env.unwrapped.band else "none")
+
+
+def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
+    env.reset(seed=0)
+    rewards = [env.step(0)[1] for _ in range(18)]
+    band = env.unwrapped.band
+    z = (band.project(env.unwrapped.trajectory().frames) - band.mean)[:, 0] / band.sigma[:, 0]
+    expected = np.where(band.measured, -np.abs(z), 0.0)[1:]
+    assert rewards == pytest.approx(expected)
+    assert min(rewards) < -0.1
+
+
+def test_reward_is_zero_without_a_reference() -> None:
+    env = gymnasium.make("GAUGE/SlopeContact-wood")
+    _, info = env.reset(seed=0)
+    assert info["reference"] == "none"
+    assert env.step(0)[1] == 0.0
+
+
+def test_observation_is_si_and_consistent_with_the_motion() -> None:
+    env = gymnasium.make("GAUGE/BouncingBall-rubber")
+    env.reset(seed=0)
+    observation = [env.step(0)[0] for _ in range(5)][-1]
+    fall_s = 5 / 30
+    assert observation["time"] == pytest.approx([fall_s])
+    assert observation["bodies"][0, 9] == pytest.approx(-GRAVITY_M_PER_S2 * fall_s, rel=1e-6)
+    assert observation["observable"][2] == pytest.approx(1e3 * observation["bodies"][0, 2])
+    assert 0.451023 - observation["bodies"][0, 2] == pytest.approx(0.5 * GRAVITY_M_PER_S2 * fall_s**2, rel=1e-3)
+
+
+def test_zero_action_replays_the_recorded_motion_and_others_add_to_it() -> None:
+    env = gymnasium.make("GAUGE/Turntable-1-wood")
+    angles = []
+    for action in (0.0, 1.0):
+        env.reset(seed=0)
+        for _ in range(10):
+            observation, *_ = env.step(np.array([action]))
+        w, z = observation["driver"][0, 3], observation["driver"][0, 6]
+        angles.append(2 * np.arctan2(z, w))
+    motion = env.unwrapped.experiment.scene.drivers[0].motions[0]
+    assert angles[0] == pytest.approx(motion.value(10 / 30), abs=1e-6)
+    assert angles[1] - angles[0] == pytest.approx(motion.residual_rate * 10 / 30, abs=1e-6)
+
+
+def test_reset_forgets_earlier_actions() -> None:
+    env = gymnasium.make("GAUGE/Turntable-1-wood")
+    runs = []
+    for warm_up in (False, True):
+        if warm_up:
+            env.reset(seed=0)
+            for _ in range(5):
+                env.step(np.array([1.0]))
+        env.reset(seed=0)
+        for _ in range(5):
+            env.step(np.array([0.0]))
+        runs.append(env.unwrapped.trajectory().samples)
+    assert np.array_equal(*runs)
+
+
+def test_law_bands_carry_the_body() -> None:
+    env = gymnasium.make("GAUGE/Turntable-1-metal").unwrapped
+    plate = env.experiment.scene.body("plate").pose.position_m
+    arm = np.hypot(*(1e-3 * env.band.mean[:, :2] - plate[:2]).T)
+    assert arm == pytest.approx(arm[0])
+    assert env.band.grade == "law"
+    holds = gymnasium.make("GAUGE/SlopeSlider-1-metal").unwrapped.band.mean
+    assert np.ptp(holds, axis=0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_scores_against_real_trials(rollout) -> None:
+    limits = {"wood": (0.45, 0.95), "plastic": (0.92, 1.10), "metal": (0.80, 0.78)}
+    for material, (rmse, dtw) in limits.items():
+        score = rollout(f"SlopeSlider-2-{material}")[2]["score"]
+        assert score.grade == "trials"
+        assert score.rmse_normalized <= rmse
+        assert score.dtw_normalized <= dtw
+
+
+def test_bouncing_ball_error_is_release_restitution_and_height(rollout) -> None:
+    calibrated = rollout("BouncingBall-rubber")[2]["score"]
+    effective = rollout("BouncingBall-rubber", parameters="effective")[2]["score"]
+    recorded = rollout("BouncingBall-rubber", parameters="recorded")[2]["score"]
+    assert calibrated.rmse_normalized <= 14.5
+    assert calibrated.release_offset_s == pytest.approx(0.056, abs=0.005)
+    assert calibrated.rmse_aligned_normalized < 0.55 * calibrated.rmse_normalized
+    assert effective.rmse_aligned_normalized <= 1.4
+    assert recorded.rmse_aligned_normalized <= 0.3
+
+
+def test_slower_body_is_scored_as_slower(rollout) -> None:
+    signed = [
+        rollout("SlopeSlider-2-wood", parameters={"cube.friction": mu})[2]["score"].signed_error[0] for mu in (0.2, 0.4)
+    ]
+    assert signed[0] > 0.0 > signed[1]
+
+
+# --- divergence ---
+
+
+def test_a_finite_explosion_terminates_and_says_why() -> None:
+    env = gymnasium.make("GAUGE/BouncingBall-rubber")
+    env.reset(seed=0)
+    env.unwrapped.simulation.data.qvel[0] = 500.0
+    *_, terminated, truncated, info = env.step(0)
+    assert terminated
+    assert not truncated
+    assert "m/s" in info["diverged"]
+    assert info["score"].rmse is None
+    with pytest.raises(EpisodeError, match="over"):
+        env.step(0)
+
+
+def test_energy_from_nowhere_terminates_below_the_speed_limit() -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
+    env.reset(seed=0)
+    scene = env.unwrapped.experiment.scene
+    speed = 1.1 * np.sqrt(2 * scene.kinetic_energy_limit_j / scene.body("cube").mass_kg)
+    assert speed < scene.speed_limit_m_per_s
+    env.unwrapped.simulation.data.qvel[1] = speed
+    *_, terminated, _, info = env.step(0)
+    assert terminated
+    assert "energy" in info["diverged"]
+
+
+def test_nan_terminates() -> None:
+    env = gymnasium.make("GAUGE/BouncingBall-rubber")
+    env.reset(seed=0)
+    simulation = env.unwrapped.simulation
+    simulation.body_states = lambda names: np.full((len(names), 13), np.nan)
+    *_, terminated, _, info = env.unwrapped.step(0)
+    assert terminated
+    assert "finite" in info["diverged"]
+
+
+# --- misuse ---
+
+
+def test_unknown_id_backend_material_and_parameters() -> None:
+    with pytest.raises(gymnasium.error.NameNotFound):
+        gymnasium.make("GAUGE/SlopeSlid-2-wood")
+    with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
+        gauge_envs.GaugeEnv("SlopeSlider-2-wod")
+    with pytest.raises(UnknownNameError, match="mujoco"):
+        gymnasium.make("GAUGE/SlopeSlider-2-wood", backend="mujocoo")
+    with pytest.raises(ParameterError, match="calibrated"):
+        gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters="fitted")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"cubes.friction": 0.3}, "cubes"),
+        ({"cube.frict": 0.3}, "frict"),
+        ({"cube.friction": -0.3}, "friction"),
+        ({"cube.mass_kg": 0.0}, "mass_kg"),
+        ({"cube.position_m": (0.0, 0.0)}, "position_m"),
+        ({"cube.restitution": float("nan")}, "restitution"),
+    ],
+)
+def test_impossible_overrides_are_named(overrides: dict, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters=overrides)
+
+
+@pytest.mark.parametrize("action", [1, -1, "0", None, 0.5, np.array([0.0, 0.0]), np.nan])
+def test_wrong_action_where_nothing_is_driven(action: object) -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-2-wood").unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ActionError):
+        env.step(action)
+
+
+@pytest.mark.parametrize(
+    "action", [np.array([np.nan]), np.array([1.5]), np.zeros(2), 0.0, "left", None, np.array([np.inf])]
+)
+def test_wrong_action_where_a_body_is_driven(action: object) -> None:
+    env = gymnasium.make("GAUGE/Turntable-1-wood").unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ActionError):
+        env.step(action)
+    assert env.step(np.zeros(1))[4]["frame"] == 1
+
+
+def test_step_before_reset_and_after_the_end() -> None:
+    env = gauge_envs.GaugeEnv("SlopeContact-wood")
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(0)
+    with pytest.raises(EpisodeError):
+        env.trajectory()
+    env.reset(seed=0)
+    for _ in range(9):
+        env.step(0)
+    with pytest.raises(EpisodeError, match="over"):
+        env.step(0)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        gymnasium.make("GAUGE/SlopeContact-wood").step(0)
+
+
+def test_unknown_reset_option_and_render_mode() -> None:
+    env = gymnasium.make("GAUGE/SlopeContact-wood")
+    with pytest.raises(ParameterError, match="jitterr"):
+        env.reset(options={"jitterr": True})
+    with pytest.raises(ParameterError, match="rgb_array"):
+        gauge_envs.GaugeEnv("SlopeContact-wood", render_mode="human")
+
+
+@pytest.mark.parametrize("name", [v.name for v in gauge_envs.variants() if v.name not in RIGID])
+def test_an_unsupported_id_says_so_at_make(name: str) -> None:
+    with pytest.raises(UnsupportedSceneError, match=r"deformable body.*no installed backend can run this"):
+        gymnasium.make(f"GAUGE/{name}")
+
+
+def test_spec_rebuilds_the_run() -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters={"cube.friction": 0.2}, settings={"impratio": 1.0})
+    again = gymnasium.make(env.spec)
+    assert again.unwrapped.experiment.overrides == {"cube.friction": 0.2}
+    assert again.unwrapped.simulation.settings == env.unwrapped.simulation.settings
+
+
+def test_a_damaged_task_file_is_named(tmp_path) -> None:
+    path = tmp_path / "broken.toml"
+    path.write_text("family = ")
+    with pytest.raises(TaskFileError, match=r"broken\.toml"):
+        gauge_envs.load_task(path)
