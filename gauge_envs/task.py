@@ -554,17 +554,17 @@ class SubtaskSpec(_Table):
 
 
 class TaskSpec(_Table):
-    """One task file."""
+    """One task file; its keys stand in this order."""
 
     family: str
     title: str
     group: Group
     summary: str
     evaluates: tuple[str, ...]
-    source: SourceSpec
-    decisions: tuple[str, ...] = ()
     materials: tuple[str, ...] = Field(min_length=1)
     metadata_materials: dict[str, str] = {}
+    decisions: tuple[str, ...] = ()
+    source: SourceSpec
     bodies: dict[str, BodySpec] = {}
     cloths: dict[str, ClothSpec] = {}
     soft_bodies: dict[str, SoftBodySpec] = {}
@@ -575,10 +575,10 @@ class TaskSpec(_Table):
     joints: tuple[JointSpec, ...] = ()
     attachments: tuple[AttachmentSpec, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
+    score: ScoreSpec
+    frames: dict[str, Annotated[int, Field(ge=2)]] = {}
     drivers: tuple[DriverSpec, ...] = ()
     markers: MarkersSpec | None = None
-    frames: dict[str, Annotated[int, Field(ge=2)]] = {}
-    score: ScoreSpec
     parameters: dict[str, ParameterSetSpec] = {}
     subtasks: dict[str, SubtaskSpec] = {}
     provenance: dict[str, str]

@@ -389,4 +389,4 @@ def test_wrong_settings_are_named(settings: dict, error: type[Exception], messag
 
 
 def test_frames_hold_a_whole_number_of_samples() -> None:
-    assert SAMPLES_PER_FRAME * SAMPLE_INTERVAL_S == pytest.approx(1 / 30)
+    assert pytest.approx(1 / 30) == SAMPLES_PER_FRAME * SAMPLE_INTERVAL_S

@@ -1,0 +1,99 @@
+"""Prescribed motions against their closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gauge_envs.driver import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile, mean_velocity
+from gauge_envs.scene import Pose
+
+
+def profiles() -> list:
+    return [
+        TrapezoidProfile(start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6),
+        TrapezoidProfile(start_s=0.0, duration_s=1.0, accelerate_s=0.0, brake_s=0.5, amount=0.6),
+        CosineProfile(start_s=0.1, duration_s=1.35, amount=-0.6),
+        SampledProfile(times_s=(0.0, 0.3, 0.5, 1.2), values=(0.0, 0.1, 0.4, 0.35)),
+    ]
+
+
+@pytest.mark.parametrize("profile", profiles(), ids=lambda p: type(p).__name__)
+def test_rate_is_the_derivative_and_stays_below_its_bound(profile) -> None:
+    times = np.linspace(-0.1, 1.7, 4001)
+    rates = np.array([profile.rate(t) for t in times])
+    values = np.array([profile.value(t) for t in times])
+    central = np.gradient(values, times)
+    jump = np.abs(np.diff(rates, append=rates[-1])) > 0.02
+    near_jump = np.convolve(jump, np.ones(5), mode="same") > 0
+    # The slope of a cubic has a kink at each sample, which a central difference rounds off.
+    assert rates[~near_jump] == pytest.approx(central[~near_jump], abs=4e-3)
+    assert np.abs(rates).max() <= profile.largest_rate * (1 + 1e-9)
+
+
+def test_trapezoid_ends_are_exact() -> None:
+    profile = TrapezoidProfile(start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6)
+    assert profile.value(0.2) == 0.0
+    assert profile.value(1.2) == pytest.approx(-0.6)
+    assert profile.value(5.0) == pytest.approx(-0.6)
+    assert profile.cruise_rate == pytest.approx(-0.6 / 0.75)
+    assert profile.value(0.5) == pytest.approx(0.5 * profile.cruise_rate * 0.3)
+
+
+def test_cosine_peaks_in_the_middle() -> None:
+    profile = CosineProfile(start_s=0.0, duration_s=1.35, amount=0.6)
+    assert profile.rate(0.675) == pytest.approx(0.5 * np.pi * 0.6 / 1.35)
+
+
+@given(
+    amount=st.floats(-3.0, 3.0),
+    shift=st.floats(-0.5, 0.5),
+    time_s=st.floats(0.0, 2.0),
+)
+def test_state_is_consistent_between_pose_and_velocity(amount: float, shift: float, time_s: float) -> None:
+    driver = Driver(
+        body="b",
+        motions=(
+            DriverMotion(
+                kind="translate", axis=(1.0, 0.0, 0.0), profiles=(CosineProfile(start_s=0, duration_s=2, amount=shift),)
+            ),
+            DriverMotion(
+                kind="rotate",
+                axis=(0.0, 0.6, 0.8),
+                point_m=(0.1, 0.2, 0.3),
+                profiles=(CosineProfile(start_s=0, duration_s=2, amount=amount),),
+            ),
+        ),
+        provenance="nominal",
+    )
+    start = Pose.from_euler_deg((0.4, -0.1, 0.2), (20.0, 30.0, 40.0))
+    step = 1e-5
+    _, velocity = driver.state(start, time_s)
+    expected = mean_velocity(driver.pose(start, time_s - step), driver.pose(start, time_s + step), 2 * step)
+    # The profile is flat outside its two seconds, so the difference is one-sided at the ends, where it is at rest.
+    assert velocity == pytest.approx(expected, abs=1e-3)
+
+
+def test_rotation_about_a_point_keeps_the_distance() -> None:
+    motion = DriverMotion(
+        kind="rotate",
+        axis=(0.0, 1.0, 0.0),
+        point_m=(0.0, 0.0, -0.038),
+        profiles=(CosineProfile(start_s=0, duration_s=1, amount=np.radians(33.2)),),
+    )
+    driver = Driver(body="b", motions=(motion,), provenance="video")
+    start = Pose(position_m=(0.0, 0.0, 0.0))
+    end = driver.pose(start, 2.0)
+    assert np.linalg.norm(np.subtract(end.position_m, motion.point_m)) == pytest.approx(0.038)
+    # Positive turn about +y takes +z towards +x: the +x end of a board goes down.
+    assert end.position_m[0] == pytest.approx(0.038 * np.sin(np.radians(33.2)))
+    assert end.to_world(np.array([0.25, 0.0, 0.0]))[2] < 0.0
+
+
+def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z() -> None:
+    pose = Pose.from_euler_deg((0.0, 0.0, 0.0), (90.0, 0.0, 90.0))
+    assert pose.to_world(np.array([0.0, 1.0, 0.0])) == pytest.approx([0.0, 0.0, 1.0])
+    assert pose.to_world(np.array([0.0, 0.0, 1.0])) == pytest.approx([1.0, 0.0, 0.0])
+    assert pose.to_body(pose.to_world(np.array([0.1, 0.2, 0.3]))) == pytest.approx([0.1, 0.2, 0.3])

@@ -1,0 +1,126 @@
+"""Task files: every variant resolves, and a wrong file gets an error that names file, key and reason."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gauge_envs.errors import TaskFileError
+from gauge_envs.scene import Scene
+from gauge_envs.task import TaskSpec, experiment, load_task, task_files, task_path, task_spec, variants
+
+ORDER = list(TaskSpec.model_fields)
+
+
+def test_75_variants_resolve_to_a_scene() -> None:
+    scenes = {variant.name: experiment(variant).scene for variant in variants()}
+    assert len(scenes) == 75
+    assert all(isinstance(scene, Scene) for scene in scenes.values())
+    assert all(scene.bodies for scene in scenes.values())
+    for scene in scenes.values():
+        assert 0.5 < scene.speed_limit_m_per_s < 40.0
+        assert scene.floor_height_m > -1.0
+
+
+@pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
+def test_every_file_has_the_same_order(path: Path) -> None:
+    keys = list(tomllib.loads(path.read_text(encoding="utf-8")))
+    assert keys == sorted(keys, key=ORDER.index)
+
+
+@pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
+def test_file_name_is_the_family_in_snake_case(path: Path) -> None:
+    family = load_task(path).family
+    assert path.stem == re.sub(r"(?<!^)(?=[A-Z])", "_", family).lower()
+    assert task_path(family) == path
+
+
+@pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
+def test_every_named_parameter_set_resolves(path: Path) -> None:
+    spec = load_task(path)
+    for name in spec.parameters:
+        for variant in spec.variants():
+            assert experiment(variant, name).parameters == name
+
+
+def test_provenance_prefers_the_longest_match() -> None:
+    spec = task_spec("SlopeSlider")
+    assert spec.provenance_of("initial.all.ground.position_m").startswith("video")
+    assert spec.provenance_of("subtasks.2.initial.wood.cube.position_m").startswith("metadata")
+    assert spec.provenance_of("constants.cube.wood.friction").startswith("metadata")
+
+
+def edited(tmp_path: Path, family: str, old: str, new: str) -> Path:
+    """A task file with one passage changed."""
+    text = task_path(family).read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "edited.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("family", "old", "new", "key", "reason"),
+    [
+        ("SlopeSlider", 'title = "Slope slider"', 'titel = "Slope slider"', "title", "missing key"),
+        ("SlopeSlider", "recorded = true", "recorded = true\nrecordet = true", "bodies.cube.recordet", "unknown key"),
+        ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = -0.0903", "constants.cube.wood.mass_kg", "greater than 0"),
+        ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = nan", "constants.cube.wood.mass_kg", "nan"),
+        ("SlopeSlider", "friction = 0.273673", "fricton = 0.273673", "constants.cube.wood.fricton", "unknown key"),
+        ("SlopeSlider", "restitution = 0.223583", "restitution = 1.2", "constants.cube.wood.restitution", "1.2"),
+        ("SlopeSlider", "[constants.cube]\nwood", "[constants.cube]\noak", "constants.cube.wood", "missing material"),
+        ("SlopeSlider", "[constants.cube]", "[constants.cub]", "constants.cub", "no body"),
+        ("SlopeSlider", "0.08, 0.12", "0.12, 0.08", "profile.0", "times_s[3]"),
+        ("SlopeSlider", 'bodies = ["cube", "board"]', 'bodies = ["cube", "bord"]', "contacts.0", "bord"),
+        ("SlopeSlider", "[subtasks.1.initial.metal]", "[subtasks.1.initial.steel]", "subtasks.1.initial", "steel"),
+        ("SlopeSlider", 'body = "board"', 'body = "bord"', "subtasks.3.drivers.0.body", "bord"),
+        ("SlopeSlider", "axis = [0.0, 1.0, 0.0]", "axis = [0.0, 1.0, 0.1]", "axis", "unit vector"),
+        ("SlopeSlider", "size_m = [0.05, 0.05, 0.05]", "size_m = [0.05, 0.05]", "bodies.cube.shape", ""),
+        ("SlopeSlider", '"constants" = "metadata"', '"constants" = "guess"', "provenance.constants", "guess"),
+        ("SlopeSlider", '"constants" = "metadata"\n', "", "constants", "provenance"),
+        ("SlopeSlider", "frames = { all = 9 }", "frames = { all = 1 }", "subtasks.1.frames", ""),
+        ("NewtonsCradle", 'kind = "hinge"', 'kind = "hing"', "joints", "hing"),
+        ("FoamStretching", "poisson_ratio = 0.23", "poisson_ratio = 0.52", "poisson_ratio", "Poisson ratio 0.52"),
+        ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "markers", "marker index 28 is out of range"),
+        ("StickStack", "used = 0.49", "used = 0.62", "poisson_ratio", "Poisson ratio 0.62"),
+        ("FoamStretching", 'to = "base-1"', 'to = "wall"', "attachments", "wall"),
+    ],
+)
+def test_a_wrong_file_names_file_key_and_reason(
+    family: str, old: str, new: str, key: str, reason: str, tmp_path: Path
+) -> None:
+    path = edited(tmp_path, family, old, new)
+    with pytest.raises(TaskFileError) as caught:
+        load_task(path)
+    assert caught.value.file == path
+    assert key in caught.value.key
+    assert reason in caught.value.reason
+    assert str(path) in str(caught.value)
+
+
+def test_flat_piece_encloses_no_volume(tmp_path: Path) -> None:
+    text = task_path("SlopeContact").read_text(encoding="utf-8")
+    flat = "pieces_m = [[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0]]]"
+    path = tmp_path / "flat.toml"
+    path.write_text(re.sub(r"pieces_m = \[\n.*?\n\]", flat, text, count=1, flags=re.DOTALL), encoding="utf-8")
+    with pytest.raises(TaskFileError, match="no volume"):
+        load_task(path)
+
+
+def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute() -> None:
+    raw = tomllib.loads(task_path("StickStack").read_text(encoding="utf-8"))
+    entry = raw["constants"]["rod"]["soft"]["poisson_ratio"]
+    assert (entry["calibrated"], entry["used"]) == (0.62, 0.49)
+    rod = next(d for d in experiment("StickStack-soft").scene.deformables if d.name == "rod")
+    assert rod.poisson_ratio == 0.49
+
+
+def test_plate_with_hole_has_the_area_of_the_ring() -> None:
+    shape = experiment("Funnel-satin").scene.body("board").shape
+    hole = np.pi * 0.10**2
+    # The hole is a circumscribed polygon of 32 sides, 0.3 % larger than the circle.
+    assert shape.volume_m3 == pytest.approx((0.25 - hole) * 0.012, rel=0.001)
