@@ -12,8 +12,10 @@ from gymnasium.envs.registration import WrapperSpec, register, registry
 
 from gauge_envs.env import GaugeEnv, Trajectory, reference_band
 from gauge_envs.errors import GaugeError
+from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.score import Score, score_trajectory
-from gauge_envs.task import Experiment, Variant, experiment, find_variant, load_task, variants
+from gauge_envs.task import find_variant, load_task, variants
+from gauge_envs.task_format import Variant
 from gauge_envs.wrappers import ScoreEpisode
 
 __all__ = [

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends import backend as find_backend
 from gauge_envs.env import GaugeEnv, reference_band
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, TrajectoryFileError, UnsupportedSceneError
+from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.reference import band_grade
 from gauge_envs.result import (
     Outcome,
@@ -30,8 +31,9 @@ from gauge_envs.result import (
     write_result,
 )
 from gauge_envs.score import Score, score_trajectory
-from gauge_envs.task import Experiment, Parameters, Variant, experiment, find_variant
-from gauge_envs.trajectory_file import coordinate_names, observable_unit, read_trajectory, recorded_id
+from gauge_envs.task import find_variant, task_spec
+from gauge_envs.task_format import Variant
+from gauge_envs.trajectory_file import coordinate_names, read_trajectory, recorded_id
 
 __all__ = ["check_request", "episode_result", "run_episode", "run_many", "score_file"]
 
@@ -170,7 +172,7 @@ def _parameters_of(resolved: Experiment) -> str | dict[str, Any]:
 
 def _recorded(resolved: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]) -> RecordedTrajectory:
     return RecordedTrajectory(
-        unit=observable_unit(resolved),
+        unit=resolved.spec.score.observable.unit,
         coordinates=list(coordinate_names(resolved)),
         times_s=times_s.tolist(),
         samples=json_ready(samples.tolist()),
@@ -291,7 +293,7 @@ def _empty_result(
         id=variant.id,
         outcome=Outcome.FAILED,
         parameters=(parameters if isinstance(parameters, str) else json_ready(parameters)) or "calibrated",
-        score=Score(grade=band_grade(variant.name).value, unit="mm"),
+        score=Score(grade=band_grade(variant.name).value, unit=task_spec(variant.family).score.observable.unit),
         task_sha256=task_sha256(variant.family),
         backend=backend,
         settings_given=json_ready(settings or {}),

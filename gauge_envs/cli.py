@@ -14,7 +14,9 @@ import typer.core
 from rich.console import Console
 
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnknownNameError
-from gauge_envs.task import Parameters, Variant, find_variant, variants
+from gauge_envs.experiment import Parameters
+from gauge_envs.task import find_variant, variants
+from gauge_envs.task_format import Variant
 
 if TYPE_CHECKING:
     from gauge_envs.result import Result

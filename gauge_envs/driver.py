@@ -108,11 +108,9 @@ class SampledProfile:
     @property
     def largest_rate(self) -> float:
         """Largest absolute rate [m/s or rad/s]."""
-        # The slope of a cubic piece is extreme at its ends or inside; ten points a piece find it well enough.
-        fine = np.interp(
-            np.linspace(0, len(self.times_s) - 1, 10 * len(self.times_s)), range(len(self.times_s)), self.times_s
-        )
-        return float(np.abs(self._slope(fine)).max())
+        # Inside a cubic piece the slope is extreme where its derivative vanishes; roots of flat pieces come out as NaN.
+        inside = self._slope.derivative().roots(extrapolate=False)
+        return float(np.abs(self._slope(np.concatenate([self.times_s, inside[np.isfinite(inside)]]))).max())
 
     def value(self, time_s: float) -> float:
         """Coordinate at a time, relative to the start pose [m or rad]."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import gymnasium
@@ -16,9 +17,10 @@ from gauge_envs.backends.registry import backend as find_backend
 from gauge_envs.backends.registry import backend_names
 from gauge_envs.driver import Driver, mean_velocity
 from gauge_envs.errors import ActionError, EpisodeError, GaugeError, ParameterError, UnsupportedSceneError
+from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_band
 from gauge_envs.scene import Pose, Scene
-from gauge_envs.task import FRAME_RATE_HZ, Experiment, Observable, Parameters, experiment
+from gauge_envs.task_format import FRAME_RATE_HZ, Observable
 
 __all__ = ["SAMPLES_PER_FRAME", "DriverPath", "GaugeEnv", "Trajectory", "reference_band"]
 
@@ -357,7 +359,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         velocity = states[:, 7:10]
         energy = 0.5 * float(np.vdot(velocity, self._masses * velocity))
         # A comparison with NaN is false, so that each bound also catches what is not a number.
-        if (np.abs(states) <= self._limits).all() and energy <= self._energy_limit_j:
+        if energy <= self._energy_limit_j and (np.abs(states) <= self._limits).all():
             return None
         if not np.isfinite(states).all():
             return "the state is not finite"
@@ -406,7 +408,7 @@ class DriverPath:
         self._offsets = np.zeros(self.motion_count)
         count = (frame_count - 1) * SAMPLES_PER_FRAME
         states = [driver.state(self._start, k * SAMPLE_INTERVAL_S) for k in range(count + 1)]
-        self._path = [_interval(*a, *b) for a, b in zip(states, states[1:], strict=False)]
+        self._path = [_interval(*a, *b) for a, b in pairwise(states)]
 
     def reset(self) -> None:
         """Back to the recorded motion."""

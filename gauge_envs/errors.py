@@ -82,7 +82,8 @@ class UnknownNameError(GaugeError, LookupError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
-        near = get_close_matches(name, names, n=3, cutoff=0.5)
-        hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names) or 'none'}"
+        near = [n for n in names if n.startswith(name)][:6] or get_close_matches(name, names, n=3, cutoff=0.5)
+        more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+        hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names[:12]) or 'none'}{more}"
         super().__init__(f"unknown {kind} {name!r}; {hint}")
         self.name = name

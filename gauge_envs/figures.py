@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from gauge_envs.env import reference_band
 from gauge_envs.errors import MissingExtraError, ResultFileError, ShapeError
+from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.reference import Band, BandGrade, published_baselines
 from gauge_envs.report import ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, result_label
 from gauge_envs.result import RecordedTrajectory, Result
-from gauge_envs.task import FRAME_RATE_HZ, Experiment, experiment
+from gauge_envs.task_format import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

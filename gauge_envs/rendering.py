@@ -118,7 +118,9 @@ class SceneRenderer:
     def _draw_string(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         geom = self._drawing.geoms[self._drawing.ngeom]
         kind = mujoco.mjtGeom.mjGEOM_CAPSULE
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.float32(STRING_COLOR))
+        mujoco.mjv_initGeom(
+            geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(STRING_COLOR, dtype=np.float32)
+        )
         mujoco.mjv_connector(geom, kind, STRING_RADIUS_M, start, end)
         self._drawing.ngeom += 1
 

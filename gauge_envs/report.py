@@ -13,11 +13,12 @@ from rich.text import Text
 
 from gauge_envs.backends import backend, backend_names
 from gauge_envs.errors import MissingExtraError
+from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.reference import BandGrade, band_grade, law_for, load_band, published_baselines
 from gauge_envs.result import Outcome, Result, json_ready
 from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.task import Experiment, Variant, experiment
-from gauge_envs.trajectory_file import coordinate_names, observable_unit
+from gauge_envs.task_format import Variant
+from gauge_envs.trajectory_file import coordinate_names
 
 __all__ = [
     "ENGINE_TITLES",
@@ -116,7 +117,7 @@ def description(variant: Variant) -> dict[str, Any]:
             "duration_s": scene.duration_s,
             "observable": {
                 "kind": spec.score.observable.value,
-                "unit": observable_unit(resolved),
+                "unit": resolved.spec.score.observable.unit,
                 "coordinates": coordinate_names(resolved),
             },
             "bodies": [_body(body, resolved) for body in (*scene.bodies, *scene.deformables)],

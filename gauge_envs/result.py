@@ -7,7 +7,6 @@ import json
 import os
 import platform
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
@@ -23,7 +22,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.score import Score
-from gauge_envs.task import find_variant, task_files
+from gauge_envs.task import find_variant, task_path
 
 __all__ = [
     "Outcome",
@@ -154,11 +153,7 @@ def json_ready(value: Any) -> Any:
 @cache
 def task_sha256(family: str) -> str:
     """Hash of the task file of a family."""
-    for path in task_files():
-        content = path.read_bytes()
-        if tomllib.loads(content.decode())["family"] == family:
-            return hashlib.sha256(content).hexdigest()
-    raise AssertionError(family)
+    return hashlib.sha256(task_path(family).read_bytes()).hexdigest()
 
 
 def result_file_name(result: Result) -> str:

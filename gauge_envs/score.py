@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.experiment import Experiment
 from gauge_envs.metrics import (
     band_coverage,
     energy_loss,
@@ -25,7 +26,7 @@ from gauge_envs.metrics import (
 )
 from gauge_envs.reference import Band, BandGrade, published_baselines
 from gauge_envs.scene import Hinge
-from gauge_envs.task import FRAME_RATE_HZ, Experiment
+from gauge_envs.task_format import FRAME_RATE_HZ
 
 __all__ = ["Score", "score_trajectory"]
 
@@ -88,7 +89,8 @@ class Score:
     def from_dict(cls, values: Mapping[str, Any]) -> Score:
         """Inverse of `to_dict`; keys of later versions are ignored."""
         known = {f.name for f in fields(cls)}
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known})
+        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known}
+        return cls(**given)
 
 
 def score_trajectory(
@@ -119,7 +121,7 @@ def score_trajectory(
     # An event that never happens, or a scale that nothing was measured on, is NaN: no number, and so none reported.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     grade = band.grade if band is not None else BandGrade.NONE
-    return Score(grade=grade.value, unit="mm" if band is None else band.unit, **scores)
+    return Score(grade=grade.value, unit=resolved.spec.score.observable.unit, **scores)
 
 
 def _frames(resolved: Experiment, times_s: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -187,19 +189,19 @@ def _event_scores(
     rest_height_mm = 1e3 * (hinge.anchor_m[2] - arm_m)
     height_mm = frames[:, 2]
     if "lsd" in wanted:
-        scores["lsd_s"] = longest_stationary_duration(height_mm, frame_rate_hz=FRAME_RATE_HZ)
-        scores["lsd_normalized"] = _over(scores["lsd_s"], baselines, "lsd")
+        lsd_s = longest_stationary_duration(height_mm, frame_rate_hz=FRAME_RATE_HZ)
+        scores |= {"lsd_s": lsd_s, "lsd_normalized": _over(lsd_s, baselines, "lsd")}
     if "mte" in wanted:
         highest = max(resolved.scene.body(j.body).pose.position_m[2] for j in resolved.scene.joints)
-        scores["mte"] = momentum_transfer_efficiency(
+        mte = momentum_transfer_efficiency(
             height_mm, drop_height_mm=1e3 * highest - rest_height_mm, rest_height_mm=rest_height_mm
         )
-        scores["mte_normalized"] = _over(scores["mte"], baselines, "mte")
+        scores |= {"mte": mte, "mte_normalized": _over(mte, baselines, "mte")}
     if "pd" in wanted:
         axis = "xyz".index(resolved.spec.score.period_axis or "x")
         count = baselines["pd"].frames if "pd" in baselines else len(frames)
-        scores["pd_s"] = oscillation_period(frames[:count, axis], frame_rate_hz=FRAME_RATE_HZ)
-        scores["pd_normalized"] = _over(scores["pd_s"], baselines, "pd")
+        pd_s = oscillation_period(frames[:count, axis], frame_rate_hz=FRAME_RATE_HZ)
+        scores |= {"pd_s": pd_s, "pd_normalized": _over(pd_s, baselines, "pd")}
     if "el" in wanted:
         scores["el"] = energy_loss(height_mm, rest_height_mm=rest_height_mm)
     return scores

@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import TrajectoryFileError
-from gauge_envs.task import FRAME_RATE_HZ, Experiment, Observable
+from gauge_envs.experiment import Experiment
+from gauge_envs.task_format import FRAME_RATE_HZ, Observable
 
 __all__ = [
     "UserTrajectory",
     "coordinate_names",
-    "observable_unit",
     "read_trajectory",
     "recorded_id",
 ]
@@ -43,14 +43,6 @@ FRAME_TOLERANCE_S = 5e-4
 
 LARGEST = 10**12
 """Larger values are a mistake, and their squares would overflow."""
-
-UNITS = {
-    Observable.POSITION: "mm",
-    Observable.MARKER_POSITION: "mm",
-    Observable.CURVATURE: "rad",
-    Observable.LINE_CURVATURE: "rad",
-    Observable.FACE_AREA: "mm^2",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,11 +80,6 @@ def coordinate_names(resolved: Experiment) -> tuple[str, ...]:
     return tuple(f"{name}.{axis}" for name in names for axis in "xyz")
 
 
-def observable_unit(resolved: Experiment) -> str:
-    """Unit of g(t): `mm`, `rad` or `mm^2`."""
-    return UNITS[resolved.spec.score.observable]
-
-
 def recorded_id(file: Path) -> tuple[str | None, Any]:
     """Id and parameters that a trajectory file states; None where it states none, as CSV and NPZ never do.
 
@@ -122,7 +109,7 @@ def read_trajectory(file: Path, resolved: Experiment) -> UserTrajectory:
     reader = readers.get(file.suffix.lower())
     if reader is None:
         raise TrajectoryFileError(f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}")
-    layout = _Layout(file, coordinate_names(resolved), observable_unit(resolved))
+    layout = _Layout(file, coordinate_names(resolved), resolved.spec.score.observable.unit)
     times, values = reader(layout)
     if times is None:
         times = np.arange(len(values)) / FRAME_RATE_HZ

@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium
 
+from gauge_envs.env import GaugeEnv
 from gauge_envs.score import Score, score_trajectory
 
 __all__ = ["ScoreEpisode"]
@@ -42,8 +43,9 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
 
     def _score(self, *, diverged: bool) -> Score:
         env = self.unwrapped
+        assert isinstance(env, GaugeEnv)
         if diverged:
             grade = "none" if env.band is None else env.band.grade.value
-            return Score(grade=grade, unit="mm")
+            return Score(grade=grade, unit=env.experiment.spec.score.observable.unit)
         trajectory = env.trajectory()
         return score_trajectory(env.experiment, env.band, times_s=trajectory.times_s, values=trajectory.samples)

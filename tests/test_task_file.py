@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import TaskFileError
+from gauge_envs.experiment import experiment
 from gauge_envs.scene import Scene
-from gauge_envs.task import TaskSpec, experiment, load_task, task_files, task_path, task_spec, variants
+from gauge_envs.task import load_task, task_files, task_path, task_spec, variants
+from gauge_envs.task_format import TaskSpec
 
 ORDER = list(TaskSpec.model_fields)
 

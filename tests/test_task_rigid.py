@@ -14,9 +14,10 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 from scipy.special import ellipk
 
+from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.paths import data_folder
 from gauge_envs.scene import GRAVITY_M_PER_S2, ConvexUnion, Cylinder, Plane, RigidBody, Sphere
-from gauge_envs.task import Experiment, experiment, task_spec, variants
+from gauge_envs.task import task_spec, variants
 
 RIGID = {
     "SlopeContact": 2,

@@ -12,7 +12,7 @@ from gauge_envs import experiment, reference_band, score_trajectory
 from gauge_envs.benchmark import score_file
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.trajectory_file import coordinate_names, observable_unit, read_trajectory
+from gauge_envs.trajectory_file import coordinate_names, read_trajectory
 
 NAME = "SlopeSlider-2-wood"
 RESOLVED = experiment(NAME)
@@ -231,7 +231,7 @@ def test_the_id_is_needed_and_must_not_contradict_the_file(tmp_path):
 def test_coordinates_of_every_observable_have_names(name, first, unit):
     resolved = experiment(name)
     assert coordinate_names(resolved)[: len(first)] == first
-    assert observable_unit(resolved) == unit
+    assert resolved.spec.score.observable.unit == unit
 
 
 def valid_npz():

@@ -30,6 +30,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 _OFFSET_GRID_S = 1e-3
+_OFFSET_CHUNK = 1_000_000  # numbers that one batch of shifts may hold, 8 MB an array
 # Summing the same costs in another order moves a total by less than this share: paths within it are tied.
 _TIE = 1e-12
 
@@ -147,19 +148,32 @@ def release_offset(
         raise ShapeError(f"simulated has {simulated.shape[1]} coordinates, real_mean {real_mean.shape[1]}")
     frame_times_s = np.arange(len(real_mean)) / frame_rate_hz
 
-    def shifted_rmse(offset_s: float) -> float:
-        return _rms_of_frames(_resample(times_s, simulated, frame_times_s - offset_s) - real_mean)
+    def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
+        queries_s = frame_times_s - offsets_s[:, None]
+        shifted = _resample(times_s, simulated, queries_s.ravel()).reshape(*queries_s.shape, -1)
+        squares = np.where(measured, np.square(shifted - real_mean), 0.0)
+        return np.sqrt(squares.sum(axis=(1, 2)) / frame_count)
 
+    measured = ~np.isnan(real_mean)
+    frame_count = np.count_nonzero(measured.any(axis=1))
+    if frame_count == 0:
+        raise ShapeError("simulated and real_mean share no measured entry")
     steps = math.ceil(max_offset_s / _OFFSET_GRID_S)
     grid_s = np.linspace(-max_offset_s, max_offset_s, 2 * steps + 1)
     grid_s = grid_s[np.argsort(np.abs(grid_s), kind="stable")]  # argmin takes the first, hence smallest, of equals
-    grid_rmse = [shifted_rmse(offset_s) for offset_s in grid_s]
+    chunks = np.array_split(grid_s, math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK))
+    grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
     best = int(np.argmin(grid_rmse))
     bounds = np.clip(grid_s[best] + np.array([-_OFFSET_GRID_S, _OFFSET_GRID_S]), -max_offset_s, max_offset_s)
-    refined = minimize_scalar(shifted_rmse, bounds=bounds, method="bounded", options={"xatol": 1e-7})
+    refined = minimize_scalar(
+        lambda offset_s: float(shifted_rmse(np.array([offset_s]))[0]),
+        bounds=bounds,
+        method="bounded",
+        options={"xatol": 1e-7},
+    )
     if refined.fun < grid_rmse[best]:
         return float(refined.x), float(refined.fun)
-    return float(grid_s[best]), grid_rmse[best]
+    return float(grid_s[best]), float(grid_rmse[best])
 
 
 def z_scores(simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike) -> FloatArray:

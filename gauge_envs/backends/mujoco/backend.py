@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import cos, sin
 from typing import Any, Protocol
 
 import mujoco
@@ -117,11 +118,12 @@ class _Reader(Protocol):
 
 
 def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> _Reader:
-    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
-    free = [scene.body(name).motion is not Motion.FIXED and name not in hinged for name in names]
-    if len(names) == 1 and free[0]:
-        return _OneFreeBody(model, data, names[0])
-    return _FreeBodies(model, data, names) if all(free) else _AnyBodies(model, data, names)
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    if all(scene.body(name).motion is not Motion.FIXED and name not in hinges for name in names):
+        return _OneFreeBody(model, data, names[0]) if len(names) == 1 else _FreeBodies(model, data, names)
+    if len(names) == 1 and names[0] in hinges:
+        return _OneHingedBody(scene, model, data, hinges[names[0]])
+    return _AnyBodies(model, data, names)
 
 
 def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
@@ -136,8 +138,11 @@ def _rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> N
     return rotated
 
 
+# Readers keep views of MuJoCo's arrays, made once: fetching an array from MuJoCo costs more than reading from it.
+
+
 class _OneFreeBody:
-    """A single free body: its state is a slice of qpos and qvel, read through views that are made once."""
+    """A single free body: its state is a slice of qpos and qvel."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
         position, velocity = _free_joint_addresses(model, name)
@@ -166,43 +171,45 @@ class _FreeBodies:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
         addresses = [_free_joint_addresses(model, name) for name in names]
-        self._data = data
+        self._qpos, self._qvel = data.qpos, data.qvel
         self._poses = np.array([np.arange(7) + position for position, _ in addresses])
         self._velocities = np.array([np.arange(6) + velocity for _, velocity in addresses])
 
     def states(self) -> NDArray[np.float64]:
         """States of the bodies, shape [body_count, 13]."""
         states = np.empty((len(self._poses), 13))
-        states[:, :7] = self._data.qpos[self._poses]
-        states[:, 7:] = self._data.qvel[self._velocities]
+        states[:, :7] = self._qpos[self._poses]
+        states[:, 7:] = self._qvel[self._velocities]
         for state in states:
             mujoco.mju_rotVecQuat(state[10:], state[10:].copy(), state[3:7])
         return states
 
     def read_positions(self, out: NDArray[np.float64]) -> None:
         """Positions of the bodies into `out`, shape [body_count, 3]."""
-        out[:] = self._data.qpos[self._poses[:, :3]]
+        out[:] = self._qpos[self._poses[:, :3]]
 
 
 class _AnyBodies:
-    """Free, hinged and fixed bodies: a hinged body's pose follows from its angle."""
+    """Free, hinged and fixed bodies, through MuJoCo's kinematics."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
         self._model = model
         self._data = data
-        self._ids = [model.body(name).id for name in names]
+        ids = [model.body(name).id for name in names]
+        self._bodies = [(index, data.xpos[index], data.xquat[index]) for index in ids]
+        self._velocity = np.empty(6)
 
     def states(self) -> NDArray[np.float64]:
         """States of the bodies, shape [body_count, 13]."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_comVel(self._model, self._data)
-        states = np.empty((len(self._ids), 13))
-        states[:, :3] = self._data.xpos[self._ids]
-        states[:, 3:7] = self._data.xquat[self._ids]
-        velocity = np.empty(6)
-        for state, index in zip(states, self._ids, strict=True):
+        states = np.empty((len(self._bodies), 13))
+        velocity = self._velocity
+        for state, (index, position, quaternion) in zip(states, self._bodies, strict=True):
             mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, index, velocity, 0)
+            state[:3] = position
+            state[3:7] = quaternion
             state[7:10] = velocity[3:]
             state[10:] = velocity[:3]
         return states
@@ -210,4 +217,25 @@ class _AnyBodies:
     def read_positions(self, out: NDArray[np.float64]) -> None:
         """Positions of the bodies into `out`, shape [body_count, 3]."""
         mujoco.mj_kinematics(self._model, self._data)
-        out[:] = self._data.xpos[self._ids]
+        for row, (_, position, _) in zip(out, self._bodies, strict=True):
+            row[:] = position
+
+
+class _OneHingedBody(_AnyBodies):
+    """A single hinged body: it moves on a circle, which is faster to evaluate than MuJoCo's kinematics."""
+
+    def __init__(self, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge) -> None:
+        super().__init__(model, data, (hinge.body,))
+        address = int(model.joint(hinge.body).qposadr[0])
+        self._angle = data.qpos[address : address + 1]
+        axis = np.asarray(hinge.axis)
+        arm = np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m
+        along = axis * (axis @ arm)
+        self._circle = np.column_stack([hinge.anchor_m + along, arm - along, np.cross(axis, arm)]).tolist()
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Position of the body into `out`, shape [1, 3]."""
+        angle = self._angle.item()
+        cosine, sine = cos(angle), sin(angle)
+        for axis, (centre, arm, side) in enumerate(self._circle):
+            out[0, axis] = centre + cosine * arm + sine * side

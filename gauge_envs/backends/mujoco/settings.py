@@ -34,8 +34,9 @@ class SettingsMuJoCo(BaseModel):
         impact_stiffness: Dimensionless stiffness s of impacts; MuJoCo's direct solref is (-s/h^2, -(1+e)/h). It adds
             about s to the coefficient of restitution, and pushes resting bodies apart within h (1+e)/s seconds.
         impact_solimp: Impedance of impacts; constant in depth, since the rebound would depend on depth otherwise.
-        kinematic_mass_kg: Mass of a driven body: large enough that contacts do not slow it between two drives (1 N moves
-            1000 kg by 0.02 micrometres in 1/180 s), small enough for the solver (at 1e6 kg a cube creeps 300 times more).
+        kinematic_mass_kg: Mass of a driven body. Large enough that contacts do not slow it between two drives: 1 N
+            moves 1000 kg by 0.02 micrometres in 1/180 s. Small enough for the solver: at 1e6 kg a cube on it creeps
+            300 times faster.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -110,7 +111,8 @@ def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> Se
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         known = ", ".join(SettingsMuJoCo.model_fields)
-        raise ParameterError(f"MuJoCo setting {first['loc'][0]!r}: {first['msg']}; settings: {known}") from error
+        reason = "there is no such setting" if first["type"] == "extra_forbidden" else first["msg"]
+        raise ParameterError(f"MuJoCo setting {first['loc'][0]!r}: {reason}; settings: {known}") from error
     steps = 1 / 180 / settings.timestep_s
     if abs(steps - round(steps)) > 1e-6:
         raise ParameterError(f"MuJoCo setting 'timestep_s': 1/180 s is {steps:.6g} steps, not a whole number")

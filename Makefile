@@ -1,0 +1,35 @@
+# make demo: set up and run the main job.  make test: set up and run the tests.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+DEMO := "SlopeSlider-*" "Turntable-1-*" BouncingBall-rubber NewtonsCradle-metal Pendulum-metal
+
+.PHONY: demo test slow lint bench clean
+
+demo: $(VENV)/.installed
+	$(BIN)/gauge run $(DEMO) --out results
+	$(BIN)/gauge run BouncingBall-rubber NewtonsCradle-metal --parameters effective --out results
+	$(BIN)/gauge plot results --out plots
+
+test: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/python -m pytest -n 2
+
+slow: $(VENV)/.installed
+	$(BIN)/python -m pytest -n 2 -m slow
+
+bench: $(VENV)/.installed
+	$(BIN)/pip install --quiet -e ".[bench]"
+	$(BIN)/python benchmarks/step.py
+	$(BIN)/python benchmarks/dtw.py
+
+$(VENV)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet -e ".[dev]"
+	touch $@
+
+clean:
+	rm -rf $(VENV) results plots
