@@ -1,0 +1,65 @@
+"""What a user installs: the wheel alone, in a clean environment, outside the checkout."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)],
+        check=True,
+        capture_output=True,
+    )
+    return next(out.glob("*.whl"))
+
+
+def test_wheel_carries_the_data(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    assert sum(name.startswith("gauge_envs/tasks/") and name.endswith(".toml") for name in names) == 22
+    assert "gauge_envs/scoring/published/engine_results.csv" in names
+    assert "gauge_envs/scoring/bands/SlopeSlider-2-wood.csv" in names
+    assert not any(name.startswith("tests") for name in names)
+
+
+def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    venv.create(tmp_path / "venv", with_pip=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    subprocess.run([python, "-m", "pip", "install", "--quiet", str(wheel)], check=True, capture_output=True)
+    script = (
+        "import sys, gymnasium, gauge_envs\n"
+        "env = gymnasium.make('GAUGE/BouncingBall-rubber'); env.reset(seed=0)\n"
+        "done = False\n"
+        "while not done: *_, stop, done, info = env.step(0)\n"
+        "assert 'matplotlib' not in sys.modules and 'warp' not in sys.modules\n"
+        "print(gauge_envs.__file__, len(gauge_envs.variants()), info['score'].rmse_normalized)\n"
+    )
+    run = subprocess.run([python, "-I", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    file, count, rmse = run.stdout.split()
+    assert Path(file).is_relative_to(tmp_path)
+    assert count == "75"
+    assert float(rmse) == pytest.approx(14.1, abs=0.1)
+    listed = subprocess.run(
+        [tmp_path / "venv" / "bin" / "gauge", "list"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert "75 ids in 22 families" in listed.stdout
+
+
+def test_importing_is_light() -> None:
+    script = (
+        "import sys, gauge_envs\n"
+        "print([m for m in ('matplotlib', 'warp', 'newton', 'cv2', 'pandas', 'torch', 'huggingface_hub', 'pxr')"
+        " if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

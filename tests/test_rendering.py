@@ -1,0 +1,82 @@
+"""Pictures, on machines with and without OpenGL."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from ctypes.util import find_library
+
+import gymnasium
+import numpy as np
+import pytest
+from conftest import RIGID
+
+from gauge_envs.errors import EpisodeError
+from gauge_envs.rendering import DEBIAN_PACKAGES
+
+needs_opengl = pytest.mark.skipif(
+    not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library: the error is tested instead"
+)
+
+ONE_EACH = tuple({name.rpartition("-")[0]: name for name in RIGID}.values())
+
+
+@needs_opengl
+@pytest.mark.parametrize("name", ONE_EACH)
+def test_picture_shows_the_moving_body(name: str) -> None:
+    env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=160, height=120)
+    env.reset(seed=0)
+    first = env.render()
+    assert first.shape == (120, 160, 3)
+    assert first.dtype == np.uint8
+    # Dynamic bodies are the only thing drawn in saturated orange.
+    red, blue = first[..., 0].astype(int), first[..., 2].astype(int)
+    assert (red - blue > 80).sum() > 5
+    env.close()
+
+
+@needs_opengl
+def test_pictures_change_with_the_motion_and_repeat_after_reset() -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-2-wood", render_mode="rgb_array", width=160, height=120)
+    env.reset(seed=0)
+    first = env.render()
+    for _ in range(15):
+        env.step(0)
+    assert np.abs(env.render().astype(int) - first).max() > 60
+    env.reset(seed=0)
+    # Software rasterizers round a pixel now and then by one level.
+    assert np.abs(env.render().astype(int) - first).max() <= 2
+
+
+@needs_opengl
+def test_rendering_does_not_change_the_physics() -> None:
+    trajectories = []
+    for mode in (None, "rgb_array"):
+        env = gymnasium.make("GAUGE/NonsmoothContact-1-wood", render_mode=mode)
+        env.reset(seed=0)
+        for _ in range(10):
+            env.step(0)
+            env.render() if mode else None
+        trajectories.append(env.unwrapped.trajectory().samples)
+    assert np.array_equal(*trajectories)
+
+
+@needs_opengl
+def test_render_before_reset() -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-2-wood", render_mode="rgb_array").unwrapped
+    with pytest.raises(EpisodeError, match="reset"):
+        env.render()
+
+
+def test_missing_opengl_names_the_packages() -> None:
+    script = (
+        "import ctypes.util; ctypes.util.find_library = lambda name: None\n"
+        "import gymnasium, gauge_envs\n"
+        "env = gymnasium.make('GAUGE/SlopeSlider-2-wood', render_mode='rgb_array').unwrapped\n"
+        "env.reset(seed=0)\n"
+        "try:\n    env.render()\n"
+        "except gauge_envs.GaugeError as error:\n    print(type(error).__name__, error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env={})
+    assert run.stdout.startswith("RenderError")
+    assert DEBIAN_PACKAGES in run.stdout
