@@ -275,7 +275,8 @@ def _draw_bars(axis: Axes, groups: Bars, *, depth: float) -> None:
     axis.set_yticks(places, ticks, fontsize=8)
     axis.set_ylim(max(place - 1.3, depth), -1.3)
     axis.set_xlim(0.0, 1.2 * longest)
-    axis.set_xlabel("normalized score; 1 = a typical real trial")
+    meaning = "a typical real trial" if METRIC_TITLES["rmse"] in groups else "the real mean, ideal"
+    axis.set_xlabel(f"normalized score; 1 = {meaning}")
     _tidy(axis)
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", length=0)
@@ -287,7 +288,7 @@ def _draw_bars(axis: Axes, groups: Bars, *, depth: float) -> None:
 def _title(resolved: Experiment, results: Sequence[Result], band: Band | None) -> str:
     spec, variant = resolved.spec, resolved.variant
     subtask = f", {spec.subtasks[variant.subtask].title}" if variant.subtask else ""
-    reference = "" if band is not None else " (no reference)"
+    reference = "" if band is not None else " (no reference trajectory)"
     return f"{results[0].id}: {spec.title}{subtask}{reference}"
 
 

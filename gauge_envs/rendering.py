@@ -190,6 +190,6 @@ def _camera(scene: Scene) -> mujoco.MjvCamera:
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = 0.5 * (low + high)
     radius = 0.5 * float(np.linalg.norm(high - low))
-    camera.distance = 1.1 * radius / np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+    camera.distance = 1.25 * radius / np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
     camera.azimuth, camera.elevation = azimuth_deg, ELEVATION_DEG
     return camera

@@ -208,7 +208,7 @@ def description_view(values: Mapping[str, Any]) -> Group:
                     body["name"] + (" (recorded)" if body["recorded"] else ""),
                     body.get("motion", body["kind"]),
                     _shape(body),
-                    f"{body['mass_kg']:g}" if body["mass_kg"] else "-",
+                    f"{body['mass_kg']:.10g}" if body["mass_kg"] else "-",
                     _vector(body["position_m"]),
                     _vector(body["quaternion_wxyz"]),
                 )
@@ -222,8 +222,8 @@ def description_view(values: Mapping[str, Any]) -> Group:
                 (
                     _shortened(c["first"]),
                     _shortened(c["second"]),
-                    f"{c['friction']:g}",
-                    f"{c['restitution']:g}",
+                    f"{c['friction']:.10g}",
+                    f"{c['restitution']:.10g}",
                     c["mode"],
                 )
                 for c in values["contacts"]
@@ -300,7 +300,7 @@ def _pairs(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:
 
 def _value(value: Any) -> str:
     if isinstance(value, float):
-        return f"{value:g}"
+        return f"{value:.10g}"
     if isinstance(value, Mapping):
         return f"({_pairs(value)})"
     if isinstance(value, list):
@@ -318,7 +318,7 @@ def _shape(body: Mapping[str, Any]) -> str:
 
 
 def _vector(values: Sequence[float]) -> str:
-    return " ".join(f"{value:.4g}" for value in values)
+    return " ".join(f"{value:.6g}" for value in values)
 
 
 def _shortened(names: Sequence[str]) -> str:
