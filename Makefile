@@ -16,6 +16,7 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy gauge_envs
 	$(BIN)/python -m pytest -n 2
 
 slow: $(VENV)/.installed

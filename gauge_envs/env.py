@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import gymnasium
 import numpy as np
@@ -122,7 +122,10 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         (18, 'trials')
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(FRAME_RATE_HZ)}
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
+        "render_modes": ["rgb_array"],
+        "render_fps": int(FRAME_RATE_HZ),
+    }
 
     def __init__(
         self,
@@ -181,7 +184,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         count = sum(path.motion_count for path in self._drivers)
         return spaces.Box(-1.0, 1.0, (count,), np.float64) if count else spaces.Discrete(1)
 
-    def _observation_space(self) -> spaces.Dict:
+    def _observation_space(self) -> spaces.Space[Observation]:
         scene = self.experiment.scene
         distance, speed = scene.distance_limit_m, scene.speed_limit_m_per_s
         state = np.concatenate([np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)])
@@ -197,7 +200,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         }
         if self._driven:
             entries["driver"] = states(len(self._driven))
-        return spaces.Dict(entries)
+        return cast("spaces.Space[Observation]", spaces.Dict(entries))
 
     # --- episode ---
 
@@ -256,7 +259,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             raise EpisodeError(f"{self.experiment.variant.id}: no trajectory before reset")
         last = self._frame * SAMPLES_PER_FRAME + 1
         return Trajectory(
-            times_s=np.arange(last) * SAMPLE_INTERVAL_S,
+            times_s=np.arange(last, dtype=np.float64) * SAMPLE_INTERVAL_S,
             samples=self._samples[:last].reshape(last, -1).copy(),
             frames=self._samples[:last:SAMPLES_PER_FRAME].reshape(self._frame + 1, -1).copy(),
             bodies=self._bodies[: self._frame + 1].copy(),

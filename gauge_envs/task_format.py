@@ -354,13 +354,16 @@ class ContactSpec(_Table):
     mode: ContactMode = ContactMode.SUSTAINED
 
 
-class _ProfileSpec(_Table):
+class _MoveSpec(_Table):
+    amount_m: Finite | None = None
+    amount_deg: Finite | None = None
+
     def _amount(self) -> float:
-        metres, degrees = getattr(self, "amount_m", None), getattr(self, "amount_deg", None)
-        return float(metres) if metres is not None else float(np.radians(degrees))
+        """The amount in m or rad; that the right one is given, the motion has checked."""
+        return self.amount_m if self.amount_m is not None else float(np.radians(self.amount_deg or 0.0))
 
 
-class TrapezoidSpec(_ProfileSpec):
+class TrapezoidSpec(_MoveSpec):
     """`kind = "trapezoid"`: constant acceleration, cruise, braking."""
 
     kind: Literal["trapezoid"]
@@ -368,8 +371,6 @@ class TrapezoidSpec(_ProfileSpec):
     duration_s: Positive
     accelerate_s: NonNegative
     brake_s: NonNegative
-    amount_m: Finite | None = None
-    amount_deg: Finite | None = None
 
     @model_validator(mode="after")
     def _fits(self) -> TrapezoidSpec:
@@ -388,14 +389,12 @@ class TrapezoidSpec(_ProfileSpec):
         )
 
 
-class CosineSpec(_ProfileSpec):
+class CosineSpec(_MoveSpec):
     """`kind = "cosine"`: half a cosine from rest to rest."""
 
     kind: Literal["cosine"]
     start_s: NonNegative
     duration_s: Positive
-    amount_m: Finite | None = None
-    amount_deg: Finite | None = None
 
     def build(self) -> Profile:
         """The profile."""
