@@ -18,6 +18,7 @@ from gauge_envs.backends.registry import backend_names
 from gauge_envs.driver import Driver, mean_velocity
 from gauge_envs.errors import ActionError, EpisodeError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiment import Experiment, Parameters, experiment
+from gauge_envs.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
 from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_band
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.task_format import FRAME_RATE_HZ, Observable
@@ -42,13 +43,16 @@ class Trajectory:
         times_s: Times of the dense samples, shape [sample_count], 180 a second.
         samples: The generalized trajectory g(t) at those times, shape [sample_count, coordinate_count].
         frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
-        bodies: States of the recorded bodies at the frames, shape [frame_count, body_count, 13].
+        bodies: States of the recorded bodies at the frames, shape [frame_count, body_count, 13]; none where markers
+            are recorded.
+        markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; none where bodies are.
     """
 
     times_s: NDArray[np.float64]
     samples: NDArray[np.float64]
     frames: NDArray[np.float64]
     bodies: NDArray[np.float64]
+    markers_m: NDArray[np.float64]
 
 
 def reference_band(resolved: Experiment) -> Band | None:
@@ -85,6 +89,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     |--------------|-------------|------------------------------------------------------------------------------|
     | `observable` | [C]         | generalized trajectory g(t): mm, rad or mm^2                                 |
     | `bodies`     | [N, 13]     | recorded bodies: position m, quaternion wxyz, velocity m/s, spin rad/s       |
+    | `markers`    | [M, 3]      | markers, m; instead of `bodies` where a deformable body is recorded          |
     | `driver`     | [D, 13]     | driven bodies, likewise; only where something is driven                      |
     | `time`       | [1]         | s                                                                            |
 
@@ -102,6 +107,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
         settings: Numerical settings of the backend that replace its defaults.
+        marker_proxy: What stands for a marker on a deformable body: `node`, the nearest node, as in the paper; or
+            `material`, its own material point between the nodes.
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
@@ -134,12 +141,15 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         backend: str = "mujoco",
         parameters: Parameters = "calibrated",
         settings: Mapping[str, Any] | None = None,
+        marker_proxy: str = "node",
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        if marker_proxy not in list(MarkerProxy):
+            raise ParameterError(f"marker_proxy {marker_proxy!r}: choose {' or '.join(map(repr, MarkerProxy))}")
         self.experiment = experiment(variant, parameters)
         self.backend_name = backend
         self.render_mode = render_mode
@@ -171,10 +181,21 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
                 np.full(3, np.inf),
             ]
         )
+        self._deformables = [_DeformableBounds(body.name, scene) for body in scene.deformables]
         self._band_rows = _band_rows(self.band)
         self._frame: int | None = None
         self._over = False
-        self._allocate()
+        self.simulation.reset(0)
+        observable = self.experiment.spec.score.observable
+        self._observer: Observer = (
+            ObserverPositions(self.experiment.recorded)
+            if observable is Observable.POSITION
+            else ObserverMarkers(scene, observable, self.simulation, MarkerProxy(marker_proxy))
+        )
+        frames, bodies = self.experiment.frame_count, len(self.experiment.recorded)
+        self._samples = np.full(((frames - 1) * SAMPLES_PER_FRAME + 1, self._observer.width), np.nan)
+        self._bodies = np.full((frames, bodies, 13), np.nan)
+        self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
         self.action_space = self._action_space()
         self.observation_space = self._observation_space()
 
@@ -194,10 +215,13 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             return spaces.Box(-bound, bound, dtype=np.float64)
 
         entries: dict[str, spaces.Space[Any]] = {
-            "observable": spaces.Box(-1e3 * distance, 1e3 * distance, (self._samples[0].size,), np.float64),
-            "bodies": states(len(self.experiment.recorded)),
+            "observable": spaces.Box(-1e3 * distance, 1e3 * distance, (self._observer.width,), np.float64),
             "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
         }
+        if self.experiment.recorded:
+            entries["bodies"] = states(len(self.experiment.recorded))
+        else:
+            entries["markers"] = spaces.Box(-distance, distance, self._markers_m.shape[1:], np.float64)
         if self._driven:
             entries["driver"] = states(len(self._driven))
         return cast("spaces.Space[Observation]", spaces.Dict(entries))
@@ -219,9 +243,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             path.reset()
         self._frame = 0
         self._over = False
-        states = self.simulation.body_states(self._dynamic)
-        self._samples[0] = 1e3 * states[self._recorded_rows, :3]
-        self._bodies[0] = states[self._recorded_rows]
+        self._samples[0] = self._observer.now(self.simulation)
+        self._record()
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -237,11 +260,9 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             raise EpisodeError(f"{self.experiment.variant.id}: the episode is over, call reset")
         rates = self._checked(action)
         first = self._frame * SAMPLES_PER_FRAME + 1
-        np.multiply(self._advanced(rates), 1e3, out=self._samples[first : first + SAMPLES_PER_FRAME])
+        self._advance(rates, self._samples[first : first + SAMPLES_PER_FRAME])
         self._frame += 1
-        states = self.simulation.body_states(self._dynamic)
-        self._bodies[self._frame] = states[self._recorded_rows]
-        fault = self._fault(states)
+        fault = self._fault(self._record())
         truncated = not fault and self._frame == self.experiment.frame_count - 1
         self._over = bool(fault) or truncated
         info = self._info()
@@ -260,9 +281,10 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         last = self._frame * SAMPLES_PER_FRAME + 1
         return Trajectory(
             times_s=np.arange(last, dtype=np.float64) * SAMPLE_INTERVAL_S,
-            samples=self._samples[:last].reshape(last, -1).copy(),
-            frames=self._samples[:last:SAMPLES_PER_FRAME].reshape(self._frame + 1, -1).copy(),
+            samples=self._samples[:last].copy(),
+            frames=self._samples[:last:SAMPLES_PER_FRAME].copy(),
             bodies=self._bodies[: self._frame + 1].copy(),
+            markers_m=self._markers_m[: self._frame + 1].copy(),
         )
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -292,28 +314,26 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
 
     # --- parts of a step ---
 
-    def _advanced(self, rates: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Simulate one frame; positions of the recorded bodies at its samples [m], shape [6, body_count, 3]."""
-        recorded = self.experiment.recorded
+    def _advance(self, rates: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+        """Simulate one frame; g(t) at its samples into `out`, shape [6, coordinate_count]."""
         if not self._drivers:
-            return self.simulation.sample_positions(recorded, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
-        positions = np.empty((SAMPLES_PER_FRAME, len(recorded), 3))
-        for sample, row in enumerate(positions, start=(self._frame or 0) * SAMPLES_PER_FRAME):
+            out[:] = self._observer.sample(self.simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
+            return
+        for sample, row in enumerate(out, start=(self._frame or 0) * SAMPLES_PER_FRAME):
             offset = 0
             for path in self._drivers:
                 end = offset + path.motion_count
                 self.simulation.drive(path.body, *path.interval(sample, rates[offset:end]))
                 offset = end
-            row[:] = self.simulation.sample_positions(recorded, 1, SAMPLE_INTERVAL_S)[0]
-        return positions
+            row[:] = self._observer.sample(self.simulation, 1, SAMPLE_INTERVAL_S)[0]
 
-    def _allocate(self) -> None:
-        if self.experiment.spec.score.observable is not Observable.POSITION:
-            raise UnsupportedSceneError(f"{self.experiment.variant.id}: only rigid bodies are observed yet")
-        bodies = len(self.experiment.recorded)
-        frames = self.experiment.frame_count
-        self._samples = np.full(((frames - 1) * SAMPLES_PER_FRAME + 1, bodies, 3), np.nan)
-        self._bodies = np.full((frames, bodies, 13), np.nan)
+    def _record(self) -> NDArray[np.float64]:
+        """Keep bodies and markers of this frame; states of the dynamic bodies, shape [body_count, 13]."""
+        states = self.simulation.body_states(self._dynamic)
+        frame = self._frame or 0
+        self._bodies[frame] = states[self._recorded_rows]
+        self._markers_m[frame] = self._observer.markers_m
+        return states
 
     def _checked(self, action: Any) -> NDArray[np.float64]:
         space = self.action_space
@@ -336,10 +356,13 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     def _observation(self) -> Observation:
         frame = self._frame or 0
         observation = {
-            "observable": self._samples[frame * SAMPLES_PER_FRAME].flatten(),
-            "bodies": self._bodies[frame].copy(),
+            "observable": self._samples[frame * SAMPLES_PER_FRAME].copy(),
             "time": np.array([frame / FRAME_RATE_HZ]),
         }
+        if self.experiment.recorded:
+            observation["bodies"] = self._bodies[frame].copy()
+        else:
+            observation["markers"] = self._markers_m[frame].copy()
         if self._driven:
             observation["driver"] = self.simulation.body_states(self._driven)
         return observation
@@ -354,13 +377,17 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             return 0.0
         projection, mean, weight = self._band_rows
         frame = self._frame or 0
-        deviation = projection.dot(self._samples[frame * SAMPLES_PER_FRAME].ravel()) - mean[frame]
+        deviation = projection.dot(self._samples[frame * SAMPLES_PER_FRAME]) - mean[frame]
         return -float(np.abs(deviation).dot(weight[frame]))
 
     def _fault(self, states: NDArray[np.float64]) -> str | None:
         """Why the simulation counts as diverged, judged by physics: it may be wrong and still finite."""
         velocity = states[:, 7:10]
         energy = 0.5 * float(np.vdot(velocity, self._masses * velocity))
+        for bounds in self._deformables:
+            fault = bounds.fault(self.simulation.nodes(bounds.name))
+            if fault:
+                return fault
         # A comparison with NaN is false, so that each bound also catches what is not a number.
         if energy <= self._energy_limit_j and (np.abs(states) <= self._limits).all():
             return None
@@ -384,6 +411,29 @@ def _band_rows(band: Band | None) -> tuple[NDArray, NDArray, NDArray] | None:
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     weight = np.where(usable, 1.0, 0.0) / np.where(usable, band.sigma, 1.0) / count
     return band.projection, np.nan_to_num(band.mean), weight
+
+
+class _DeformableBounds:
+    """Judges by its nodes whether a deformable body has blown up."""
+
+    STRETCH = 3.0
+    """A body as many times longer than at rest has torn, not stretched; the paper's largest strains are 0.3."""
+
+    def __init__(self, name: str, scene: Scene) -> None:
+        self.name = name
+        self._distance_m = scene.distance_limit_m
+        self._extent_m: float | None = None
+
+    def fault(self, nodes: NDArray[np.float64]) -> str | None:
+        """Why the body counts as blown up; the first call takes the nodes for its shape at rest."""
+        extent_m = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+        if self._extent_m is None:
+            self._extent_m = extent_m
+        if extent_m <= self.STRETCH * self._extent_m and np.abs(nodes).max() <= self._distance_m:
+            return None
+        if not np.isfinite(nodes).all():
+            return f"a node of {self.name} is not finite"
+        return f"{self.name} spans {extent_m:.3g} m, at rest {self._extent_m:.3g} m; or is further away than it can get"
 
 
 def _unsupported_message(resolved: Experiment, asked: str, missing: tuple[str, ...]) -> str:

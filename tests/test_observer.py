@@ -1,0 +1,102 @@
+"""Marker proxies on a sheet of nodes that moves as told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gauge_envs import experiment
+from gauge_envs.errors import ShapeError
+from gauge_envs.observer import MarkerProxy, ObserverMarkers, observe_markers
+from gauge_envs.scene import Cloth
+from gauge_envs.task_format import Observable
+
+
+class Sheet:
+    """Stands for a simulation: nodes of a regular grid, moved by a function of time."""
+
+    def __init__(self, cloth: Cloth, cell_m: float, motion=lambda points, t: points) -> None:
+        counts = [round(edge / cell_m) + 1 for edge in cloth.size_m]
+        axes = [np.linspace(-0.5 * edge, 0.5 * edge, n) for edge, n in zip(cloth.size_m, counts, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+        self._rest = cloth.pose.to_world(grid)
+        self._motion = motion
+        self.time_s = 0.0
+
+    def nodes(self, name: str) -> np.ndarray:
+        return self._motion(self._rest, self.time_s)
+
+    def advance(self, seconds: float) -> None:
+        self.time_s += seconds
+
+
+def flinging() -> tuple:
+    scene = experiment("TextileFlinging-satin").scene
+    return scene, scene.deformables[0]
+
+
+@pytest.mark.parametrize("proxy", list(MarkerProxy))
+@pytest.mark.parametrize("cell_m", [0.025, 0.0125])
+def test_flat_sheet_has_no_curvature(proxy: MarkerProxy, cell_m: float) -> None:
+    scene, cloth = flinging()
+    observer = ObserverMarkers(scene, Observable.CURVATURE, Sheet(cloth, cell_m), proxy)
+    assert observer.width == 63
+    assert observer.largest_distance_m < 1e-9
+    assert observer.now(Sheet(cloth, cell_m)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_material_points_are_exact_where_nodes_are_not() -> None:
+    scene, cloth = flinging()
+    # A stretch that is linear in space: interpolation is exact, a proxy 5 mm away is 5 mm times the strain off.
+    sheet = Sheet(cloth, 0.5 / 41, lambda points, t: points * np.array([1.0 + t, 1.0, 1.0 - t]))
+    targets = np.asarray(scene.markers.positions_m) * np.array([1.1, 1.0, 0.9])
+    errors = {}
+    for proxy in MarkerProxy:
+        sheet.time_s = 0.0
+        observer = ObserverMarkers(scene, Observable.MARKER_POSITION, sheet, proxy)
+        sheet.advance(0.1)
+        moved = observer.now(sheet).reshape(-1, 3)
+        errors[proxy] = np.abs(moved - 1e3 * targets).max()
+    assert errors[MarkerProxy.MATERIAL] < 1e-6
+    assert 0.5 < errors[MarkerProxy.NODE] < 11.0
+
+
+def test_mesh_too_coarse_for_the_markers_is_refused() -> None:
+    scene, cloth = flinging()
+    with pytest.raises(ShapeError, match="marker"):
+        ObserverMarkers(scene, Observable.CURVATURE, Sheet(cloth, 0.125), MarkerProxy.NODE)
+
+
+def test_marker_off_the_material_is_refused() -> None:
+    scene, cloth = flinging()
+    shifted = Sheet(cloth, 0.025, lambda points, t: points + np.array([0.0, 0.02, 0.0]))
+    with pytest.raises(ShapeError, match=r"20\.0 mm"):
+        ObserverMarkers(scene, Observable.CURVATURE, shifted, MarkerProxy.MATERIAL)
+
+
+def test_sampling_observes_after_each_interval() -> None:
+    scene, cloth = flinging()
+    sheet = Sheet(cloth, 0.025, lambda points, t: points + np.array([0.0, t, 0.0]))
+    observer = ObserverMarkers(scene, Observable.MARKER_POSITION, sheet, MarkerProxy.NODE)
+    samples = observer.sample(sheet, 3, 0.1).reshape(3, -1, 3)
+    start = 1e3 * np.asarray(scene.markers.positions_m)
+    assert samples[:, :, 1] - start[:, 1] == pytest.approx(np.array([[100.0], [200.0], [300.0]]) * np.ones(63))
+
+
+def test_missing_markers_stay_missing() -> None:
+    scene, _ = flinging()
+    positions = np.asarray(scene.markers.positions_m)[None].copy()
+    positions[0, 10] = np.nan
+    curvature = observe_markers(positions, scene.markers, Observable.CURVATURE)
+    assert np.isnan(curvature[0, 10])
+    assert np.isfinite(np.delete(curvature[0], 10)).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "width"),
+    [("TextileStretching-satin", 25), ("TextileBending-satin", 10), ("FoamTwisting-soft", 24), ("StickStack-soft", 12)],
+)
+def test_width_of_each_observable(name: str, width: int) -> None:
+    found = experiment(name)
+    positions = np.asarray(found.scene.markers.positions_m)[None]
+    assert observe_markers(positions, found.scene.markers, found.spec.score.observable).shape == (1, width)
