@@ -181,11 +181,12 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
                 np.full(3, np.inf),
             ]
         )
-        self._deformables = [_DeformableBounds(body.name, scene) for body in scene.deformables]
         self._band_rows = _band_rows(self.band)
         self._frame: int | None = None
         self._over = False
         self.simulation.reset(0)
+        self._rest_nodes_m = self._nodes_m()
+        self._deformables = [_DeformableBounds(name, scene, rest) for name, rest in self._rest_nodes_m.items()]
         observable = self.experiment.spec.score.observable
         self._observer: Observer = (
             ObserverPositions(self.experiment.recorded)
@@ -301,9 +302,10 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         if self._renderer is None:
             from gauge_envs.rendering import SceneRenderer
 
-            self._renderer = SceneRenderer(self.experiment.scene, *self._picture_size)
+            self._renderer = SceneRenderer(self.experiment.scene, self._rest_nodes_m, *self._picture_size)
         moving = (*self._dynamic, *self._driven)
-        return self._renderer.picture(dict(zip(moving, self.simulation.body_states(moving)[:, :7], strict=True)))
+        poses = dict(zip(moving, self.simulation.body_states(moving)[:, :7], strict=True))
+        return self._renderer.picture(poses, self._nodes_m())
 
     def close(self) -> None:
         """Free the simulation and the renderer."""
@@ -326,6 +328,10 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
                 self.simulation.drive(path.body, *path.interval(sample, rates[offset:end]))
                 offset = end
             row[:] = self._observer.sample(self.simulation, 1, SAMPLE_INTERVAL_S)[0]
+
+    def _nodes_m(self) -> dict[str, NDArray[np.float64]]:
+        """Nodes of the deformable bodies now [m], each of shape [node_count, 3]."""
+        return {body.name: self.simulation.nodes(body.name).copy() for body in self.experiment.scene.deformables}
 
     def _record(self) -> NDArray[np.float64]:
         """Keep bodies and markers of this frame; states of the dynamic bodies, shape [body_count, 13]."""
@@ -413,22 +419,24 @@ def _band_rows(band: Band | None) -> tuple[NDArray, NDArray, NDArray] | None:
     return band.projection, np.nan_to_num(band.mean), weight
 
 
+def _extent_m(nodes: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(np.ptp(nodes, axis=0)))
+
+
 class _DeformableBounds:
     """Judges by its nodes whether a deformable body has blown up."""
 
     STRETCH = 3.0
     """A body as many times longer than at rest has torn, not stretched; the paper's largest strains are 0.3."""
 
-    def __init__(self, name: str, scene: Scene) -> None:
+    def __init__(self, name: str, scene: Scene, rest_m: NDArray[np.float64]) -> None:
         self.name = name
         self._distance_m = scene.distance_limit_m
-        self._extent_m: float | None = None
+        self._extent_m = _extent_m(rest_m)
 
     def fault(self, nodes: NDArray[np.float64]) -> str | None:
-        """Why the body counts as blown up; the first call takes the nodes for its shape at rest."""
-        extent_m = float(np.linalg.norm(np.ptp(nodes, axis=0)))
-        if self._extent_m is None:
-            self._extent_m = extent_m
+        """Why the body counts as blown up, from its nodes now [m], shape [node_count, 3]."""
+        extent_m = _extent_m(nodes)
         if extent_m <= self.STRETCH * self._extent_m and np.abs(nodes).max() <= self._distance_m:
             return None
         if not np.isfinite(nodes).all():

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from ctypes.util import find_library
+from itertools import pairwise
 from typing import Any
 
 import mujoco
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.model import add_geoms
 from gauge_envs.errors import RenderError
-from gauge_envs.scene import Hinge, Motion, Plane, Scene
+from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, Rope, Scene, SoftBody
+from gauge_envs.skin import Skin
 
 __all__ = ["SceneRenderer"]
 
@@ -59,10 +61,11 @@ def _graphics_context(width: int, height: int) -> Any:
 
 
 class SceneRenderer:
-    """Draws a scene from its bodies' poses; no physics runs in it.
+    """Draws a scene from its bodies' poses and nodes; no physics runs in it.
 
     Args:
         scene: What to draw.
+        rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
         width: Picture width [pixels].
         height: Picture height [pixels].
 
@@ -70,25 +73,33 @@ class SceneRenderer:
         RenderError: The machine has no OpenGL library; the message names the packages.
     """
 
-    def __init__(self, scene: Scene, width: int, height: int) -> None:
+    def __init__(self, scene: Scene, rest_nodes_m: Mapping[str, NDArray[np.float64]], width: int, height: int) -> None:
         self._context = _graphics_context(width, height)
         self._scene = scene
         self._viewport = mujoco.MjrRect(0, 0, width, height)
-        self._model = _visual_model(scene, width, height)
+        self._skins = [
+            Skin(body, rest_nodes_m[body.name]) for body in scene.deformables if isinstance(body, Cloth | SoftBody)
+        ]
+        self._lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
+        self._model = _visual_model(scene, self._skins, width, height)
         self._data = mujoco.MjData(self._model)
         self._mocap_ids = {body.name: int(self._model.body(body.name).mocapid[0]) for body in scene.bodies}
         self._option = mujoco.MjvOption()
-        self._drawing = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + len(scene.joints) + 100)
+        segments = sum(len(rest_nodes_m[line.name]) for line in self._lines)
+        self._drawing = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + len(scene.joints) + segments + 100)
         self._drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         self._camera = _camera(scene)
         self._device = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
 
-    def picture(self, poses: Mapping[str, NDArray[np.float64]]) -> NDArray[np.uint8]:
+    def picture(
+        self, poses: Mapping[str, NDArray[np.float64]], nodes_m: Mapping[str, NDArray[np.float64]]
+    ) -> NDArray[np.uint8]:
         """Draw the scene with bodies at given poses.
 
         Args:
             poses: For each body that has moved, position [m] and quaternion w x y z, shape [7].
+            nodes_m: For each deformable body its nodes now [m], in the order of `rest_nodes_m`.
 
         Returns:
             Shape [height, width, 3], top row first.
@@ -100,11 +111,17 @@ class SceneRenderer:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         self._context.make_current()
+        for skin in self._skins:
+            skin.upload(self._model, self._device, nodes_m[skin.name])
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._drawing
         )
         for joint in self._scene.joints:
-            self._draw_string(np.asarray(joint.anchor_m), self._data.mocap_pos[self._mocap_ids[joint.body]])
+            end = self._data.mocap_pos[self._mocap_ids[joint.body]]
+            self._draw_segment(np.asarray(joint.anchor_m), end, STRING_RADIUS_M, STRING_COLOR)
+        for line in self._lines:
+            for start, end in pairwise(nodes_m[line.name]):
+                self._draw_segment(start, end, line.radius_m, COLORS[Motion.DYNAMIC])
         pixels = np.empty((self._viewport.height, self._viewport.width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._viewport, self._drawing, self._device)
         mujoco.mjr_readPixels(pixels, None, self._viewport, self._device)
@@ -115,17 +132,18 @@ class SceneRenderer:
         self._device.free()
         self._context.free()
 
-    def _draw_string(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+    def _draw_segment(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], radius_m: float, color: tuple[float, ...]
+    ) -> None:
         geom = self._drawing.geoms[self._drawing.ngeom]
         kind = mujoco.mjtGeom.mjGEOM_CAPSULE
-        mujoco.mjv_initGeom(
-            geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(STRING_COLOR, dtype=np.float32)
-        )
-        mujoco.mjv_connector(geom, kind, STRING_RADIUS_M, start, end)
+        rgba = np.array(color, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+        mujoco.mjv_connector(geom, kind, radius_m, start, end)
         self._drawing.ngeom += 1
 
 
-def _visual_model(scene: Scene, width: int, height: int) -> mujoco.MjModel:
+def _visual_model(scene: Scene, skins: Sequence[Skin], width: int, height: int) -> mujoco.MjModel:
     """A model of shapes without physics: every body is a mocap body, placed by hand."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth = width
@@ -165,12 +183,18 @@ def _visual_model(scene: Scene, width: int, height: int) -> mujoco.MjModel:
                 geom.size = [0.0, 0.0, 0.05]
             else:
                 geom.rgba = COLORS[body.motion]
-    return spec.compile()
+    for skin in skins:
+        skin.add(spec, COLORS[Motion.DYNAMIC])
+    model = spec.compile()
+    for skin in skins:
+        skin.place(model)
+    return model
 
 
 def _camera(scene: Scene) -> mujoco.MjvCamera:
     """Looks at the middle of what the scene can fill: solids at the start, swings, and the floor below what falls."""
     points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
+    points += [body.pose.to_world(_outline_m(body)) for body in scene.deformables]
     azimuth_deg = AZIMUTH_DEG
     for joint in scene.joints:
         anchor = np.asarray(joint.anchor_m)
@@ -193,3 +217,12 @@ def _camera(scene: Scene) -> mujoco.MjvCamera:
     camera.distance = 1.25 * radius / np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
     camera.azimuth, camera.elevation = azimuth_deg, ELEVATION_DEG
     return camera
+
+
+def _outline_m(body: Deformable) -> NDArray[np.float64]:
+    """Corners of a deformable body in its own frame [m], shape [8, 3]."""
+    if isinstance(body, SoftBody):
+        return body.shape.corners_m
+    if isinstance(body, Cloth):
+        return Box(size_m=(*body.size_m, 0.0)).corners_m
+    return Box(size_m=(body.length_m, 0.0, 0.0) if isinstance(body, Rope) else (0.0, 0.0, body.length_m)).corners_m

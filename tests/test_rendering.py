@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from conftest import RIGID
 
+from gauge_envs import experiment
 from gauge_envs.errors import EpisodeError
-from gauge_envs.rendering import DEBIAN_PACKAGES
+from gauge_envs.rendering import DEBIAN_PACKAGES, SceneRenderer
+from gauge_envs.skin import Skin
 
 needs_opengl = pytest.mark.skipif(
     not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library: the error is tested instead"
@@ -80,3 +82,35 @@ def test_missing_opengl_names_the_packages() -> None:
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env={})
     assert run.stdout.startswith("RenderError")
     assert DEBIAN_PACKAGES in run.stdout
+
+
+@needs_opengl
+def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
+    scene = experiment("TextileFlinging-satin").scene
+    cloth = scene.deformables[0]
+    edge = np.linspace(-0.5, 0.5, 11)
+    grid = np.stack(np.meshgrid(edge * cloth.size_m[0], edge * cloth.size_m[1], [0.0], indexing="ij"), -1)
+    rest = cloth.pose.to_world(grid.reshape(-1, 3))
+    renderer = SceneRenderer(scene, {cloth.name: rest}, 160, 120)
+
+    def orange(nodes: np.ndarray) -> np.ndarray:
+        picture = renderer.picture({}, {cloth.name: nodes}).astype(int)
+        return picture[..., 0] - picture[..., 2] > 60
+
+    here, lowered = orange(rest), orange(rest - [0.0, 0.0, 0.1])
+    renderer.close()
+    assert here.sum() > 500
+    rows = [np.flatnonzero(mask.any(axis=1)).mean() for mask in (here, lowered)]
+    assert rows[1] > rows[0] + 3
+
+
+def test_surface_of_a_solid_is_closed_and_turned_outward() -> None:
+    foam = experiment("FoamTwisting-soft").scene.deformables[0]
+    axes = [
+        np.linspace(-0.5 * edge, 0.5 * edge, count) for edge, count in zip(foam.shape.size_m, (4, 4, 9), strict=True)
+    ]
+    nodes = foam.pose.to_world(np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3))
+    corners = foam.pose.to_body(nodes)[Skin(foam, nodes).faces]
+    # Divergence theorem: the volume inside a closed surface that is turned outward.
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    assert volume == pytest.approx(foam.shape.volume_m3, rel=1e-6)
