@@ -220,6 +220,18 @@ def plot(
         raise typer.Exit(EXIT_FAILED)
 
 
+@app.command()
+def materials(json_lines: Json = False) -> None:
+    """Show the six fabrics in every engine's constants, what comes back from them, and what is lost."""
+    from gauge_envs.materials import fabrics
+    from gauge_envs.report import material_values, material_view
+
+    if json_lines:
+        _print_lines([material_values(fabrics())])
+    else:
+        _stdout().print(material_view(fabrics()))
+
+
 @backend_app.command("list")
 def backend_list(json_lines: Json = False) -> None:
     """List installed backends and the versions of their engines."""

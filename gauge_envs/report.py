@@ -14,6 +14,7 @@ from rich.text import Text
 from gauge_envs.backends import backend, backend_names
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.materials import MAPPINGS, Fabric, bending_length_m, shear_stiffness, uniaxial_stiffness
 from gauge_envs.reference import BandGrade, band_grade, law_for, load_band, published_baselines
 from gauge_envs.result import Outcome, Result, json_ready
 from gauge_envs.scene import Deformable, Hinge, RigidBody
@@ -31,6 +32,8 @@ __all__ = [
     "description_view",
     "list_rows",
     "list_table",
+    "material_values",
+    "material_view",
     "result_label",
     "summary_view",
 ]
@@ -448,3 +451,54 @@ def backend_table(rows: Sequence[Mapping[str, Any]]) -> Table | Text:
         ("backend", "engine"),
         [(row["name"], row["error"] or _pairs(row["versions"]).replace(" = ", " ")) for row in rows],
     )
+
+
+# --- materials -------------------------------------------------------------------------------------------------------
+
+
+def material_values(fabrics: Mapping[str, Fabric]) -> dict[str, dict[str, dict[str, float]]]:
+    """Constants of every fabric in every engine's terms: fabric, engine, constant."""
+    return {
+        name: {engine: mapping(fabric).constants for engine, mapping in MAPPINGS.items()}
+        for name, fabric in fabrics.items()
+    }
+
+
+def material_view(fabrics: Mapping[str, Fabric]) -> Group:
+    """Constants of every fabric in every engine's terms, what comes back from them, and every fall-back and loss."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for title in ("", "unit", *fabrics):
+        table.add_column(escape(title), justify="left" if title in ("", "unit") else "right", no_wrap=True)
+
+    def add(title: str, unit: str, values: Iterable[float], marks: Iterable[str], style: str | None = None) -> None:
+        cells = (f"{value:.4g}{mark or ' '}" for value, mark in zip(values, marks, strict=True))
+        table.add_row(f"  {title}", escape(unit), *cells, style=style)
+
+    table.add_row("[bold]measured[/]")
+    plain = [""] * len(fabrics)
+    for title, unit, attribute in (
+        ("K_s", "N/m", "stretch_stiffness_n_per_m"),
+        ("K_sh", "N/m", "shear_stiffness_n_per_m"),
+        ("K_theta", "N m/rad", "bend_stiffness_n_m_per_rad"),
+        ("thickness", "m", "thickness_m"),
+        ("areal density", "kg/m^2", "areal_density_kg_per_m2"),
+    ):
+        add(title, unit, (getattr(fabric, attribute) for fabric in fabrics.values()), plain)
+    add("bending length", "m", map(bending_length_m, fabrics.values()), plain, "dim")
+    notes: dict[str, list[str]] = {}
+    for engine, mapping in MAPPINGS.items():
+        mapped = {name: mapping(fabric) for name, fabric in fabrics.items()}
+        table.add_row(f"[bold]{engine}[/]")
+        marks = ["*" if constants.fallbacks else "" for constants in mapped.values()]
+        for constant, unit in next(iter(mapped.values())).units.items():
+            add(constant, unit, (constants.constants[constant] for constants in mapped.values()), marks)
+        add("gives stretch", "N/m", map(uniaxial_stiffness, mapped.values()), plain, "dim")
+        losses = ["!" if constants.lost else "" for constants in mapped.values()]
+        add("gives shear", "N/m", map(shear_stiffness, mapped.values()), losses, "dim")
+        for name, constants in mapped.items():
+            if constants.fallbacks or constants.lost:
+                notes.setdefault(engine, []).append(f"{name}: {'; '.join((*constants.fallbacks, *constants.lost))}")
+    parts: list[Any] = [table, Text("\n* engine's constants with a fall-back   ! measured shear lost", style="dim")]
+    for engine, lines in notes.items():
+        parts += [_heading(engine), *map(Text, lines)]
+    return Group(*parts)
