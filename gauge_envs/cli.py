@@ -59,6 +59,8 @@ app = typer.Typer(
 )
 backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=True)
 app.add_typer(backend_app, name="backend")
+assets_app = typer.Typer(help="Scenes as USD, MJCF and OBJ for other tools.", no_args_is_help=True)
+app.add_typer(assets_app, name="assets")
 
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, one object a line.")]
 ParametersOption = Annotated[
@@ -242,6 +244,41 @@ def backend_list(json_lines: Json = False) -> None:
         _print_lines(rows)
     else:
         _stdout().print(backend_table(rows))
+
+
+@assets_app.command("build")
+def assets_build(
+    out: Annotated[Path | None, typer.Option(help="Folder; the checked-in assets/ by default.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 names the first stale file.")] = False,
+) -> None:
+    """Build every scene as USD, every rigid one as MJCF, and every solid as OBJ, from the task files."""
+    from gauge_envs.assets import assets_folder, build_assets, stale_asset
+
+    folder = out or assets_folder()
+    if not check:
+        typer.echo(f"{_count(len(build_assets(folder)), 'file')} in {folder}")
+    elif stale := stale_asset(folder):
+        _stderr().print(f"[red]stale:[/] {_plain(str(stale))}; gauge assets build renews it", soft_wrap=True)
+        raise typer.Exit(EXIT_FAILED)
+    else:
+        typer.echo(f"{folder} is current")
+
+
+@assets_app.command("list")
+def assets_list(json_lines: Json = False) -> None:
+    """List the built assets, and what each shows."""
+    from rich.table import Table
+
+    from gauge_envs.assets import asset_rows, assets_folder
+
+    rows = asset_rows(assets_folder())
+    if json_lines:
+        _print_lines(rows)
+        return
+    table = Table("file", "KiB", "of", box=None)
+    for row in rows:
+        table.add_row(row["file"], f"{row['bytes'] / 1024:.1f}", row["of"])
+    _stdout().print(table)
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------

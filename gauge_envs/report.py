@@ -468,7 +468,7 @@ def material_view(fabrics: Mapping[str, Fabric]) -> Group:
     """Constants of every fabric in every engine's terms, what comes back from them, and every fall-back and loss."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     for title in ("", "unit", *fabrics):
-        table.add_column(escape(title), justify="left" if title in ("", "unit") else "right", no_wrap=True)
+        table.add_column(escape(title), justify="left" if title in ("", "unit") else "right", overflow="fold")
 
     def add(title: str, unit: str, values: Iterable[float], marks: Iterable[str], style: str | None = None) -> None:
         cells = (f"{value:.4g}{mark or ' '}" for value, mark in zip(values, marks, strict=True))
@@ -489,8 +489,8 @@ def material_view(fabrics: Mapping[str, Fabric]) -> Group:
     for engine, mapping in MAPPINGS.items():
         mapped = {name: mapping(fabric) for name, fabric in fabrics.items()}
         table.add_row(f"[bold]{engine}[/]")
-        marks = ["*" if constants.fallbacks else "" for constants in mapped.values()]
         for constant, unit in next(iter(mapped.values())).units.items():
+            marks = ["*" if constant in constants.replaced else "" for constants in mapped.values()]
             add(constant, unit, (constants.constants[constant] for constants in mapped.values()), marks)
         add("gives stretch", "N/m", map(uniaxial_stiffness, mapped.values()), plain, "dim")
         losses = ["!" if constants.lost else "" for constants in mapped.values()]
@@ -498,7 +498,7 @@ def material_view(fabrics: Mapping[str, Fabric]) -> Group:
         for name, constants in mapped.items():
             if constants.fallbacks or constants.lost:
                 notes.setdefault(engine, []).append(f"{name}: {'; '.join((*constants.fallbacks, *constants.lost))}")
-    parts: list[Any] = [table, Text("\n* engine's constants with a fall-back   ! measured shear lost", style="dim")]
+    parts: list[Any] = [table, Text("\n* set by a fall-back   ! not the measured shear stiffness", style="dim")]
     for engine, lines in notes.items():
         parts += [_heading(engine), *map(Text, lines)]
     return Group(*parts)
