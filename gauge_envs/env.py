@@ -184,7 +184,6 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self._band_rows = _band_rows(self.band)
         self._frame: int | None = None
         self._over = False
-        self.simulation.reset(0)
         self._rest_nodes_m = self._nodes_m()
         self._deformables = [_DeformableBounds(name, scene, rest) for name, rest in self._rest_nodes_m.items()]
         observable = self.experiment.spec.score.observable

@@ -130,7 +130,7 @@ class Backend(ABC):
 
     @abstractmethod
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build a scene.
+        """Build a scene; the simulation stands at the scene's start, where `reset` brings it back to.
 
         Args:
             scene: What to build; `supports` is true for it.
