@@ -249,7 +249,7 @@ def backend_list(json_lines: Json = False) -> None:
 @assets_app.command("build")
 def assets_build(
     out: Annotated[Path | None, typer.Option(help="Folder; the checked-in assets/ by default.")] = None,
-    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 names the first stale file.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 if a file is stale.")] = False,
 ) -> None:
     """Build every scene as USD, every rigid one as MJCF, and every solid as OBJ, from the task files."""
     from gauge_envs.assets import assets_folder, build_assets, stale_asset

@@ -1,0 +1,79 @@
+"""Meshes of solids and sheets: faces of convex polyhedra, regular grids, tetrahedra."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from gauge_envs.scene import Region
+
+__all__ = ["TOUCHING_M", "grid", "hull_faces", "nodes_in", "tetrahedra"]
+
+GRID_SPACING_M = 0.02
+"""Edge length of the grids of cloth and of soft bodies; only a mesh to start from, no constant depends on it."""
+
+COPLANAR = 1e-7
+"""Hull facets whose unit normals and offsets [m] differ by less belong to one face."""
+
+TOUCHING_M = 1e-6
+"""Vertices of two glued bodies that lie closer than this are one point."""
+
+
+def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
+    """Faces of a convex polyhedron as polygons, counter-clockwise seen from outside.
+
+    Faces and their first vertices are ordered by index, so that the result depends on the solid alone.
+
+    Args:
+        points_m: Vertices [m], shape [vertex_count, 3].
+    """
+    hull = ConvexHull(points_m)
+    groups: list[tuple[NDArray[np.float64], set[int]]] = []
+    for equation, simplex in zip(hull.equations, hull.simplices, strict=True):
+        for known, members in groups:
+            if np.abs(equation - known).max() < COPLANAR:
+                members.update(simplex.tolist())
+                break
+        else:
+            groups.append((equation, set(simplex.tolist())))
+    faces = []
+    for equation, members in groups:
+        indices = np.array(sorted(members))
+        arms = points_m[indices] - points_m[indices].mean(axis=0)
+        normal = equation[:3]
+        angles = np.arctan2(np.cross(arms[0], arms) @ normal, arms @ arms[0])
+        faces.append(tuple(indices[np.argsort(np.where(angles < -1e-9, angles + 2 * np.pi, angles))].tolist()))
+    return sorted(faces)
+
+
+def grid(size_m: tuple[float, float, float]) -> tuple[NDArray[np.float64], tuple[int, int, int]]:
+    """Nodes of a regular grid about the origin [m], shape [node_count, 3], and their number along each axis."""
+    counts = [max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m]
+    axes = [
+        np.linspace(-0.5 * edge, 0.5 * edge, count) if edge else np.zeros(1)
+        for edge, count in zip(size_m, counts, strict=True)
+    ]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return nodes, (counts[0], counts[1], counts[2])
+
+
+def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
+    """Six tetrahedra a grid cell, all about the same diagonal, so that neighbouring cells match."""
+    node = np.arange(np.prod(shape)).reshape(shape)
+    x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+    # A way from the low to the high corner along three edges is a tetrahedron; every second way is left-handed.
+    rows = []
+    for first, second, right_handed in ((x, y, 1), (y, z, 1), (z, x, 1), (y, x, 0), (z, y, 0), (x, z, 0)):
+        way = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
+        if not right_handed:
+            way[1], way[2] = way[2], way[1]
+        rows.append([node[tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))] for step in way])
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
+
+
+def nodes_in(nodes_m: NDArray[np.float64], region: Region) -> NDArray[np.intp]:
+    """Indices of the nodes that lie in a region of their body, the end itself at least."""
+    along = nodes_m[:, "xyz".index(region.axis)]
+    depth = along - along.min() if region.side == "low" else along.max() - along
+    return np.flatnonzero(depth <= region.depth_m + TOUCHING_M)
