@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import gauge_envs
+from gauge_envs.backends import Support
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.env import Trajectory
+from gauge_envs.scene import Scene
 
 RIGID_FAMILIES = (
     "SlopeContact",
@@ -22,6 +25,16 @@ RIGID_FAMILIES = (
     "Pendulum",
 )
 RIGID = tuple(v.name for v in gauge_envs.variants() if v.family in RIGID_FAMILIES)
+
+
+@pytest.fixture
+def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes the MuJoCo backend decline deformable bodies, as an engine that knows only rigid ones does."""
+
+    def supports(self: BackendMuJoCo, scene: Scene) -> Support:
+        return Support(tuple(f"{body.name!r} is a deformable body" for body in scene.deformables))
+
+    monkeypatch.setattr(BackendMuJoCo, "supports", supports)
 
 
 @pytest.fixture

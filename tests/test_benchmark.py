@@ -110,6 +110,7 @@ def test_file_names_tell_all_requests_apart(result):
     assert len({result_file_name(r) for r in [result, *others]}) == 8
 
 
+@pytest.mark.usefixtures("rigid_only")
 @pytest.mark.parametrize(
     ("options", "error"),
     [
@@ -137,6 +138,7 @@ def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
     assert run_count == []
 
 
+@pytest.mark.usefixtures("rigid_only")
 def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
     reset = mujoco_backend.SimulationMuJoCo.reset
 

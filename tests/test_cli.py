@@ -34,6 +34,7 @@ def lines(result):
 # --- list, show, backends ---
 
 
+@pytest.mark.usefixtures("rigid_only")
 def test_list_shows_every_experiment(gauge):
     result = gauge("list")
     assert result.exit_code == 0
@@ -115,6 +116,7 @@ def test_overrides_are_parsed_and_change_the_score(gauge):
     assert len({v["score"]["rmse"] for v in (plain, changed, moved)}) == 3
 
 
+@pytest.mark.usefixtures("rigid_only")
 def test_declined_experiments_are_told_and_count_only_when_named(gauge):
     assert gauge("run", "FoamBending-*").exit_code == 0
     named = gauge("run", SOFT, NAME)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Simulation, Support
+from gauge_envs.backends.mujoco.deformables import nodes_of
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
@@ -28,18 +29,16 @@ class BackendMuJoCo(Backend):
         return {"mujoco": mujoco.__version__}
 
     def supports(self, scene: Scene) -> Support:
-        """Rigid scenes of any size; deformable bodies are declined by name."""
-        return Support(
-            tuple(f"{type(body).__name__.lower()} {body.name!r} is a deformable body" for body in scene.deformables)
-        )
+        """All scenes: rigid bodies, cloth, soft bodies, ropes and rods."""
+        return Support()
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
-        """Build a rigid scene; settings are the fields of `SettingsMuJoCo`."""
+        """Build a scene; settings are the fields of `SettingsMuJoCo`."""
         return SimulationMuJoCo(scene, settings_for(scene, settings))
 
 
 class SimulationMuJoCo(Simulation):
-    """A rigid scene in MuJoCo.
+    """A scene in MuJoCo.
 
     Attributes:
         spec: The editable model, for export and inspection.
@@ -49,8 +48,10 @@ class SimulationMuJoCo(Simulation):
 
     def __init__(self, scene: Scene, settings: SettingsMuJoCo) -> None:
         self.settings = settings.model_dump(mode="json")
-        self.spec, self.model = build_model(scene, settings)
+        self.spec, self.model, self._parts = build_model(scene, settings)
         self.data = mujoco.MjData(self.model)
+        for part in dict.fromkeys(self._parts.values()):
+            part.bind(self.model, self.data)
         self._steps_per_second = round(1.0 / settings.timestep_s)
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _Reader] = {}
@@ -70,6 +71,8 @@ class SimulationMuJoCo(Simulation):
         self.data.qvel[speed + 3 : speed + 6] = _rotated_back(pose.quaternion, velocity[3:])
         # Mass and all moments of inertia of a driven body are the same number.
         self.data.xfrc_applied[self.model.body(body).id] = self.settings["kinematic_mass_kg"] * acceleration
+        for part in dict.fromkeys(self._parts.values()):
+            part.drive(body, pose, velocity, acceleration)
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
@@ -94,6 +97,10 @@ class SimulationMuJoCo(Simulation):
         if key not in self._readers:
             self._readers[key] = _reader(self._scene, self.model, self.data, key)
         return self._readers[key]
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Nodes of a deformable body now [m], shape [node_count, 3]."""
+        return nodes_of(self._parts[name], name)
 
     def state(self) -> NDArray[np.float64]:
         """Integration state, shape [state_size]."""
@@ -172,8 +179,9 @@ class _FreeBodies:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
         addresses = [_free_joint_addresses(model, name) for name in names]
         self._qpos, self._qvel = data.qpos, data.qvel
-        self._poses = np.array([np.arange(7) + position for position, _ in addresses])
-        self._velocities = np.array([np.arange(6) + velocity for _, velocity in addresses])
+        starts = np.array(addresses, dtype=np.intp).reshape(-1, 2)
+        self._poses = starts[:, :1] + np.arange(7)
+        self._velocities = starts[:, 1:] + np.arange(6)
 
     def states(self) -> NDArray[np.float64]:
         """States of the bodies, shape [body_count, 13]."""

@@ -8,6 +8,8 @@ from itertools import product
 import mujoco
 import numpy as np
 
+from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
+from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.scene import (
     Box,
@@ -73,8 +75,8 @@ def add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape
     return geoms
 
 
-def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Compile a rigid scene.
+def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
+    """Compile a scene; returns the editable and the compiled model, and the parts of its deformable bodies.
 
     Bodies keep their names; a body without a hinge has a free joint of the same name. Driven bodies are free bodies
     of huge mass without weight, whose pose and velocity are written before each interval: unlike a mocap body they
@@ -97,9 +99,16 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(spec, joint, settings)
+    parts = add_deformables(spec, scene, settings)
     for index, contact in enumerate(scene.contacts):
-        _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
-    return spec, spec.compile()
+        if parts.keys() & {*contact.first, *contact.second}:
+            add_flex_contact(contact, parts, geoms, settings, bit=1 << index)
+        else:
+            _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
+    model = spec.compile()
+    for part in dict.fromkeys(parts.values()):
+        part.complete(model)
+    return spec, model, parts
 
 
 def _collision_shape(body: RigidBody) -> Shape:

@@ -1,0 +1,253 @@
+"""Cloth in MuJoCo: a triangulated flex whose stretch, shear and bending are set independently.
+
+MuJoCo's own surface flex is an isotropic plate. Two of its compiled tables make it a woven fabric:
+
+- `flex_stiffness` holds, for each triangle, the upper triangle of a symmetric 3 x 3 matrix S. With s the changes of the
+  squared edge lengths (edges from vertex 1 to 2, 2 to 0, 0 to 1), the membrane energy is s' S s / 4. That is a St.
+  Venant-Kirchhoff law with S = (area / 2) B^-T C B^-1, where B takes Green's strains xx, yy and 2 xy to s / 2. Any
+  plane law C fits, so warp, weft and shear are what the fabric says.
+- `flex_bending` holds, for each edge, a quadratic form on the two triangles that meet there. It is exact for folds
+  along the grid; how diagonals are laid and weighted decides the rest, see `_diagonal_weight`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Grip
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Cloth, Motion, Pose, Region
+
+__all__ = ["ClothPart", "add_cloth"]
+
+ELASTIC_BOTH = 3
+"""MuJoCo's code of a flex that both stretches and bends."""
+
+STIFFNESS_PER_TRIANGLE = 21
+"""Numbers that MuJoCo reserves for each element, enough for a tetrahedron; a triangle uses the first six."""
+
+BENDING_PER_EDGE = 17
+"""A 4 x 4 form on the edge's ends and the two vertices across, and one number for curved reference shapes."""
+
+
+class ClothPart(FlexPart):
+    """A cloth: one body with three slide joints along the world axes for each vertex, or none where it is pinned.
+
+    Args:
+        cloth: The cloth.
+        flex: Its flex in the editable model.
+        grid: Its mesh.
+        rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3].
+        grips: Vertices that follow a kinematic body, by the body's name.
+        moving: Indices of the vertices that are not pinned.
+    """
+
+    def __init__(
+        self,
+        cloth: Cloth,
+        flex: mujoco.MjsFlex,
+        grid: _Grid,
+        rest_m: NDArray[np.float64],
+        grips: dict[str, Grip],
+        moving: NDArray[np.intp],
+    ) -> None:
+        self.name = cloth.name
+        self.flex = flex
+        self.rest_m = rest_m
+        self._cloth = cloth
+        self._grid = grid
+        self._grips = grips
+        self._moving = moving
+
+    def complete(self, model: mujoco.MjModel) -> None:
+        """Write the fabric's membrane law, weigh the diagonals' bending, and give driven vertices their armature."""
+        flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, self.name)
+        membrane = self._grid.membrane(self._cloth.stretch_stiffness_n_per_m, self._cloth.shear_stiffness_n_per_m)
+        start = model.flex_stiffnessadr[flex]
+        table = model.flex_stiffness[start : start + STIFFNESS_PER_TRIANGLE * len(membrane)]
+        table.reshape(-1, STIFFNESS_PER_TRIANGLE)[:, :6] = membrane
+
+        edge, count = model.flex_edgeadr[flex], model.flex_edgenum[flex]
+        ends = self._grid.plane_m[model.flex_edge[edge : edge + count]]
+        diagonal = (np.abs(ends[:, 1] - ends[:, 0]) > 1e-9).all(axis=1)
+        start = model.flex_bendingadr[flex]
+        forms = model.flex_bending[start : start + BENDING_PER_EDGE * count].reshape(-1, BENDING_PER_EDGE)
+        forms[diagonal] *= _diagonal_weight(*self._grid.cell_m)
+
+        for grip in self._grips.values():
+            grip.complete(model)
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Look up the joints of the vertices."""
+        joints = np.array([model.body(_vertex(self.name, index)).jntadr[0] for index in self._moving])
+        self._qpos = model.jnt_qposadr[joints[:, None] + np.arange(3)].astype(np.intp)
+        self._data = data
+        for grip in self._grips.values():
+            grip.bind(model, data)
+
+    def nodes(self) -> NDArray[np.float64]:
+        """World positions of the vertices now [m], shape [node_count, 3]; y of the cloth runs fastest."""
+        nodes = self.rest_m.copy()
+        nodes[self._moving] += self._data.qpos[self._qpos]
+        return nodes
+
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Move the vertices that are glued to a kinematic body; see `Simulation.drive`."""
+        if body in self._grips:
+            self._grips[body].drive(pose, velocity, acceleration)
+
+
+def add_cloth(
+    spec: mujoco.MjSpec,
+    cloth: Cloth,
+    *,
+    glued: Sequence[Glue],
+    cell_m: float,
+    bending_stiffness_n_m: float,
+    contact_radius_m: float | None = None,
+) -> ClothPart:
+    """Add a cloth to an editable model; it collides with nothing until contact bits are set on its flex.
+
+    The fabric has no Poisson effect and no damping of its own: what damps is the integrator, `discrete`, which treats
+    elasticity implicitly and is first order in the step.
+
+    Args:
+        spec: The editable model.
+        cloth: The cloth.
+        glued: Regions that are pinned or driven; a vertex in two of them belongs to the first. A region no deeper
+            than the edge holds one line of vertices, which is a hinge. Two lines clamp the slope, and act as a clamp
+            halfway between them.
+        cell_m: Wanted edge length of the cells [m]; the nearest one that divides a side is used.
+        bending_stiffness_n_m: Plate bending stiffness D, moment per width and curvature [N m]; positive.
+        contact_radius_m: Half the thickness with which the cloth collides [m]; half the physical one when left out.
+            Layers of cloth pass through each other unless this is about what they move in one step (2 mm at 1/900 s);
+            everything then rests that far from the cloth's mid-plane.
+
+    Raises:
+        UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
+    """
+    grid = _Grid(cloth, cell_m)
+    holder = _holders(grid, cloth, glued)
+    pinned = np.isin(holder, [number for number, glue in enumerate(glued) if glue.motion is Motion.FIXED])
+    rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))
+    names = [_vertex(cloth.name, index) for index in range(len(rest))]
+    for index, mass in enumerate(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()):
+        body = spec.worldbody.add_body(name=names[index], pos=rest[index])
+        body.explicitinertial = True
+        body.mass = mass
+        # A vertex does not turn, but MuJoCo wants an inertia.
+        body.inertia = [mass * min(grid.cell_m) ** 2] * 3
+        if pinned[index]:
+            continue
+        for axis in np.eye(3):
+            joint = body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+            # Here as well as in the grip, so that the inverse weights which the compiler derives for contacts agree.
+            joint.armature = Grip.ARMATURE_KG if holder[index] >= 0 else 0.0
+
+    flex = spec.add_flex(name=cloth.name, dim=2)
+    flex.vertbody = names
+    flex.elem = grid.triangles.ravel().tolist()
+    flex.elastic2d = ELASTIC_BOTH
+    # MuJoCo derives both stiffnesses from one solid plate; this is the plate that has both of the fabric's.
+    flex.thickness = sqrt(12.0 * bending_stiffness_n_m / cloth.stretch_stiffness_n_per_m)
+    flex.young = cloth.stretch_stiffness_n_per_m / flex.thickness
+    flex.poisson = 0.0
+    flex.radius = 0.5 * cloth.thickness_m if contact_radius_m is None else contact_radius_m
+    flex.contype = 0
+    flex.conaffinity = 0
+    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
+
+    grips = {}
+    for glue in glued:
+        if glue.motion is Motion.KINEMATIC:
+            same = [number for number, other in enumerate(glued) if other.body == glue.body]
+            held = np.flatnonzero(np.isin(holder, same))
+            grips[glue.body] = Grip([names[index] for index in held], rest[held], glue.pose)
+    return ClothPart(cloth, flex, grid, rest, grips, np.flatnonzero(~pinned))
+
+
+def _holders(grid: _Grid, cloth: Cloth, glued: Sequence[Glue]) -> NDArray[np.intp]:
+    """Which glue holds each vertex, the first of several; -1 where none does."""
+    holder = np.full(len(grid.plane_m), -1, dtype=np.intp)
+    for number, glue in reversed(list(enumerate(glued))):
+        if glue.motion is Motion.DYNAMIC:
+            raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r}, which is dynamic")
+        if glue.region.axis == "z":
+            raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r} by its face, not by an edge")
+        holder[grid.within(glue.region)] = number
+    return holder
+
+
+def _vertex(cloth: str, index: int) -> str:
+    return f"{cloth}/{index}"
+
+
+def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
+    """Factor on the bending form of diagonal edges that makes the mesh an isotropic plate.
+
+    MuJoCo's form is K^2 / (A1 + A2) with K = edge length x fold angle. Per area, edges along x give kyy^2. Edges along
+    y give (kxx +- r kxy)^2, r = hy / hx, with a sign that alternates between rows and so averages to kxx^2 + r^2 kxy^2.
+    Diagonals give (r + 1/r)^2 kxy^2. A plate without Poisson effect has kxx^2 + kyy^2 + 2 kxy^2. Constant curvature is
+    in equilibrium on this mesh, so nothing relaxes below these energies; with diagonals that alternate in both
+    directions it is not. Along the rim, folds along y lack every other hinge: n cells along x bend like n - 1/2.
+    """
+    ratio = along_y_m / along_x_m
+    return max(0.0, 2.0 - ratio**2) / (ratio + 1.0 / ratio) ** 2
+
+
+class _Grid:
+    """Regular triangulation of a cloth in its own plane; diagonals lean one way in even rows and the other in odd ones.
+
+    Attributes:
+        cell_m: Edge lengths along x and y [m].
+        plane_m: Vertices in the cloth's frame [m], shape [vertex_count, 2]; y runs fastest.
+        triangles: Vertex indices, shape [triangle_count, 3].
+    """
+
+    def __init__(self, cloth: Cloth, cell_m: float) -> None:
+        self._size_m = cloth.size_m
+        nx, ny = self._counts = tuple(max(1, round(size / cell_m)) for size in cloth.size_m)
+        self.cell_m = (cloth.size_m[0] / nx, cloth.size_m[1] / ny)
+        x, y = (np.linspace(-0.5 * size, 0.5 * size, n + 1) for size, n in zip(cloth.size_m, (nx, ny), strict=True))
+        self.plane_m = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        i, j = (index.ravel() for index in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
+        a, b = i * (ny + 1) + j, (i + 1) * (ny + 1) + j
+        d, c = a + 1, b + 1
+        rising = np.stack([a, b, c, a, c, d], axis=-1)
+        falling = np.stack([a, b, d, b, c, d], axis=-1)
+        self.triangles = np.where((j % 2 == 0)[:, None], rising, falling).reshape(-1, 3)
+
+    def within(self, region: Region) -> NDArray[np.bool_]:
+        """Which vertices lie in a region, shape [vertex_count]."""
+        axis = "xy".index(region.axis)
+        from_low = self.plane_m[:, axis] + 0.5 * self._size_m[axis]
+        inward = from_low if region.side == "low" else self._size_m[axis] - from_low
+        return np.asarray(inward <= region.depth_m + 1e-6 * self._size_m[axis])
+
+    def vertex_areas_m2(self) -> NDArray[np.float64]:
+        """A quarter of the cells around each vertex [m^2], shape [vertex_count].
+
+        Thirds of triangles would weigh the vertices of an edge unevenly, since two diagonals meet at every other one.
+        """
+        along_x, along_y = (
+            cell * np.where(np.arange(count + 1) % count == 0, 0.5, 1.0)
+            for cell, count in zip(self.cell_m, self._counts, strict=True)
+        )
+        return np.outer(along_x, along_y).ravel()
+
+    def membrane(self, stretch_n_per_m: float, shear_n_per_m: float) -> NDArray[np.float64]:
+        """MuJoCo's stiffness of each triangle for the law diag(stretch, stretch, shear), shape [triangle_count, 6]."""
+        corners = self.plane_m[self.triangles]
+        edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+        to_edges = np.stack([edges[..., 0] ** 2, edges[..., 1] ** 2, edges[..., 0] * edges[..., 1]], axis=-1)
+        to_strains = np.linalg.inv(to_edges)
+        law = np.diag([stretch_n_per_m, stretch_n_per_m, shear_n_per_m])
+        half_area = 0.25 * self.cell_m[0] * self.cell_m[1]
+        matrices = half_area * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
+        rows, columns = np.triu_indices(3)
+        return np.asarray(matrices[:, rows, columns])

@@ -1,0 +1,111 @@
+"""Deformable bodies of a scene -> parts of a MuJoCo model: what is glued to what, and what touches what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
+from gauge_envs.backends.mujoco.flex import FlexPart, Glue
+from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
+from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
+from gauge_envs.materials import plate_bending_stiffness
+from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
+
+__all__ = ["add_deformables", "add_flex_contact", "nodes_of"]
+
+
+def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:
+    """Add all deformable bodies to an editable model that has the rigid ones.
+
+    Returns:
+        The part of each deformable body, by its name; soft bodies that are bonded share one.
+    """
+    glued = {body.name: _glue(scene, body.name) for body in scene.deformables}
+    parts: dict[str, FlexPart] = {}
+    for body in scene.deformables:
+        if isinstance(body, Cloth):
+            bending = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=body.bend_stiffness_n_m_per_rad)
+            parts[body.name] = add_cloth(
+                spec,
+                body,
+                glued=glued[body.name],
+                cell_m=settings.cloth_cell_m,
+                bending_stiffness_n_m=bending,
+                contact_radius_m=settings.cloth_fold_radius_m if _touches_itself(scene, body.name) else None,
+            )
+        elif isinstance(body, Rope):
+            parts[body.name] = add_rope(spec, body, glued=glued[body.name])
+        elif not isinstance(body, SoftBody):
+            parts[body.name] = add_rod(spec, body, glued=glued[body.name])
+    for row in _bonded_rows(scene):
+        part = add_soft(spec, row, glued={body.name: glued[body.name] for body in row})
+        parts |= {body.name: part for body in row}
+    return parts
+
+
+def _touches_itself(scene: Scene, name: str) -> bool:
+    return any(name in contact.first and name in contact.second for contact in scene.contacts)
+
+
+def _glue(scene: Scene, name: str) -> list[Glue]:
+    rigid = {body.name: body for body in scene.bodies}
+    return [
+        Glue(region=a.region, body=a.to, motion=rigid[a.to].motion, pose=rigid[a.to].pose)
+        for a in scene.attachments
+        if a.deformable == name and a.to in rigid
+    ]
+
+
+def _bonded_rows(scene: Scene) -> list[list[SoftBody]]:
+    """Soft bodies, those that are glued to each other together."""
+    rows = {body.name: [body] for body in scene.deformables if isinstance(body, SoftBody)}
+    for attachment in scene.attachments:
+        first, second = rows.get(attachment.deformable), rows.get(attachment.to)
+        if first is not None and second is not None and first is not second:
+            first.extend(second)
+            rows |= {body.name: first for body in second}
+    return list({id(row): row for row in rows.values()}.values())
+
+
+def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:
+    """Nodes of one deformable body now [m], shape [node_count, 3]."""
+    nodes = part.nodes()
+    return nodes[part.block_nodes(name)] if isinstance(part, SoftPart) else nodes
+
+
+def add_flex_contact(
+    contact: Contact,
+    parts: Mapping[str, FlexPart],
+    geoms: Mapping[str, Sequence[mujoco.MjsGeom]],
+    settings: SettingsMuJoCo,
+    *,
+    bit: int,
+) -> None:
+    """Let deformable bodies of a contact collide, through MuJoCo's broad phase.
+
+    A flex or a rod's spheres carry the contact's bit and constants, with priority over the rigid geoms, which only
+    accept the bit; so rigid bodies that touch the same cloth do not meet each other by it.
+    """
+    for name in {*contact.first, *contact.second} & set(parts):
+        part = parts[name]
+        colliders = part.geoms if isinstance(part, LinePart) and part.geoms else [part.flex]
+        for collider in colliders:
+            collider.contype |= bit
+            collider.condim = 3
+            collider.friction = [contact.friction, 0.0, 0.0]
+            collider.priority = 1
+        if isinstance(part, ClothPart):
+            part.flex.solref = list(settings.cloth_solref)
+            part.flex.solimp = [*settings.cloth_solimp, 0.5, 2.0]
+            if name in contact.first and name in contact.second:
+                part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
+                # Without a bit that the flex both offers and accepts, MuJoCo silently skips its self-contact.
+                part.flex.conaffinity |= bit
+    for name in {*contact.first, *contact.second} - set(parts):
+        for geom in geoms[name]:
+            geom.conaffinity |= bit

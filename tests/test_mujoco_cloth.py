@@ -1,0 +1,391 @@
+"""Cloth in MuJoCo against closed forms: stretch, shear, bending, mass, and the grip that drives an edge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from gauge_envs import experiment
+from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
+from gauge_envs.backends.mujoco.flex import Glue
+from gauge_envs.env import SAMPLE_INTERVAL_S, DriverPath
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Region
+
+FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
+CELL_M = 0.025
+ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
+
+
+def fabric(name: str, size_m: tuple[float, float], pose: Pose = ORIGIN) -> Cloth:
+    cloth = experiment(f"TextileFlinging-{name}").scene.deformables[0]
+    assert isinstance(cloth, Cloth)
+    return replace(cloth, size_m=size_m, pose=pose)
+
+
+def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> Glue:
+    return Glue(
+        region=Region(axis=axis, side=side, depth_m=depth_m),  # type: ignore[arg-type]
+        body="frame",
+        motion=Motion.FIXED,
+        pose=ORIGIN,
+    )
+
+
+class Rig:
+    """A cloth alone in a model."""
+
+    def __init__(
+        self,
+        cloth: Cloth,
+        glued: Sequence[Glue] = (),
+        *,
+        bending_n_m: float = 1e-6,
+        gravity: float = 0.0,
+        timestep_s: float = 0.05,
+        cell_m: float = CELL_M,
+        radius_m: float | None = None,
+    ) -> None:
+        self.spec = mujoco.MjSpec()
+        self.spec.option.timestep = timestep_s
+        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        self.spec.option.gravity = [0.0, 0.0, -gravity]
+        self.part: ClothPart = add_cloth(
+            self.spec,
+            cloth,
+            glued=glued,
+            cell_m=cell_m,
+            bending_stiffness_n_m=bending_n_m,
+            contact_radius_m=radius_m,
+        )
+
+    def compile(self) -> Rig:
+        self.model = self.spec.compile()
+        self.part.complete(self.model)
+        self.data = mujoco.MjData(self.model)
+        self.part.bind(self.model, self.data)
+        return self
+
+    def pull(self, forces_n: np.ndarray) -> None:
+        """Forces on all vertices, shape [vertex_count, 3]; pinned ones do not feel them."""
+        for index, force in enumerate(forces_n):
+            body = self.model.body(f"{self.part.name}/{index}")
+            if body.dofnum[0]:
+                self.data.qfrc_applied[body.dofadr[0] : body.dofadr[0] + 3] = force
+
+    def settle(self, steps: int = 1500) -> np.ndarray:
+        """Vertices at rest: implicit steps far longer than any vibration damp it within a few of them."""
+        for _ in range(steps // 10):
+            mujoco.mj_step(self.model, self.data, nstep=10)
+            if np.abs(self.data.qvel).max() < 1e-7:
+                break
+        assert np.abs(self.data.qvel).max() < 1e-5
+        return self.part.nodes()
+
+
+def line_shares(part: ClothPart, axis: int, at_m: float) -> np.ndarray:
+    """Length of cloth that each vertex of a line across an axis stands for [m]; zero elsewhere."""
+    rest, other = part.rest_m, 1 - axis
+    ends = np.isclose(np.abs(rest[:, other]), np.abs(rest[:, other]).max())
+    return np.where(np.isclose(rest[:, axis], at_m), np.where(ends, 0.5, 1.0) * CELL_M, 0.0)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("name", FABRICS)
+def test_a_pulled_strip_stretches_by_its_stiffness(name: str, axis: str) -> None:
+    along = "xy".index(axis)
+    rig = Rig(fabric(name, (0.2, 0.1) if axis == "x" else (0.1, 0.2)), [pinned(axis)]).compile()
+    strain, stiffness = 1e-3, fabric(name, (0.2, 0.1)).stretch_stiffness_n_per_m
+    forces = np.zeros((len(rig.part.rest_m), 3))
+    # Along a fibre of stretch 1 + e, St. Venant-Kirchhoff gives the force K (e + e^2/2) (1 + e) per width.
+    forces[:, along] = stiffness * (strain + 0.5 * strain**2) * (1.0 + strain) * line_shares(rig.part, along, 0.1)
+    rig.pull(forces)
+    moved = rig.settle() - rig.part.rest_m
+    assert moved[np.isclose(rig.part.rest_m[:, along], 0.1), along] / 0.2 == pytest.approx(strain, rel=1e-4)
+    assert np.abs(moved[:, 1 - along]).max() < 1e-7  # no Poisson effect
+
+
+@pytest.mark.parametrize("name", FABRICS)
+def test_a_sheet_hangs_by_its_own_weight(name: str) -> None:
+    hanging = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, -90.0, 0.0))
+    cloth = fabric(name, (0.2, 0.1), hanging)
+    rig = Rig(cloth, [pinned("x", "high")], gravity=0.05 * GRAVITY_M_PER_S2).compile()
+    low = rig.part.rest_m[:, 2] < -0.0999
+    sag = (rig.part.rest_m - rig.settle())[low, 2]
+    weight = cloth.areal_density_kg_per_m2 * 0.05 * GRAVITY_M_PER_S2
+    # Lumped at vertices, the weight below each cell is that below its middle: exact to first order in strain.
+    assert sag == pytest.approx(weight * 0.2**2 / (2.0 * cloth.stretch_stiffness_n_per_m), rel=0.01)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("name", FABRICS)
+def test_shear_force_is_the_shear_stiffness(name: str, axis: str) -> None:
+    along = "xy".index(axis)
+    cloth = fabric(name, (0.2, 0.1) if axis == "x" else (0.1, 0.2))
+    rig = Rig(cloth).compile()
+    angle = 1e-3
+    displaced = np.zeros((len(rig.part.rest_m), 3))
+    displaced[:, 1 - along] = angle * rig.part.rest_m[:, along]
+    rig.data.qpos[:] = displaced.ravel()
+    mujoco.mj_forward(rig.model, rig.data)
+    forces = -rig.data.qfrc_spring.reshape(-1, 3)
+    assert forces[np.isclose(rig.part.rest_m[:, along], 0.1), 1 - along].sum() == pytest.approx(
+        cloth.shear_stiffness_n_per_m * angle * 0.1, rel=0.002
+    )
+    inside = np.all(np.abs(rig.part.rest_m[:, :2]) < np.array(cloth.size_m) / 2 - 1e-6, axis=1)
+    assert np.abs(forces[inside, :2]).max() < 1e-5 * np.abs(forces).max()
+
+
+@pytest.mark.parametrize("angle_deg", [0, 20, 45, 70, 90, 135])
+def test_bending_energy_is_that_of_an_isotropic_plate(angle_deg: float) -> None:
+    """Cylinders in all directions: within the hinges that a mesh lacks along its rim, half a cell on each side."""
+    bending, curvature, size = 1e-2, 1e-4, 0.5
+    rig = Rig(fabric("rayon", (size, size)), bending_n_m=bending).compile()
+    x, y = rig.part.rest_m[:, 0], rig.part.rest_m[:, 1]
+    distance = np.cos(np.radians(angle_deg)) * x + np.sin(np.radians(angle_deg)) * y
+    displaced = np.zeros((len(x), 3))
+    displaced[:, 2] = 0.5 * curvature * distance**2
+    rig.data.qpos[:] = displaced.ravel()
+    mujoco.mj_forward(rig.model, rig.data)
+    forces = rig.data.qfrc_spring.reshape(-1, 3)[:, 2]
+    energy = -0.5 * forces @ displaced[:, 2]
+    assert energy == pytest.approx(0.5 * bending * curvature**2 * size**2, rel=1.1 * CELL_M / size)
+    inside = np.all(np.abs(rig.part.rest_m[:, :2]) < size / 2 - 2.5 * CELL_M, axis=1)
+    assert np.abs(forces[inside]).max() < 1e-6 * np.abs(forces).max()
+
+
+def heavy_elastica(load_per_bending: float, length_m: float, bare_m: float) -> np.ndarray:
+    """Where the tip of a clamped strip hangs, shape [2]: along and downward [m].
+
+    Args:
+        load_per_bending: Weight per area over bending stiffness [1/m^3].
+        length_m: Length of the strip.
+        bare_m: Length next to the clamp that has no weight.
+    """
+
+    def slope(s: np.ndarray, state: np.ndarray, share: float) -> np.ndarray:
+        beyond = length_m - np.maximum(s, bare_m)
+        angle, bend = state[0], state[1]
+        return np.vstack([bend, -share * load_per_bending * beyond * np.cos(angle), np.cos(angle), np.sin(angle)])
+
+    s, state = np.linspace(0.0, length_m, 200), np.zeros((4, 200))
+    for share in np.linspace(0.1, 1.0, 10):
+        solution = solve_bvp(
+            lambda s, state, share=share: slope(s, state, share),
+            lambda start, end: np.array([start[0], end[1], start[2], start[3]]),
+            s,
+            state,
+            tol=1e-7,
+            max_nodes=20000,
+        )
+        assert solution.success
+        s, state = solution.x, solution.y
+    return np.array([state[2, -1], state[3, -1]])
+
+
+@pytest.mark.parametrize(("name", "axis"), [("satin", "x"), ("oxford", "x"), ("oxford", "y")])
+@pytest.mark.parametrize("slackness", [0.2, 5.0])
+def test_cantilever_sags_like_an_elastica(name: str, axis: str, slackness: float) -> None:
+    """A strip clamped at one end sags under its weight: a little, and by more than half its length.
+
+    A hinge spreads its fold over half a cell on either side, so a clamp of two lines of vertices acts halfway between
+    them: the closed form's strip is half a cell longer than the free one. That is the mesh error; what is left is the
+    rim, where folds along the weft lack one hinge in two.
+    """
+    along = "xy".index(axis)
+    free_m = 0.3
+    length_m = free_m + CELL_M
+    cloth = fabric(name, (length_m, 0.4) if axis == "x" else (0.4, length_m))
+    weight = cloth.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
+    bending = weight * free_m**3 / slackness
+    rig = Rig(cloth, [pinned(axis, depth_m=CELL_M)], bending_n_m=bending, gravity=GRAVITY_M_PER_S2).compile()
+    moved = rig.settle() - rig.part.rest_m
+    tip = moved[np.isclose(rig.part.rest_m[:, along], 0.5 * length_m)].mean(axis=0)
+    expected = heavy_elastica(weight / bending, free_m + 0.5 * CELL_M, 0.5 * CELL_M)
+    assert -tip[2] == pytest.approx(-expected[1] if expected[1] < 0 else expected[1], rel=0.05)
+    if slackness > 1.0:
+        assert abs(tip[2]) > 0.5 * free_m
+
+
+@pytest.mark.parametrize("name", FABRICS)
+def test_cloth_has_its_mass_and_vertices_at_the_markers(name: str) -> None:
+    scene = experiment(f"TextileFlinging-{name}").scene
+    cloth = scene.deformables[0]
+    assert isinstance(cloth, Cloth)
+    rig = Rig(cloth).compile()
+    assert rig.model.body_mass.sum() == pytest.approx(cloth.mass_kg, rel=1e-3)
+    assert scene.markers is not None
+    distances = np.linalg.norm(np.array(scene.markers.positions_m)[:, None] - rig.part.nodes(), axis=-1)
+    assert distances.min(axis=1).max() < 1e-9
+
+
+def test_the_compiled_table_of_an_isotropic_fabric_is_mujocos_own() -> None:
+    """Stretch K and shear K/2 are a plate without Poisson effect, which MuJoCo derives itself."""
+    cloth = fabric("rayon", (0.1, 0.1))
+    rig = Rig(replace(cloth, shear_stiffness_n_per_m=0.5 * cloth.stretch_stiffness_n_per_m))
+    model = rig.spec.compile()
+    theirs = model.flex_stiffness.copy()
+    rig.part.complete(model)
+    np.testing.assert_allclose(model.flex_stiffness, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_a_face_or_a_dynamic_body_cannot_be_glued() -> None:
+    for glue in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
+        with pytest.raises(UnsupportedSceneError, match="'frame'"):
+            Rig(fabric("satin", (0.1, 0.1)), [glue])
+
+
+class Fling(Rig):
+    """The cloth of TextileFlinging on its rod."""
+
+    def __init__(self, name: str, timestep_s: float) -> None:
+        scene = experiment(f"TextileFlinging-{name}").scene
+        cloth, rod = scene.deformables[0], scene.body("rod")
+        assert isinstance(cloth, Cloth)
+        self.glue = Glue(region=scene.attachments[0].region, body="rod", motion=Motion.KINEMATIC, pose=rod.pose)
+        super().__init__(
+            cloth,
+            [self.glue],
+            bending_n_m=cloth.bend_stiffness_n_m_per_rad,
+            gravity=GRAVITY_M_PER_S2,
+            timestep_s=timestep_s,
+        )
+        self.path = DriverPath(scene.drivers[0], scene, frame_count=121)
+        self.compile()
+
+    def swing(self, seconds: float) -> tuple[float, float]:
+        """Largest distance of the edge from the rod [m], and largest strain along warp and weft."""
+        rest = self.part.rest_m
+        held = np.isclose(rest[:, 2], rest[:, 2].max())
+        arms = self.glue.pose.to_body(rest[held])
+        ends = self.model.flex_edge
+        lengths = np.linalg.norm(rest[ends[:, 1]] - rest[ends[:, 0]], axis=1)
+        threads = lengths < 1.2 * lengths.min()
+        miss = strain = 0.0
+        for sample in range(round(seconds / SAMPLE_INTERVAL_S)):
+            self.part.drive("rod", *self.path.interval(sample, np.zeros(1)))
+            mujoco.mj_step(self.model, self.data, nstep=round(SAMPLE_INTERVAL_S / self.model.opt.timestep))
+            nodes = self.part.nodes()
+            rod = self.path.interval(sample + 1, np.zeros(1))[0]
+            miss = max(miss, float(np.abs(nodes[held] - rod.to_world(arms)).max()))
+            stretched = np.linalg.norm(nodes[ends[:, 1]] - nodes[ends[:, 0]], axis=1) / lengths - 1.0
+            strain = max(strain, float(stretched[threads].max()))
+        return miss, strain
+
+
+@pytest.mark.parametrize("name", FABRICS)
+def test_a_flung_cloth_stays_on_its_rod_and_in_one_piece(name: str) -> None:
+    miss_m, strain = Fling(name, timestep_s=1 / 180).swing(2.0)
+    assert miss_m < 1e-4
+    assert 0.0 < strain < 0.01
+
+
+def test_a_reset_repeats_the_swing_bit_for_bit() -> None:
+    fling = Fling("satin", timestep_s=1 / 180)
+    fling.swing(0.5)
+    first = fling.part.nodes()
+    mujoco.mj_resetData(fling.model, fling.data)
+    assert np.array_equal(fling.part.nodes(), fling.part.rest_m)
+    fling.swing(0.5)
+    assert np.array_equal(fling.part.nodes(), first)
+
+
+@pytest.mark.slow
+def test_a_swing_hardly_depends_on_the_step() -> None:
+    """The integrator is first order: after 0.6 m, a quarter of the step moves the cloth by 1 mm."""
+    nodes = []
+    for rate in (900, 3600):
+        fling = Fling("satin", timestep_s=1 / rate)
+        fling.swing(2.0)
+        nodes.append(fling.part.nodes())
+    assert np.sqrt(np.mean(np.sum((nodes[0] - nodes[1]) ** 2, axis=1))) < 0.002
+
+
+CONTACT = {"solref": [0.005, 1.0], "solimp": [0.9, 0.95, 0.001, 0.5, 2.0], "friction": [0.4, 0.0, 0.0]}
+
+
+def with_sphere(rig: Rig, *, at_m: tuple[float, float, float], radius_m: float, mass_kg: float | None) -> Rig:
+    """A sphere that collides with the cloth; fixed without a mass."""
+    body = rig.spec.worldbody.add_body(name="ball", pos=at_m)
+    geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius_m, 0.0, 0.0], contype=0, conaffinity=1)
+    if mass_kg is not None:
+        body.add_freejoint(name="ball")
+        geom.mass = mass_kg
+    rig.part.flex.contype = 1
+    for one in (geom, rig.part.flex):
+        for key, value in CONTACT.items():
+            setattr(one, key, value)
+    return rig.compile()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["satin", "oxford"])
+def test_a_cloth_drapes_over_a_sphere(name: str) -> None:
+    center = np.array([0.004, 0.003, 0.057])
+    above = Pose(position_m=(0.0, 0.0, 0.13))
+    rig = Rig(fabric(name, (0.4, 0.4), above), gravity=GRAVITY_M_PER_S2, timestep_s=1 / 900, radius_m=0.002)
+    with_sphere(rig, at_m=tuple(center), radius_m=0.07, mass_kg=None)
+    mujoco.mj_step(rig.model, rig.data, nstep=900)
+    distances = np.linalg.norm(rig.part.nodes() - center, axis=1)
+    assert distances.min() > 0.0715
+    assert rig.part.nodes()[:, 2].max() > 0.12
+    assert rig.part.nodes()[:, 2].min() < 0.05
+
+
+@pytest.mark.slow
+def test_a_ball_rests_on_a_taut_cloth() -> None:
+    """It neither sinks through nor is thrown off, although it is heavier than the cloth below it."""
+    frame = [pinned(axis, side) for axis in "xy" for side in ("low", "high")]
+    cloth = fabric("oxford", (0.4, 0.4))
+    rig = Rig(cloth, frame, gravity=GRAVITY_M_PER_S2, timestep_s=1 / 900, radius_m=0.002)
+    with_sphere(rig, at_m=(0.004, 0.003, 0.035), radius_m=0.03, mass_kg=0.2)
+    heights = []
+    for _ in range(6 * 60):
+        mujoco.mj_step(rig.model, rig.data, nstep=15)
+        heights.append(rig.data.joint("ball").qpos[2])
+    gap = np.linalg.norm(rig.part.nodes() - rig.data.joint("ball").qpos[:3], axis=1).min() - 0.032
+    assert gap > -0.001
+    assert np.ptp(heights[-60:]) < 0.005
+    assert -0.02 < np.mean(heights[-60:]) < 0.02
+
+
+@pytest.mark.slow
+def test_a_dropped_cloth_does_not_pass_through_itself() -> None:
+    upright = Pose.from_euler_deg((0.0, 0.0, 0.21), (0.0, -90.0, 0.0))
+    rig = Rig(fabric("satin", (0.4, 0.2), upright), gravity=GRAVITY_M_PER_S2, timestep_s=1 / 900, radius_m=0.002)
+    plane = rig.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], contype=0, conaffinity=2)
+    flex = rig.part.flex
+    flex.contype, flex.conaffinity = 3, 1
+    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
+    for one in (plane, flex):
+        for key, value in CONTACT.items():
+            setattr(one, key, value)
+    rig.compile()
+    # It buckles to both sides.
+    rig.data.qvel.reshape(-1, 3)[:, 0] = 0.2 * np.sin(20.0 * rig.part.rest_m[:, 2])
+    for _ in range(12):
+        mujoco.mj_step(rig.model, rig.data, nstep=90)
+        assert crossings(rig.part.nodes(), rig.model.flex_edge, rig.model.flex_elem.reshape(-1, 3)) == 0
+    assert rig.part.nodes()[:, 2].min() > 0.0015
+    assert rig.part.nodes()[:, 2].max() > 0.01
+
+
+def crossings(nodes: np.ndarray, edges: np.ndarray, triangles: np.ndarray) -> int:
+    """How many edges pierce a triangle that they share no vertex with (Moeller and Trumbore)."""
+    start, along = nodes[edges[:, 0], None], (nodes[edges[:, 1]] - nodes[edges[:, 0]])[:, None]
+    a, b, c = (nodes[triangles[:, k]] for k in range(3))
+    side = np.cross(along, c - a)
+    determinant = np.sum(side * (b - a), axis=-1)
+    scale = 1.0 / np.where(np.abs(determinant) > 1e-14, determinant, np.inf)
+    other = np.cross(start - a, b - a)
+    u = np.sum((start - a) * side, axis=-1) * scale
+    v = np.sum(along * other, axis=-1) * scale
+    t = np.sum((c - a) * other, axis=-1) * scale
+    shared = (edges[:, None, :, None] == triangles[None, :, None, :]).any(axis=(2, 3))
+    inside = (u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1) & (scale != 0)
+    return int((inside & ~shared).sum())

@@ -1,0 +1,329 @@
+"""Soft bodies in MuJoCo against closed forms: stretching, twisting, shearing, bonded rows, contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.mujoco.flex import Glue
+from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
+from gauge_envs.errors import ShapeError, UnsupportedSceneError
+from gauge_envs.scene import Box, Motion, Pose, Region, SoftBody
+
+EDGE_M = 0.05
+AREA_M2 = EDGE_M**2
+YOUNG_PA = 86410.0
+DENSITY_KG_PER_M3 = 13.2
+ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
+
+
+def block(
+    name: str = "foam",
+    *,
+    length_m: float = 0.2,
+    centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    euler_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    young_pa: float = YOUNG_PA,
+    poisson: float = 0.0,
+    density: float = DENSITY_KG_PER_M3,
+) -> SoftBody:
+    """Square bar along z of its frame."""
+    return SoftBody(
+        name=name,
+        shape=Box(size_m=(EDGE_M, EDGE_M, length_m)),
+        pose=Pose.from_euler_deg(centre_m, euler_deg),
+        mass_kg=density * AREA_M2 * length_m,
+        young_modulus_pa=young_pa,
+        poisson_ratio=poisson,
+    )
+
+
+def glue(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> Glue:
+    """To a plate at the world's origin: `low` and `high` are their names."""
+    return Glue(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
+
+
+class Bench:
+    """A row held by a fixed plate at its low end and a driven one at its high end."""
+
+    def __init__(
+        self,
+        *bodies: SoftBody,
+        depth_m: float = 0.0,
+        step_s: float = 1 / 900,
+        damping_s: float = 1e-4,
+        gravity: float = 0.0,
+        high: Motion = Motion.KINEMATIC,
+        more: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+        conaffinity: int = 0,
+        cells: tuple[int, int] | None = None,
+        axis: str = "z",
+    ) -> None:
+        spec = mujoco.MjSpec()
+        spec.option.timestep = step_s
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        spec.option.gravity = [0.0, 0.0, -gravity]
+        spec.option.iterations = 2000
+        for name, motion in (("low", Motion.FIXED), ("high", high)):
+            frame = spec.worldbody.add_body(name=name)
+            if motion is Motion.KINEMATIC:
+                frame.add_freejoint(name=name)
+                frame.explicitinertial, frame.mass, frame.inertia, frame.gravcomp = True, 1e3, [1e3] * 3, 1.0
+        more(spec)
+        glued = {bodies[0].name: [glue("low", Motion.FIXED, depth_m, axis)]}
+        glued.setdefault(bodies[-1].name, []).append(glue("high", high, depth_m, axis))
+        self.part: SoftPart = add_soft(spec, bodies, glued=glued, damping_s=damping_s, cells=cells)
+        self.part.flex.conaffinity, self.part.flex.condim = conaffinity, 1
+        self.model = spec.compile()
+        self.part.complete(self.model)
+        self.data = mujoco.MjData(self.model)
+        self.part.bind(self.model, self.data)
+        self.driven = high is Motion.KINEMATIC
+
+    def place(self, move_m: NDArray[np.float64] | list[float], turn: Rotation | None = None) -> None:
+        """Put the driven plate, at rest."""
+        joint = self.model.joint("high")
+        position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
+        self.data.qpos[position : position + 3] = move_m
+        self.data.qpos[position + 3 : position + 7] = (turn or Rotation.identity()).as_quat(scalar_first=True)
+        self.data.qvel[speed : speed + 6] = 0.0
+
+    def run(self, seconds: float, path: Callable[[float], tuple] = lambda time: ([0, 0, 0], None)) -> None:
+        """Simulate while the driven plate follows a path, placed at 180 Hz."""
+        steps = round(1 / 180 / self.model.opt.timestep)
+        for index in range(round(180 * seconds)):
+            if self.driven:
+                self.place(*path(index / 180))
+            mujoco.mj_step(self.model, self.data, nstep=steps)
+
+    def reaction(self, move_m: list[float], turn: Rotation | None = None) -> NDArray[np.float64]:
+        """Force [N] and torque [N m] that hold the plate there at rest, shape [6]."""
+        self.run(0.5, lambda time: (move_m, turn))
+        self.place(move_m, turn)
+        mujoco.mj_forward(self.model, self.data)
+        speed = int(self.model.joint("high").dofadr[0])
+        return -self.data.qfrc_passive[speed : speed + 6]
+
+
+def static(*bodies: SoftBody, **options) -> Bench:
+    """A bench that comes to rest fast."""
+    return Bench(*bodies, step_s=1 / 180, damping_s=0.01, **options)
+
+
+def test_tension_is_exact_without_lateral_contraction() -> None:
+    bench = static(block(), depth_m=0.01285)
+    assert bench.reaction([0.0, 0.0, 1e-3])[2] == pytest.approx(YOUNG_PA * AREA_M2 / 0.1743 * 1e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize("poisson", [0.23, 0.34])
+def test_tension_and_contraction_away_from_the_ends(poisson: float) -> None:
+    """The difference of two lengths leaves out what the clamps add, 1.3 % and 3.5 % of the 174 mm foam's stiffness."""
+    compliance = []
+    for cells, length in ((6, 0.2), (12, 0.4)):
+        bench = static(block(length_m=length, poisson=poisson), cells=(cells, 2))
+        compliance.append(1e-3 / bench.reaction([0.0, 0.0, 1e-3])[2])
+    assert np.diff(compliance)[0] == pytest.approx(0.2 / (YOUNG_PA * AREA_M2), rel=0.01)
+    sides = bench.part.track([[-0.025, 0.0, 0.0], [0.025, 0.0, 0.0]])()
+    assert (EDGE_M - np.ptp(sides[:, 0])) / EDGE_M / (1e-3 / 0.4) == pytest.approx(poisson, rel=0.02)
+
+
+def test_torsion_of_a_square_bar() -> None:
+    """Saint-Venant's 0.1406 G a^4, as the difference of two lengths: clamps keep the ends from warping."""
+    poisson, angle = 0.23, 0.02
+    compliance = []
+    for cells, length in ((4, 0.1743), (8, 0.3486)):
+        bench = static(block(length_m=length, poisson=poisson), cells=(cells, 2))
+        compliance.append(angle / bench.reaction([0, 0, 0], Rotation.from_rotvec([0, 0, angle]))[5])
+    shear_pa = YOUNG_PA / (2 * (1 + poisson))
+    assert 1 / np.diff(compliance)[0] == pytest.approx(0.1406 * shear_pa * EDGE_M**4 / 0.1743, rel=0.03)
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.23])
+def test_shear_of_a_clamped_and_guided_bar(poisson: float) -> None:
+    """Timoshenko; clamps that keep the ends from contracting add up to 4 %."""
+    force = static(block(poisson=poisson), depth_m=0.01285).reaction([1e-3, 0.0, 0.0])[0]
+    inertia, shear_pa = EDGE_M**4 / 12, YOUNG_PA / (2 * (1 + poisson))
+    compliance = 0.1743**3 / (12 * YOUNG_PA * inertia) + 0.1743 / (5 / 6 * shear_pa * AREA_M2)
+    assert force == pytest.approx(1e-3 / compliance, rel=0.05)
+
+
+def test_bonded_blocks_of_unlike_stiffness_in_series() -> None:
+    stiff = block("stiff", length_m=0.05, centre_m=(0, 0, -0.025), young_pa=100 * YOUNG_PA, density=1000.0)
+    soft = block("soft", length_m=0.05, centre_m=(0, 0, 0.025))
+    bench = static(stiff, soft)
+    force = bench.reaction([0.0, 0.0, 1e-3])[2]
+    assert force == pytest.approx(1e-3 * AREA_M2 / (0.05 / YOUNG_PA + 0.05 / (100 * YOUNG_PA)), rel=2e-3)
+    assert bench.part.names == ("stiff", "soft")
+    rest, moved = bench.part.rest_m, bench.part.nodes() - bench.part.rest_m
+    assert rest[bench.part.block_nodes("soft"), 2].min() == pytest.approx(0.0)
+    assert moved[bench.part.block_nodes("stiff"), 2].max() == pytest.approx(1e-3 / 101, rel=2e-3)
+
+
+def test_mass_is_that_of_the_free_material() -> None:
+    bench = Bench(block(), depth_m=0.01285, high=Motion.FIXED)
+    held = DENSITY_KG_PER_M3 * AREA_M2 * 0.1743 / 4 / 6 * 2  # Simpson's share of the two pinned layers.
+    expected = DENSITY_KG_PER_M3 * AREA_M2 * 0.1743 - held
+    bodies = [index for index in range(bench.model.nbody) if bench.model.body(index).name.startswith("foam")]
+    assert bench.model.body_mass[bodies].sum() == pytest.approx(expected)
+
+
+def test_turned_body_lies_where_its_pose_says() -> None:
+    body = block(centre_m=(0.4, 0.3, 0.2), euler_deg=(90.0, 0.0, 0.0))
+    bench = Bench(body, depth_m=0.01285, high=Motion.FIXED)
+    assert np.allclose(bench.part.rest_m.min(axis=0), [0.375, 0.3 - 0.08715, 0.175])
+    assert np.allclose(bench.part.rest_m.max(axis=0), [0.425, 0.3 + 0.08715, 0.225])
+    assert np.allclose(bench.part.nodes(), bench.part.rest_m, atol=1e-12)
+    # Its low z end is the high y end: 90 degrees about x turn z into -y.
+    low = bench.model.body("low").id
+    nodes = bench.model.flex_nodebodyid == low
+    assert np.allclose(bench.model.flex_node[nodes, 1], 0.3 + 0.08715)
+
+
+def test_points_are_those_of_the_elements() -> None:
+    bench = Bench(block(poisson=0.3), high=Motion.FIXED)
+    bench.data.qpos += np.random.default_rng(0).normal(0.0, 2e-3, bench.model.nq)
+    mujoco.mj_forward(bench.model, bench.data)
+    assert np.allclose(bench.part.nodes(), bench.data.flexvert_xpos, atol=1e-12)
+    assert np.allclose(bench.part.track(bench.part.rest_m[::7])(), bench.data.flexvert_xpos[::7], atol=1e-12)
+    assert np.abs(np.diff(np.unique(bench.part.rest_m[:, 2].round(9)))).max() == pytest.approx(0.0125)
+    with pytest.raises(ShapeError, match="outside the free soft material"):
+        bench.part.track([[0.0, 0.0, 0.2]])
+
+
+def ramp(time: float, seconds: float) -> float:
+    return min(time / seconds, 1.0)
+
+
+def test_quarter_turn() -> None:
+    bench = Bench(block(poisson=0.34), depth_m=0.01285)
+    middle = bench.part.track([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0]])
+    bench.run(0.6, lambda time: ([0, 0, 0], Rotation.from_rotvec([0, 0, np.pi / 2 * ramp(time, 0.4)])))
+    angles = np.degrees(np.arctan2(middle()[:, 1], middle()[:, 0]))
+    assert angles == pytest.approx([45.0, 135.0], abs=0.3)
+    assert np.abs(bench.data.qvel).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    "move_m", [(0.06, 0.0, -0.0015), (0.0, 0.0, 0.009), (0.0, 0.0, -0.009)], ids=["shear", "stretch", "compress"]
+)
+def test_large_motions_leave_the_middle_half_way(move_m: tuple[float, float, float]) -> None:
+    bench = Bench(block(poisson=0.34), depth_m=0.01285)
+    middle = bench.part.track([[0.0, 0.0, 0.0]])
+    bench.run(0.6, lambda time: (ramp(time, 0.4) * np.array(move_m), None))
+    assert middle()[0] == pytest.approx(0.5 * np.array(move_m), abs=2e-4)
+    assert np.abs(bench.data.qvel).max() < 0.05
+
+
+def test_pressed_cube_does_not_sink_in() -> None:
+    def add_cube(spec: mujoco.MjSpec) -> None:
+        cube = spec.worldbody.add_body(name="cube", pos=[0.0, 0.0, 0.05])
+        cube.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, name="cube", axis=[0, 0, 1])
+        cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.025] * 3, mass=1e3, contype=1, conaffinity=0)
+
+    body = block(poisson=0.23, euler_deg=(90.0, 0.0, 0.0))
+    bench = Bench(body, depth_m=0.01285, high=Motion.FIXED, more=add_cube, conaffinity=1)
+    joint = bench.model.joint("cube")
+    for index in range(90):
+        bench.data.qpos[joint.qposadr[0]] = -0.03 * ramp(index, 72)
+        bench.data.qvel[joint.dofadr[0]] = 0.0
+        mujoco.mj_step(bench.model, bench.data, nstep=5)
+    under = (bench.part.rest_m[:, 2] > 0.0249) & (np.abs(bench.part.rest_m[:, 1]) < 0.0249)
+    gap_m = 0.025 - 0.03 - bench.part.nodes()[under, 2]
+    assert -2e-4 < gap_m.min() < 1e-3
+    # Beam theory with shear: more than for a load on a line in the middle, less than if the foam stayed flat below.
+    inertia, shear_n = EDGE_M**4 / 12, 5 / 6 * YOUNG_PA / (2 * 1.23) * AREA_M2
+    line = 0.03 / (0.1743**3 / (192 * YOUNG_PA * inertia) + 0.1743 / (4 * shear_n))
+    flat = 0.06 / (0.06215**3 / (12 * YOUNG_PA * inertia) + 0.06215 / shear_n)
+    assert line < bench.data.qfrc_constraint[joint.dofadr[0]] < flat
+
+
+def cantilever(**options) -> Bench:
+    foam = {"young_pa": 86410.0, "poisson": 0.23, "density": 12.8}
+    rubber = {"young_pa": 9285115.0, "poisson": 0.49, "density": 1072.8}
+    turned = {"length_m": 0.05, "euler_deg": (-90.0, 0.0, 0.0)}
+    kinds = [foam, rubber, foam, rubber]
+    cubes = [
+        block(f"cube-{index + 1}", centre_m=(0.0, 0.05 * index, 0.0), **turned, **kind)
+        for index, kind in enumerate(kinds)
+    ]
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 1 / 900
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    spec.option.iterations = 2000
+    spec.worldbody.add_body(name="low")
+    bench = Bench.__new__(Bench)
+    bench.part = add_soft(spec, cubes[::-1], glued={"cube-1": [glue("low", Motion.FIXED)]}, **options)
+    bench.model = spec.compile()
+    bench.part.complete(bench.model)
+    bench.data = mujoco.MjData(bench.model)
+    bench.part.bind(bench.model, bench.data)
+    bench.driven = False
+    return bench
+
+
+def test_droop_of_a_row_of_four() -> None:
+    """Timoshenko with the stiffness and weight of each block; rubber that keeps foam from contracting adds 4 %."""
+    bench = cantilever(damping_s=0.02)
+    bench.model.opt.gravity[2], bench.model.opt.timestep = -0.098, 1 / 180
+    tip = bench.part.track([[0.0, 0.175, 0.0]])
+    bench.run(1.5)
+    places, piece = np.linspace(0.0, 0.2, 2000, endpoint=False, retstep=True)
+    kind = (places // 0.05).astype(int) % 2
+    young_pa, poisson = np.array([86410.0, 9285115.0])[kind], np.array([0.23, 0.49])[kind]
+    load = np.array([12.8, 1072.8])[kind] * AREA_M2 * 0.098
+    shear_n = np.cumsum(load[::-1])[::-1] * piece
+    moment = np.cumsum(shear_n[::-1])[::-1] * piece
+    curvature, slant = (
+        moment / (young_pa * EDGE_M**4 / 12),
+        shear_n / (5 / 6 * young_pa / (2 * (1 + poisson)) * AREA_M2),
+    )
+    droop = np.sum(curvature * (0.2 - places) + slant) * piece
+    assert -tip()[0, 2] == pytest.approx(droop, rel=0.05)
+
+
+def test_row_of_four_swings_without_gaining_energy() -> None:
+    bench = cantilever()
+    assert bench.part.names == ("cube-1", "cube-2", "cube-3", "cube-4")
+    tip = bench.part.track([[0.0, 0.175, 0.0]])
+    heights = []
+    for _ in range(50):
+        bench.run(1 / 90)
+        heights.append(tip()[0, 2])
+    assert not bench.data.warning.number.any()
+    lowest = int(np.argmin(heights))
+    assert (lowest + 1) / 90 == pytest.approx(0.2, abs=0.02)
+    assert max(heights[lowest:]) < 0.0
+
+
+@pytest.mark.slow
+def test_row_of_four_with_finer_cells() -> None:
+    lowest = []
+    for cells in ((2, 1), (2, 2)):
+        bench = cantilever(cells=cells)
+        tip = bench.part.track([[0.0, 0.175, 0.0]])
+        bench.run(0.2)
+        lowest.append(tip()[0, 2])
+    assert lowest[0] == pytest.approx(lowest[1], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "glues", "message"),
+    [
+        ([block(euler_deg=(30.0, 0.0, 0.0))], {}, "right angles"),
+        ([block("a"), block("b", centre_m=(0.0, 0.0, 0.21))], {}, "do not join"),
+        ([block("a"), block("b", length_m=0.1, centre_m=(0.0, 0.0, 0.15))], {}, "unequal"),
+        ([block()], {"foam": [glue("low", Motion.DYNAMIC)]}, "moves under forces"),
+        ([block()], {"foam": [glue("low", Motion.FIXED), glue("high", Motion.FIXED, axis="x")]}, "elsewhere"),
+    ],
+)
+def test_what_cannot_be_built_is_named(bodies: list[SoftBody], glues: dict, message: str) -> None:
+    spec = mujoco.MjSpec()
+    for name in ("low", "high"):
+        spec.worldbody.add_body(name=name)
+    with pytest.raises(UnsupportedSceneError, match=message):
+        add_soft(spec, bodies, glued=glues)
