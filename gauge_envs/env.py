@@ -171,7 +171,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         rows = [self._dynamic.index(name) for name in self.experiment.recorded]
         # A slice reads faster than an index array, and the recorded bodies mostly are all that move.
         self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
-        self._masses = np.array([[body.mass_kg] for body in scene.dynamic_bodies])
+        self._masses = np.array([body.mass_kg for body in scene.dynamic_bodies]).reshape(-1, 1)
         self._energy_limit_j = scene.kinetic_energy_limit_j
         self._limits = np.concatenate(
             [

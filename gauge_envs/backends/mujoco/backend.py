@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Simulation, Support
-from gauge_envs.backends.mujoco.deformables import nodes_of
+from gauge_envs.backends.mujoco.deformables import nodes_of, undoable
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
@@ -29,8 +29,8 @@ class BackendMuJoCo(Backend):
         return {"mujoco": mujoco.__version__}
 
     def supports(self, scene: Scene) -> Support:
-        """All scenes: rigid bodies, cloth, soft bodies, ropes and rods."""
-        return Support()
+        """Rigid bodies, cloth, soft bodies, ropes and rods; cloth and soft bodies may not hang on dynamic bodies."""
+        return Support(tuple(undoable(scene)))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
@@ -71,8 +71,6 @@ class SimulationMuJoCo(Simulation):
         self.data.qvel[speed + 3 : speed + 6] = _rotated_back(pose.quaternion, velocity[3:])
         # Mass and all moments of inertia of a driven body are the same number.
         self.data.xfrc_applied[self.model.body(body).id] = self.settings["kinematic_mass_kg"] * acceleration
-        for part in dict.fromkeys(self._parts.values()):
-            part.drive(body, pose, velocity, acceleration)
 
     def advance(self, seconds: float) -> None:
         """Step the model."""

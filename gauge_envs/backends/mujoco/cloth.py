@@ -19,9 +19,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Grip
+from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Points, glued_points
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, Motion, Pose, Region
+from gauge_envs.scene import Cloth, Motion, Region
 
 __all__ = ["ClothPart", "add_cloth"]
 
@@ -36,15 +36,14 @@ BENDING_PER_EDGE = 17
 
 
 class ClothPart(FlexPart):
-    """A cloth: one body with three slide joints along the world axes for each vertex, or none where it is pinned.
+    """A cloth: its vertices are point bodies, or points of the rigid bodies that it is glued to.
 
     Args:
         cloth: The cloth.
         flex: Its flex in the editable model.
         grid: Its mesh.
         rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3].
-        grips: Vertices that follow a kinematic body, by the body's name.
-        moving: Indices of the vertices that are not pinned.
+        points: Its vertices.
     """
 
     def __init__(
@@ -53,16 +52,14 @@ class ClothPart(FlexPart):
         flex: mujoco.MjsFlex,
         grid: _Grid,
         rest_m: NDArray[np.float64],
-        grips: dict[str, Grip],
-        moving: NDArray[np.intp],
+        points: Points,
     ) -> None:
         self.name = cloth.name
         self.flex = flex
         self.rest_m = rest_m
         self._cloth = cloth
         self._grid = grid
-        self._grips = grips
-        self._moving = moving
+        self._points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law, weigh the diagonals' bending, and give driven vertices their armature."""
@@ -79,27 +76,13 @@ class ClothPart(FlexPart):
         forms = model.flex_bending[start : start + BENDING_PER_EDGE * count].reshape(-1, BENDING_PER_EDGE)
         forms[diagonal] *= _diagonal_weight(*self._grid.cell_m)
 
-        for grip in self._grips.values():
-            grip.complete(model)
-
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up the joints of the vertices."""
-        joints = np.array([model.body(_vertex(self.name, index)).jntadr[0] for index in self._moving])
-        self._qpos = model.jnt_qposadr[joints[:, None] + np.arange(3)].astype(np.intp)
-        self._data = data
-        for grip in self._grips.values():
-            grip.bind(model, data)
+        """Look up the joints."""
+        self._points.bind(model, data)
 
     def nodes(self) -> NDArray[np.float64]:
         """World positions of the vertices now [m], shape [node_count, 3]; y of the cloth runs fastest."""
-        nodes = self.rest_m.copy()
-        nodes[self._moving] += self._data.qpos[self._qpos]
-        return nodes
-
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Move the vertices that are glued to a kinematic body; see `Simulation.drive`."""
-        if body in self._grips:
-            self._grips[body].drive(pose, velocity, acceleration)
+        return self._points.positions()
 
 
 def add_cloth(
@@ -117,7 +100,7 @@ def add_cloth(
     elasticity implicitly and is first order in the step.
 
     Args:
-        spec: The editable model.
+        spec: The editable model; it has the rigid bodies already.
         cloth: The cloth.
         glued: Regions that are pinned or driven; a vertex in two of them belongs to the first. A region no deeper
             than the edge holds one line of vertices, which is a hinge. Two lines clamp the slope, and act as a clamp
@@ -132,25 +115,23 @@ def add_cloth(
         UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
     """
     grid = _Grid(cloth, cell_m)
-    holder = _holders(grid, cloth, glued)
-    pinned = np.isin(holder, [number for number, glue in enumerate(glued) if glue.motion is Motion.FIXED])
+    held = _held(grid, cloth, glued)
     rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))
-    names = [_vertex(cloth.name, index) for index in range(len(rest))]
+    names = [f"{cloth.name}/{index}" for index in range(len(rest))]
     for index, mass in enumerate(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()):
+        if index in held:
+            continue
         body = spec.worldbody.add_body(name=names[index], pos=rest[index])
         body.explicitinertial = True
         body.mass = mass
         # A vertex does not turn, but MuJoCo wants an inertia.
         body.inertia = [mass * min(grid.cell_m) ** 2] * 3
-        if pinned[index]:
-            continue
         for axis in np.eye(3):
-            joint = body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-            # Here as well as in the grip, so that the inverse weights which the compiler derives for contacts agree.
-            joint.armature = Grip.ARMATURE_KG if holder[index] >= 0 else 0.0
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
 
     flex = spec.add_flex(name=cloth.name, dim=2)
-    flex.vertbody = names
+    flex.vertbody, places = glued_points(names, rest, held)
+    flex.vert = places.ravel()
     flex.elem = grid.triangles.ravel().tolist()
     flex.elastic2d = ELASTIC_BOTH
     # MuJoCo derives both stiffnesses from one solid plate; this is the plate that has both of the fabric's.
@@ -161,30 +142,19 @@ def add_cloth(
     flex.contype = 0
     flex.conaffinity = 0
     flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-
-    grips = {}
-    for glue in glued:
-        if glue.motion is Motion.KINEMATIC:
-            same = [number for number, other in enumerate(glued) if other.body == glue.body]
-            held = np.flatnonzero(np.isin(holder, same))
-            grips[glue.body] = Grip([names[index] for index in held], rest[held], glue.pose)
-    return ClothPart(cloth, flex, grid, rest, grips, np.flatnonzero(~pinned))
+    return ClothPart(cloth, flex, grid, rest, Points(names, rest, held))
 
 
-def _holders(grid: _Grid, cloth: Cloth, glued: Sequence[Glue]) -> NDArray[np.intp]:
-    """Which glue holds each vertex, the first of several; -1 where none does."""
-    holder = np.full(len(grid.plane_m), -1, dtype=np.intp)
-    for number, glue in reversed(list(enumerate(glued))):
+def _held(grid: _Grid, cloth: Cloth, glued: Sequence[Glue]) -> dict[int, Glue]:
+    """Which glue holds each glued vertex, the first of several."""
+    held: dict[int, Glue] = {}
+    for glue in reversed(glued):
         if glue.motion is Motion.DYNAMIC:
             raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r}, which is dynamic")
         if glue.region.axis == "z":
             raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r} by its face, not by an edge")
-        holder[grid.within(glue.region)] = number
-    return holder
-
-
-def _vertex(cloth: str, index: int) -> str:
-    return f"{cloth}/{index}"
+        held |= dict.fromkeys(np.flatnonzero(grid.within(glue.region)).tolist(), glue)
+    return held
 
 
 def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,9 +14,9 @@ from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
 from gauge_envs.materials import plate_bending_stiffness
-from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
+from gauge_envs.scene import Cloth, Contact, Motion, Rope, Scene, SoftBody
 
-__all__ = ["add_deformables", "add_flex_contact", "nodes_of"]
+__all__ = ["add_deformables", "add_flex_contact", "nodes_of", "undoable"]
 
 
 def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:
@@ -46,6 +46,18 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
         part = add_soft(spec, row, glued={body.name: glued[body.name] for body in row})
         parts |= {body.name: part for body in row}
     return parts
+
+
+def undoable(scene: Scene) -> Iterator[str]:
+    """What of a scene's deformable bodies cannot be built, a sentence each."""
+    rigid = {body.name: body for body in scene.bodies}
+    soft = {body.name: body for body in scene.deformables}
+    for attachment in scene.attachments:
+        glued, to = soft.get(attachment.deformable), rigid.get(attachment.to)
+        if glued is None or (to is None and attachment.to not in soft):
+            yield f"{attachment.deformable!r} is glued to {attachment.to!r}, and one of them is not in the scene"
+        elif to is not None and to.motion is Motion.DYNAMIC and isinstance(glued, Cloth | SoftBody):
+            yield f"{glued.name!r} is glued to {to.name!r}, which moves under forces"
 
 
 def _touches_itself(scene: Scene, name: str) -> bool:
@@ -79,6 +91,7 @@ def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:
 
 
 def add_flex_contact(
+    scene: Scene,
     contact: Contact,
     parts: Mapping[str, FlexPart],
     geoms: Mapping[str, Sequence[mujoco.MjsGeom]],
@@ -96,16 +109,19 @@ def add_flex_contact(
         colliders = part.geoms if isinstance(part, LinePart) and part.geoms else [part.flex]
         for collider in colliders:
             collider.contype |= bit
-            collider.condim = 3
+            # Without friction there are no tangential rows: a foam under a cube costs half.
+            collider.condim = 3 if contact.friction > 0.0 else 1
             collider.friction = [contact.friction, 0.0, 0.0]
             collider.priority = 1
         if isinstance(part, ClothPart):
             part.flex.solref = list(settings.cloth_solref)
             part.flex.solimp = [*settings.cloth_solimp, 0.5, 2.0]
-            if name in contact.first and name in contact.second:
-                part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
-                # Without a bit that the flex both offers and accepts, MuJoCo silently skips its self-contact.
-                part.flex.conaffinity |= bit
-    for name in {*contact.first, *contact.second} - set(parts):
+        if name in contact.first and name in contact.second:
+            part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
+            # Without a bit that the flex both offers and accepts, MuJoCo silently skips its self-contact.
+            part.flex.conaffinity |= bit
+    # What a body is glued to is part of it, and would be in contact all along the seam.
+    seams = {a.to for a in scene.attachments if a.deformable in (*contact.first, *contact.second)}
+    for name in {*contact.first, *contact.second} - set(parts) - seams:
         for geom in geoms[name]:
             geom.conaffinity |= bit

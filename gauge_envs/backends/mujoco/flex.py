@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -11,17 +12,17 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene import Motion, Pose, Region
 
-__all__ = ["FlexPart", "Glue", "Grip"]
+__all__ = ["FlexPart", "Glue", "Points", "glued_points"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Glue:
-    """A region of a deformable body that moves with a rigid one.
+    """A region of a deformable body that is part of a rigid one.
 
     Attributes:
         region: Which material, in the deformable body's frame.
         body: Name of the rigid body.
-        motion: Fixed: the vertices are pinned. Kinematic: they are driven. Dynamic: they pull on the body.
+        motion: How the rigid body moves; one that moves has a free joint.
         pose: Start pose of the rigid body.
     """
 
@@ -46,59 +47,63 @@ class FlexPart(ABC):
 
     @abstractmethod
     def complete(self, model: mujoco.MjModel) -> None:
-        """Write into the compiled model what the editable one cannot express: masses, stiffness, armature."""
+        """Write into the compiled model what the editable one cannot express."""
 
     @abstractmethod
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up addresses for reading and driving."""
+        """Look up addresses for reading."""
 
     @abstractmethod
     def nodes(self) -> NDArray[np.float64]:
-        """World positions of the nodes now [m], shape [node_count, 3], from joint coordinates."""
-
-    @abstractmethod
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Move what is glued to a kinematic body; see `Simulation.drive`. Nothing where nothing is glued to it."""
+        """World positions of the nodes now [m], shape [node_count, 3]."""
 
 
-class Grip:
-    """Vertices that follow a kinematic body: each has three slide joints along the world axes, and a large armature.
+class Points:
+    """The points that carry a flex: bodies of their own with slide joints x, y, z, or places on rigid bodies.
 
-    Their position and velocity are written at the start of an interval, and a force accelerates them uniformly; the
-    armature keeps elastic forces from moving them noticeably until the next interval.
+    A glued point needs no constraint and no driving: it is where the rigid body is, which feels its forces.
 
     Args:
-        names: Names of the vertices' MuJoCo bodies, children of the world with three slide joints x, y, z.
-        rest_m: Their world positions at the start [m], shape [count, 3].
-        pose: Start pose of the body that they are glued to.
+        names: Names of the bodies of the free points; names of glued ones are not used.
+        rest_m: World positions at the start [m], shape [point_count, 3].
+        held: What holds each glued point, by its index.
     """
 
-    ARMATURE_KG = 100.0
-    """1 N moves 100 kg by 0.2 micrometres in 1/180 s."""
-
-    def __init__(self, names: list[str], rest_m: NDArray[np.float64], pose: Pose) -> None:
-        self._names = names
+    def __init__(self, names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, Glue]) -> None:
+        self._names = list(names)
         self._rest_m = rest_m
-        self._arms_m = pose.to_body(rest_m)
-
-    def _addresses(self, model: mujoco.MjModel) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        joints = np.array([model.body(name).jntadr[0] for name in self._names])[:, None] + np.arange(3)
-        return model.jnt_qposadr[joints].astype(np.intp), model.jnt_dofadr[joints].astype(np.intp)
-
-    def complete(self, model: mujoco.MjModel) -> None:
-        """Give the vertices their armature."""
-        model.dof_armature[self._addresses(model)[1]] = self.ARMATURE_KG
+        self._held = dict(held)
+        self.free = np.array([index for index in range(len(rest_m)) if index not in self._held], dtype=np.intp)
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints."""
-        self._qpos, self._dofs = self._addresses(model)
-        self._data = data
+        joints = np.array([model.body(self._names[index]).jntadr[0] for index in self.free])
+        self._addresses = model.jnt_qposadr[joints[:, None] + np.arange(3)].astype(np.intp)
+        self._carriers = []
+        for glue in {glue.body: glue for glue in self._held.values() if glue.motion is not Motion.FIXED}.values():
+            rows = np.array([index for index, other in self._held.items() if other.body == glue.body])
+            address = int(model.joint(model.body(glue.body).jntadr[0]).qposadr[0])
+            self._carriers.append((rows, slice(address, address + 7), glue.pose.to_body(self._rest_m[rows])))
+        self._qpos = data.qpos
 
-    def drive(self, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Place the vertices, and set them moving; see `Simulation.drive`."""
-        arms = pose.rotation.apply(self._arms_m)
-        turning = np.cross(velocity[3:], arms)
-        self._data.qpos[self._qpos] = arms + np.asarray(pose.position_m) - self._rest_m
-        self._data.qvel[self._dofs] = velocity[:3] + turning
-        rate = acceleration[:3] + np.cross(acceleration[3:], arms) + np.cross(velocity[3:], turning)
-        self._data.qfrc_applied[self._dofs] = self.ARMATURE_KG * rate
+    def positions(self) -> NDArray[np.float64]:
+        """World positions now [m], shape [point_count, 3], straight from joint coordinates."""
+        positions = self._rest_m.copy()
+        positions[self.free] += self._qpos[self._addresses]
+        turn = np.empty(9)
+        for rows, address, arms in self._carriers:
+            pose = self._qpos[address]
+            mujoco.mju_quat2Mat(turn, pose[3:])
+            positions[rows] = arms @ turn.reshape(3, 3).T + pose[:3]
+        return positions
+
+
+def glued_points(
+    names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, Glue]
+) -> tuple[list[str], NDArray[np.float64]]:
+    """For each point the body that it belongs to and its place in that body's frame [m], shape [point_count, 3]."""
+    owners, places = list(names), np.zeros_like(rest_m)
+    for index, glue in held.items():
+        owners[index] = glue.body
+        places[index] = glue.pose.to_body(rest_m[index])
+    return owners, places

@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Glue
+from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Points, glued_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
-from gauge_envs.scene import Motion, Pose, Rod, Rope
+from gauge_envs.scene import Rod, Rope
 
 __all__ = ["LinePart", "add_rod", "add_rope"]
 
@@ -51,39 +51,24 @@ class LinePart(FlexPart):
         flex: mujoco.MjsFlex,
         rest_m: NDArray[np.float64],
         geoms: Sequence[mujoco.MjsGeom],
-        held: Mapping[int, Glue],
+        points: Points,
     ) -> None:
         self.name = flex.name
         self.flex = flex
         self.rest_m = rest_m
         self.geoms = list(geoms)
-        self._names = list(flex.vertbody)
-        self._held = dict(held)
+        self._points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Nothing: the editable model expresses all of a line."""
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints."""
-        self._free = np.array([index for index in range(len(self.rest_m)) if index not in self._held])
-        joints = np.array([model.body(self._names[index]).jntadr[0] for index in self._free])
-        self._addresses = model.jnt_qposadr[joints[:, None] + np.arange(3)]
-        self._carriers = []
-        for index, glue in self._held.items():
-            if glue.motion is not Motion.FIXED:
-                address = int(model.joint(model.body(glue.body).jntadr[0]).qposadr[0])
-                self._carriers.append((index, slice(address, address + 7), glue.pose.to_body(self.rest_m[index])))
-        self._qpos = data.qpos
+        self._points.bind(model, data)
 
     def nodes(self) -> NDArray[np.float64]:
         """World positions of the nodes now [m], shape [node_count, 3]."""
-        positions = self.rest_m.copy()
-        positions[self._free] += self._qpos[self._addresses]
-        for index, address, arm in self._carriers:
-            pose = self._qpos[address]
-            mujoco.mju_rotVecQuat(positions[index], arm, pose[3:])
-            positions[index] += pose[:3]
-        return positions
+        return self._points.positions()
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
         """Reader of points in or on the line, which keep their place along it and turn with it, without twist.
@@ -121,9 +106,6 @@ class LinePart(FlexPart):
 
         return read
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Nothing: what is glued to a kinematic body is part of it."""
-
 
 def add_rope(spec: mujoco.MjSpec, rope: Rope, *, glued: Sequence[Glue]) -> LinePart:
     """Add a rope that collides with nothing yet.
@@ -143,8 +125,7 @@ def add_rope(spec: mujoco.MjSpec, rope: Rope, *, glued: Sequence[Glue]) -> LineP
     rest_m = _on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
     held = {0 if side == "low" else count: glue for side, glue in ends.items()}
-    _hold(spec, flex, rest_m, held)
-    return LinePart(flex, rest_m, [], held)
+    return LinePart(flex, rest_m, [], _hold(spec, flex, rest_m, held))
 
 
 def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: float = 1e-4) -> LinePart:
@@ -174,7 +155,7 @@ def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: 
     held: dict[int, Glue] = {}
     for side, glue in ends.items():
         held |= dict.fromkeys([0, 1] if side == "low" else [ROD_SEGMENTS - 1, ROD_SEGMENTS], glue)
-    _hold(spec, flex, rest_m, held)
+    points = _hold(spec, flex, rest_m, held)
     geoms = []
     for index, name in enumerate(flex.vertbody):
         if index in held:
@@ -193,7 +174,7 @@ def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: 
             solimp=list(CONTACT_SOLIMP),
         )
         geoms.append(geom)
-    return LinePart(flex, rest_m, geoms, held)
+    return LinePart(flex, rest_m, geoms, points)
 
 
 def _on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -241,20 +222,13 @@ def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64]
     return flex
 
 
-def _hold(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], held: Mapping[int, Glue]) -> None:
-    """Make nodes points of the bodies that they are glued to, instead of bodies of their own.
-
-    They need no constraint and no driving then: the rope pulls and turns a dynamic body, a kinematic one leads it.
-    """
+def _hold(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], held: Mapping[int, Glue]) -> Points:
+    """Make nodes points of the bodies that they are glued to, instead of bodies of their own."""
     names = list(flex.vertbody)
-    places = np.zeros_like(rest_m)
-    replaced = [names[index] for index in held]
-    for index, glue in held.items():
-        names[index] = glue.body
-        places[index] = glue.pose.to_body(rest_m[index])
-    flex.vertbody = names
+    flex.vertbody, places = glued_points(names, rest_m, held)
     flex.vert = places.ravel()
     # Only now: deleting a body that a flex uses deletes the flex. Its list of nodes has no use without cells.
     flex.nodebody = []
-    for name in replaced:
-        spec.delete(spec.body(name))
+    for index in held:
+        spec.delete(spec.body(names[index]))
+    return Points(names, rest_m, held)

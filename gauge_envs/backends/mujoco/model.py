@@ -102,7 +102,7 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     parts = add_deformables(spec, scene, settings)
     for index, contact in enumerate(scene.contacts):
         if parts.keys() & {*contact.first, *contact.second}:
-            add_flex_contact(contact, parts, geoms, settings, bit=1 << index)
+            add_flex_contact(scene, contact, parts, geoms, settings, bit=1 << index)
         else:
             _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
     model = spec.compile()

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.scene import Cloth, ContactMode, Scene, SoftBody
+from gauge_envs.scene import Cloth, ContactMode, Rod, Scene, SoftBody
 
 __all__ = ["PRESETS", "SettingsMuJoCo", "settings_for"]
 
@@ -101,8 +101,12 @@ PRESETS: dict[str, SettingsMuJoCo] = {
         iterations=50,
         cloth_cell_m=1 / 30,
     ),
-    "soft": SettingsMuJoCo(preset="soft", timestep_s=1 / 900, integrator="discrete", cone="pyramidal", impratio=1.0),
-    "line": SettingsMuJoCo(preset="line", timestep_s=1 / 1800, integrator="discrete"),
+    # The cap on iterations holds for the inner solve with the stiffness too, which needs hundreds where foam and rubber
+    # meet.
+    "soft": SettingsMuJoCo(
+        preset="soft", timestep_s=1 / 900, integrator="discrete", cone="pyramidal", impratio=1.0, iterations=2000
+    ),
+    "rod": SettingsMuJoCo(preset="rod", timestep_s=1 / 1800, integrator="discrete"),
 }
 
 STACK_BODY_COUNT = 20
@@ -117,7 +121,10 @@ def _preset_name(scene: Scene) -> str:
             touched = [set(c.first) | set(c.second) for c in scene.contacts if cloths & {*c.first, *c.second}]
             folds = any(cloths & set(c.first) & set(c.second) for c in scene.contacts)
             return "drape" if folds and set().union(*touched) - cloths else "cloth"
-        return "soft" if any(isinstance(body, SoftBody) for body in scene.deformables) else "line"
+        if any(isinstance(body, SoftBody) for body in scene.deformables):
+            return "soft"
+        # A rope is a chain of constraints, without elasticity: it wants the short step of contacts.
+        return "rod" if any(isinstance(body, Rod) for body in scene.deformables) else "contact"
     if not scene.contacts:
         return "contact_free"
     if len(dynamic) >= STACK_BODY_COUNT:

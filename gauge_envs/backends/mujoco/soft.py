@@ -16,11 +16,10 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
-from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Glue
+from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Points, glued_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
-from gauge_envs.scene import Motion, Pose, SoftBody
+from gauge_envs.scene import Motion, SoftBody
 
 __all__ = ["SoftPart", "add_soft"]
 
@@ -71,14 +70,14 @@ class SoftPart(FlexPart):
         flex: mujoco.MjsFlex,
         lattice: _Lattice,
         blocks: Sequence[_Block],
-        held: Mapping[int, Glue],
+        points: Points,
     ) -> None:
         self.name = flex.name
         self.names = tuple(block.body.name for block in blocks)
         self.flex = flex
         self._lattice = lattice
         self._blocks = tuple(blocks)
-        self._held = dict(held)
+        self._points = points
         self.rest_m = lattice.grid_m(lattice.subdivisions)
         self._grid = lattice.weights(self.rest_m)
         self._rows = {}
@@ -100,20 +99,11 @@ class SoftPart(FlexPart):
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints."""
-        start = int(model.flex_nodeadr[self.flex.id])
-        bodies = model.flex_nodebodyid[start : start + len(self._lattice.rest_m)]
-        self._free = np.array([index for index in range(len(bodies)) if index not in self._held])
-        self._addresses = model.jnt_qposadr[model.body_jntadr[bodies[self._free], None] + np.arange(3)]
-        self._carriers = []
-        for glue in {glue.body: glue for glue in self._held.values() if glue.motion is not Motion.FIXED}.values():
-            rows = np.array([index for index, other in self._held.items() if other.body == glue.body])
-            address = int(model.joint(model.body(glue.body).jntadr[0]).qposadr[0])
-            self._carriers.append((rows, slice(address, address + 7), glue.pose.to_body(self._lattice.rest_m[rows])))
-        self._qpos = data.qpos
+        self._points.bind(model, data)
 
     def nodes(self) -> NDArray[np.float64]:
         """World positions of the grid of points now [m], shape [node_count, 3]."""
-        return self._grid @ self._lattice_positions()
+        return self._grid @ self._points.positions()
 
     def block_nodes(self, name: str) -> NDArray[np.intp]:
         """Rows of `nodes` that belong to a body; those on a bonded face belong to both, shape [block_node_count]."""
@@ -132,18 +122,7 @@ class SoftPart(FlexPart):
             ShapeError: A point lies outside the free material.
         """
         weights = self._lattice.weights(np.asarray(points_m, dtype=np.float64))
-        return lambda: weights @ self._lattice_positions()
-
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Nothing: what is glued to a kinematic body is part of it."""
-
-    def _lattice_positions(self) -> NDArray[np.float64]:
-        positions = self._lattice.rest_m.copy()
-        positions[self._free] += self._qpos[self._addresses]
-        for rows, address, arms in self._carriers:
-            pose = self._qpos[address]
-            positions[rows] = Rotation.from_quat(pose[3:], scalar_first=True).apply(arms) + pose[:3]
-        return positions
+        return lambda: weights @ self._points.positions()
 
 
 class _Lattice:
@@ -269,8 +248,13 @@ def add_soft(
     for side, glue in ends.items():
         held |= dict.fromkeys(layers[0 if side == "low" else -1].ravel().tolist(), glue)
         _add_gripped_material(spec, flex, glue, low_m, high_m, axis, side)
-    _hold(spec, flex, lattice.rest_m, held)
-    return SoftPart(flex, lattice, blocks, held)
+    names = list(flex.nodebody)
+    flex.nodebody, places = glued_points(names, lattice.rest_m, held)
+    flex.node = places.ravel()
+    # Only now: deleting a body that a flex uses deletes the flex.
+    for index in held:
+        spec.delete(spec.body(names[index]))
+    return SoftPart(flex, lattice, blocks, Points(names, lattice.rest_m, held))
 
 
 def _row(bodies: Sequence[SoftBody], glued: Mapping[str, Sequence[Glue]]) -> tuple[int, list[_Block]]:
@@ -325,24 +309,6 @@ def _glued_ends(blocks: Sequence[_Block], glued: Mapping[str, Sequence[Glue]], a
                 )
             ends[side] = glue
     return ends
-
-
-def _hold(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], held: Mapping[int, Glue]) -> None:
-    """Make nodes points of the bodies that they are glued to, instead of bodies of their own.
-
-    They need no constraint and no driving then: they are where the body is, and the body feels their forces.
-    """
-    names = list(flex.nodebody)
-    places = np.zeros_like(rest_m)
-    replaced = [names[index] for index in held]
-    for index, glue in held.items():
-        names[index] = glue.body
-        places[index] = glue.pose.to_body(rest_m[index])
-    flex.nodebody = names
-    flex.node = places.ravel()
-    # Only now: deleting a body that a flex uses deletes the flex.
-    for name in replaced:
-        spec.delete(spec.body(name))
 
 
 def _add_gripped_material(
