@@ -28,6 +28,8 @@ __all__ = ["ClothPart", "add_cloth"]
 ELASTIC_BOTH = 3
 """MuJoCo's code of a flex that both stretches and bends."""
 
+VERTEX_INERTIA_KG_M2 = 1e-6
+
 STIFFNESS_PER_TRIANGLE = 21
 """Numbers that MuJoCo reserves for each element, enough for a tetrahedron; a triangle uses the first six."""
 
@@ -124,8 +126,8 @@ def add_cloth(
         body = spec.worldbody.add_body(name=names[index], pos=rest[index])
         body.explicitinertial = True
         body.mass = mass
-        # A vertex does not turn, but MuJoCo wants an inertia.
-        body.inertia = [mass * min(grid.cell_m) ** 2] * 3
+        # A vertex does not turn, but MuJoCo wants an inertia that it can write and read back.
+        body.inertia = [VERTEX_INERTIA_KG_M2] * 3
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
 
