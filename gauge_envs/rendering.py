@@ -195,6 +195,12 @@ def _camera(scene: Scene) -> mujoco.MjvCamera:
     """Looks at the middle of what the scene can fill: solids at the start, swings, and the floor below what falls."""
     points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
     points += [body.pose.to_world(_outline_m(body)) for body in scene.deformables]
+    for driver in scene.drivers:
+        start = scene.body(driver.body).pose
+        away = np.subtract(driver.pose(start, scene.duration_s).position_m, start.position_m)
+        carried = {a.deformable for a in scene.attachments if a.to == driver.body}
+        points.append(start.to_world(scene.body(driver.body).shape.corners_m) + away)
+        points += [body.pose.to_world(_outline_m(body)) + away for body in scene.deformables if body.name in carried]
     azimuth_deg = AZIMUTH_DEG
     for joint in scene.joints:
         anchor = np.asarray(joint.anchor_m)

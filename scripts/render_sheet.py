@@ -1,6 +1,6 @@
-"""Draw the contact sheet of the README: first, middle and last frame of one variant of each rigid family.
+"""Draw the contact sheets of the README: first, middle and last frame of one variant of each family.
 
-Usage: python scripts/render_sheet.py [OUT.png]
+Usage: python scripts/render_sheet.py rigid|deformable [OUT.png]
 """
 
 from __future__ import annotations
@@ -14,26 +14,43 @@ import numpy as np
 
 import gauge_envs  # noqa: F401  registers the ids
 
-VARIANTS = (
-    "SlopeContact-wood",
-    "NonsmoothContact-1-wood",
-    "SlopeSlider-3-metal",
-    "Turntable-2-wood",
-    "BouncingBall-rubber",
-    "NewtonsCradle-metal",
-    "WallBreaking-wood",
-    "Pendulum-metal",
-)
-LONGEST_S = 1.8
-"""Long experiments show this much of their start."""
+SHEETS = {
+    "rigid": {
+        "SlopeContact-wood": 0.3,
+        "NonsmoothContact-1-wood": 0.3,
+        "SlopeSlider-3-metal": 1.9,
+        "Turntable-2-wood": 0.6,
+        "BouncingBall-rubber": 0.5,
+        "NewtonsCradle-metal": 0.5,
+        "WallBreaking-wood": 1.5,
+        "Pendulum-metal": 0.9,
+    },
+    "deformable": {
+        "RopeWinding-rubber": 2.0,
+        "TextileStretching-satin": 3.0,
+        "TextileBending-oxford": 4.8,
+        "TextileFlinging-satin": 1.8,
+        "Funnel-satin": 3.0,
+        "RotatingBall-uniform": 3.0,
+        "TableclothPulling-metal": 3.0,
+        "FoamStretching-soft": 1.0,
+        "FoamCompressing-soft": 1.0,
+        "FoamShearing-soft": 1.2,
+        "FoamTwisting-soft": 2.1,
+        "FoamBending-soft": 1.1,
+        "StickStack-soft": 4.0,
+        "CantileverBeam-soft": 0.5,
+    },
+}
+"""Variants, and how much of the episode to show [s]."""
 
 
-def frames(name: str) -> list[np.ndarray]:
-    """First, middle and last picture of an episode."""
+def frames(name: str, seconds: float) -> list[np.ndarray]:
+    """First, middle and last picture of the start of an episode."""
     env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=480, height=360)
     env.reset(seed=0)
     zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
-    last = min(env.unwrapped.experiment.frame_count - 1, round(30 * LONGEST_S))
+    last = min(env.unwrapped.experiment.frame_count - 1, round(30 * seconds))
     pictures = [env.render()]
     for frame in range(1, last + 1):
         env.step(zero)
@@ -44,12 +61,14 @@ def frames(name: str) -> list[np.ndarray]:
 
 
 def main() -> None:
-    """Write the sheet."""
-    out = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images/rigid.png")
-    figure, axes = plt.subplots(4, 6, figsize=(12, 6.6), layout="constrained")
-    for index, name in enumerate(VARIANTS):
+    """Write a sheet."""
+    sheet = sys.argv[1]
+    out = Path(sys.argv[2] if len(sys.argv) > 2 else f"docs/images/{sheet}.png")
+    rows = len(SHEETS[sheet]) // 2
+    figure, axes = plt.subplots(rows, 6, figsize=(12, 1.65 * rows), layout="constrained")
+    for index, (name, seconds) in enumerate(SHEETS[sheet].items()):
         row, column = divmod(index, 2)
-        for offset, picture in enumerate(frames(name)):
+        for offset, picture in enumerate(frames(name, seconds)):
             axis = axes[row, 3 * column + offset]
             axis.imshow(picture)
             axis.set_axis_off()

@@ -42,6 +42,50 @@ def test_gymnasiums_checker_passes(name: str) -> None:
         check_env(env, skip_render_check=True)
 
 
+@pytest.mark.parametrize("name", [v.name for v in gauge_envs.variants() if v.name not in RIGID])
+def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
+    env = gymnasium.make(f"GAUGE/{name}").unwrapped
+    observation, _ = env.reset(seed=0)
+    action = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    assert observation in env.observation_space
+    if "markers" in observation:
+        # Markers stand for nodes that lie nearer than 1 cm, and each for another.
+        distance = np.linalg.norm(observation["markers"] - env.experiment.scene.markers.positions_m, axis=1)
+        assert distance.max() < 0.01
+        assert len(np.unique(observation["markers"], axis=0)) == len(observation["markers"])
+    observation, reward, terminated, _, info = env.step(action)
+    assert observation in env.observation_space
+    assert np.isfinite(observation["observable"]).all()
+    assert (reward, terminated, info["reference"]) == (0.0, False, "none")
+
+
+def test_curvature_of_a_hanging_cloth_is_nothing() -> None:
+    env = gymnasium.make("GAUGE/TextileFlinging-satin")
+    observation, _ = env.reset(seed=0)
+    assert np.linalg.norm(observation["observable"]) < 0.01
+
+
+@pytest.mark.parametrize("proxy", ["node", "material"])
+def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
+    env, trajectory, _ = rollout("FoamStretching-soft", marker_proxy=proxy)
+    moved = trajectory.markers_m[-1] - trajectory.markers_m[0]
+    height = trajectory.markers_m[0, :, 2] - env.experiment.scene.body("base-1").pose.position_m[2]
+    # Between the grips, 12.85 mm inside the foam's ends, the stretch of 9.23 mm is nearly even.
+    share = (height - 0.012 - 0.01285) / (0.2 - 2 * 0.01285)
+    driven = env.experiment.scene.drivers[0].motions[0].value(1e3)
+    assert moved[:, 2] == pytest.approx(driven * share, abs=3e-4)
+
+
+def test_unknown_marker_proxy() -> None:
+    with pytest.raises(ParameterError, match="'node' or 'material'"):
+        gauge_envs.GaugeEnv("FoamStretching-soft", marker_proxy="nearest")
+
+
+def test_too_fine_a_cloth_for_its_contact_thickness() -> None:
+    with pytest.raises(ParameterError, match=r"4 mm, more than its cells of 3\.33 mm"):
+        gymnasium.make("GAUGE/Funnel-satin", settings={"cloth_cell_m": 1 / 300})
+
+
 @pytest.mark.parametrize("name", SHORT)
 def test_same_seed_gives_the_same_trajectory_bit_for_bit(name: str, rollout) -> None:
     first, second = rollout(name)[1], rollout(name)[1]

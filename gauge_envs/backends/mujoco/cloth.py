@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Points, glued_points
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Region
 
 __all__ = ["ClothPart", "add_cloth"]
@@ -114,9 +114,15 @@ def add_cloth(
             everything then rests that far from the cloth's mid-plane.
 
     Raises:
+        ParameterError: The cells are so small that neighbouring ones would touch.
         UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
     """
     grid = _Grid(cloth, cell_m)
+    if contact_radius_m is not None and 2.0 * contact_radius_m >= min(grid.cell_m):
+        raise ParameterError(
+            f"cloth {cloth.name!r} is {1e3 * cloth.thickness_m:g} mm thick but would collide with "
+            f"{2e3 * contact_radius_m:g} mm, more than its cells of {1e3 * min(grid.cell_m):.3g} mm allow"
+        )
     held = _held(grid, cloth, glued)
     rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))
     names = [f"{cloth.name}/{index}" for index in range(len(rest))]
