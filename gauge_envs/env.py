@@ -149,7 +149,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
         if marker_proxy not in list(MarkerProxy):
-            raise ParameterError(f"marker_proxy {marker_proxy!r}: choose {' or '.join(repr(p.value) for p in MarkerProxy)}")
+            known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
+            raise ParameterError(f"marker_proxy {marker_proxy!r}: choose {known}")
         self.experiment = experiment(variant, parameters)
         self.backend_name = backend
         self.render_mode = render_mode
