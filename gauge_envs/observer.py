@@ -6,7 +6,7 @@ marker's own material point, by its barycentric coordinates between nodes, is th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Protocol
 
@@ -99,11 +99,12 @@ class ObserverMarkers:
         self._observable = observable
         rest = {name: simulation.nodes(name) for name in scene.markers.bodies}
         targets = np.asarray(scene.markers.positions_m)
+        self._read = _tracker(simulation, tuple(rest), targets) if proxy is MarkerProxy.MATERIAL else None
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
             self._indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
             self._weights = np.ones((len(targets), 1))
-        else:
+        elif self._read is None:
             deformables = {body.name: body for body in scene.deformables}
             self._indices, self._weights = _material_points(targets, rest, deformables)
         self.markers_m = self._marker_positions(simulation)
@@ -125,12 +126,27 @@ class ObserverMarkers:
         return self._observed(markers)
 
     def _marker_positions(self, simulation: Simulation) -> NDArray[np.float64]:
+        if self._read is not None:
+            return self._read()
         nodes = np.concatenate([simulation.nodes(name) for name in self._markers.bodies])
         return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
 
     def _observed(self, markers_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """g(t) of marker positions, shape [sample_count, width]."""
         return observe_markers(markers_m, self._markers, self._observable)
+
+
+def _tracker(
+    simulation: Simulation, names: Sequence[str], targets_m: NDArray[np.float64]
+) -> Callable[[], NDArray[np.float64]] | None:
+    """The engine's own reader of the markers, if one of the bodies answers for all of them."""
+    refusal = None
+    for name in names:
+        try:
+            return simulation.track(name, targets_m)
+        except ShapeError as error:
+            refusal = error
+    raise refusal or ShapeError("the markers are on no body")
 
 
 def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable: Observable) -> NDArray[np.float64]:

@@ -76,6 +76,19 @@ def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
     assert moved[:, 2] == pytest.approx(driven * share, abs=3e-4)
 
 
+@pytest.mark.parametrize("name", ["StickStack-soft", "CantileverBeam-soft", "FoamBending-soft", "TextileBending-satin"])
+def test_material_points_start_at_the_markers(name: str) -> None:
+    env = gymnasium.make(f"GAUGE/{name}", marker_proxy="material")
+    observation, _ = env.reset(seed=0)
+    markers = env.unwrapped.experiment.scene.markers.positions_m
+    assert observation["markers"] == pytest.approx(np.asarray(markers), abs=1e-6)
+    over = False
+    for _ in range(3):
+        observation, *_, over, _ = env.step(np.zeros(env.action_space.shape) if env.action_space.shape else 0)
+    assert not over
+    assert np.isfinite(observation["markers"]).all()
+
+
 def test_unknown_marker_proxy() -> None:
     with pytest.raises(ParameterError, match="'node' or 'material'"):
         gauge_envs.GaugeEnv("FoamStretching-soft", marker_proxy="nearest")

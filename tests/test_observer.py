@@ -26,6 +26,9 @@ class Sheet:
     def nodes(self, name: str) -> np.ndarray:
         return self._motion(self._rest, self.time_s)
 
+    def track(self, name: str, points_m: np.ndarray) -> None:
+        return None
+
     def advance(self, seconds: float) -> None:
         self.time_s += seconds
 

@@ -16,7 +16,7 @@ available under its name through an entry point of the group `gauge_envs.backend
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -97,6 +97,22 @@ class Simulation(ABC):
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Positions of a deformable body's nodes [m], shape [node_count, 3]."""
         raise KeyError(name)
+
+    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+        """Reader of material points of a deformable body, for engines that know better than its nodes where they are.
+
+        Args:
+            name: Name of the body; bodies that are bonded may answer for each other.
+            points_m: World positions at the start [m], shape [point_count, 3].
+
+        Returns:
+            Function that returns where the points are now [m], shape [point_count, 3]; None leaves it to
+            interpolation between the nodes.
+
+        Raises:
+            ShapeError: A point lies outside the material.
+        """
+        return None
 
     @abstractmethod
     def state(self) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import cos, sin
 from typing import Any, Protocol
 
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Simulation, Support
 from gauge_envs.backends.mujoco.deformables import nodes_of, undoable
+from gauge_envs.backends.mujoco.line import LinePart
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
+from gauge_envs.backends.mujoco.soft import SoftPart
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 __all__ = ["BackendMuJoCo", "SimulationMuJoCo"]
@@ -99,6 +101,11 @@ class SimulationMuJoCo(Simulation):
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Nodes of a deformable body now [m], shape [node_count, 3]."""
         return nodes_of(self._parts[name], name)
+
+    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+        """Reader of material points: shape functions of the elements in solids, places along ropes and rods."""
+        part = self._parts[name]
+        return part.track(points_m) if isinstance(part, SoftPart | LinePart) else None
 
     def state(self) -> NDArray[np.float64]:
         """Integration state, shape [state_size]."""
