@@ -1,4 +1,4 @@
-"""Generated assets: every variant as USD, every rigid one as MJCF, every solid as OBJ; built, and checked for currency.
+"""Generated assets: every variant as USD and as MJCF, every solid as OBJ; built, and checked for currency.
 
 The files in `assets/` are built from the task files and are checked in; nothing reads them back. They are for users
 of other tools: each opens without gauge-envs.
@@ -7,37 +7,30 @@ of other tools: each opens without gauge-envs.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
-import mujoco
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco import BackendMuJoCo, SimulationMuJoCo
-from gauge_envs.env import SAMPLE_INTERVAL_S, DriverPath
-from gauge_envs.errors import ParameterError, ResultFileError, UnsupportedSceneError
-from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.experiment import experiment
 from gauge_envs.meshes import hull_faces
+from gauge_envs.mjcf import NUMBER, expanded, mjcf_text
 from gauge_envs.paths import data_folder
-from gauge_envs.result import task_sha256
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
-from gauge_envs.task import task_path, variants
-from gauge_envs.usd import SOURCE, usd_text
+from gauge_envs.task import variants
+from gauge_envs.usd import usd_text
 
 __all__ = [
     "asset_rows",
     "asset_texts",
     "assets_folder",
     "build_assets",
-    "mjcf_text",
-    "scene_to_mjcf",
     "shape_to_obj",
     "solid_shapes",
     "stale_asset",
@@ -50,8 +43,6 @@ CYLINDER_SIDES = 96
 
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that stands for a sphere in an OBJ file: 642 vertices."""
-
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 SAME_RELATIVE = 3e-7
 """Numbers this close are equal in a check: sines differ in their last digit between machines, and USD keeps some
@@ -71,8 +62,7 @@ def asset_texts() -> Iterator[tuple[str, str]]:
     """Path below the assets folder and text of every generated file, in alphabetical order of folders."""
     resolved = [experiment(variant) for variant in variants()]
     for one in resolved:
-        if not one.scene.deformables:
-            yield f"mjcf/{one.variant.name}.xml", mjcf_text(one)
+        yield f"mjcf/{one.variant.name}.xml", mjcf_text(one)
     for name, solid in solid_shapes().items():
         yield f"obj/{name}.obj", shape_to_obj(solid.shape, name)
     for one in resolved:
@@ -134,118 +124,13 @@ def _generated(folder: Path) -> list[Path]:
 def _same(one: str, other: str) -> bool:
     if one == other:
         return True
+    one, other = expanded(one), expanded(other)
     if NUMBER.split(one) != NUMBER.split(other):
         return False
     pairs = zip(NUMBER.findall(one), NUMBER.findall(other), strict=True)
     return all(
         a == b or math.isclose(float(a), float(b), rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE) for a, b in pairs
     )
-
-
-# --- MJCF ------------------------------------------------------------------------------------------------------------
-
-
-def scene_to_mjcf(resolved: Experiment, path: Path) -> None:
-    """Write the MuJoCo model of a rigid variant as a self-contained file, in full precision.
-
-    The compiled file equals the model that the MuJoCo backend steps, bit for bit. Where a body is driven, the file
-    carries its motion as custom numbers `driver/<body>` and says how to replay it.
-
-    Raises:
-        UnsupportedSceneError: The scene holds a deformable body.
-        ResultFileError: The file cannot be written.
-    """
-    text = mjcf_text(resolved)
-    try:
-        path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def mjcf_text(resolved: Experiment) -> str:
-    """The text that `scene_to_mjcf` writes.
-
-    Raises:
-        UnsupportedSceneError: The scene holds a deformable body.
-    """
-    scene = resolved.scene
-    if scene.deformables:
-        names = ", ".join(repr(body.name) for body in scene.deformables)
-        raise UnsupportedSceneError(
-            f"{resolved.variant.id}: no MJCF of deformable {names}: their stiffness is written into the compiled model"
-        )
-    simulation = BackendMuJoCo().build(scene)
-    family = resolved.variant.family
-    notes = [
-        f"{resolved.spec.title}: {resolved.variant.id}, parameters: {resolved.parameters}.",
-        f"Task file: tasks/{task_path(family).name}, sha256 {task_sha256(family)}.",
-        SOURCE,
-    ]
-    for driver in scene.drivers:
-        rows = _driver_rows(simulation, resolved, DriverPath(driver, scene, resolved.frame_count))
-        simulation.spec.add_numeric(name=f"driver/{driver.body}", size=rows.size, data=rows.ravel().tolist())
-        notes.append(_replay_note(driver.body, driver.provenance, simulation, rows))
-    root = ElementTree.fromstring(simulation.spec.to_xml())
-    root.set("model", resolved.variant.name)
-    _restore_digits(root, simulation.spec)
-    comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")
-    comment.tail = "\n\n  "
-    root.insert(0, comment)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _driver_rows(simulation: SimulationMuJoCo, resolved: Experiment, path: DriverPath) -> NDArray[np.float64]:
-    """What to write before each sample interval, shape [interval_count, 19]: qpos 7, qvel 6, xfrc_applied 6."""
-    model, data = simulation.model, simulation.data
-    joint, body = model.joint(path.body), model.body(path.body)
-    position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
-    still = np.zeros(path.motion_count)
-    rows = []
-    for sample in range(round(resolved.scene.duration_s / SAMPLE_INTERVAL_S)):
-        simulation.drive(path.body, *path.interval(sample, still))
-        state = data.qpos[position : position + 7], data.qvel[speed : speed + 6], data.xfrc_applied[body.id]
-        rows.append(np.concatenate(state))
-    return np.array(rows)
-
-
-def _replay_note(body: str, provenance: str, simulation: SimulationMuJoCo, rows: NDArray[np.float64]) -> str:
-    steps = round(SAMPLE_INTERVAL_S / simulation.model.opt.timestep)
-    return (
-        f"Driven body {body!r} (motion: {provenance}): custom numeric 'driver/{body}' holds {len(rows)} rows of "
-        f"{rows.shape[1]} numbers.\n    Before every {steps} steps write the next row: [0:7] to the qpos of free joint "
-        f"{body!r}, [7:13] to its qvel,\n    [13:19] to xfrc_applied of body {body!r}."
-    )
-
-
-ALIASES = {"vertex": "uservert", "solreflimit": "solref_limit", "solimplimit": "solimp_limit"}
-"""Names in MuJoCo's editable model where they differ from the XML's."""
-
-
-def _restore_digits(root: ElementTree.Element, spec: mujoco.MjSpec) -> None:
-    """Give every number back the digits that MuJoCo's XML writer drops: it prints six, and 1/9000 s needs more."""
-    pairs = iter(spec.pairs)
-    find: dict[str, Any] = {
-        "option": lambda _: spec.option,
-        "mesh": spec.mesh,
-        "body": spec.body,
-        "geom": spec.geom,
-        "joint": spec.joint,
-        "site": spec.site,
-        "spatial": spec.tendon,
-        "pair": lambda _: next(pairs),
-        "numeric": spec.numeric,
-    }
-    for element in root.iter():
-        source = find[element.tag](element.get("name", "")) if element.tag in find else None
-        for key, text in element.items() if source is not None else ():
-            exact = getattr(source, ALIASES.get(key, key), None)
-            if exact is None or not NUMBER.fullmatch(text.split(" ")[0]):
-                continue
-            written = np.array(text.split(), dtype=np.float64)
-            # Trailing defaults are not written.
-            values = np.atleast_1d(np.asarray(exact, dtype=np.float64))[: written.size]
-            if written.shape == values.shape and np.allclose(written, values, rtol=1e-5, atol=1e-12):
-                element.set(key, " ".join(repr(value).removesuffix(".0") for value in values.tolist()))
 
 
 # --- OBJ -------------------------------------------------------------------------------------------------------------
