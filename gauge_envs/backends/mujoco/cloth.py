@@ -132,6 +132,7 @@ def add_cloth(
         body = spec.worldbody.add_body(name=names[index], pos=rest[index])
         body.explicitinertial = True
         body.mass = mass
+        body.ipos = [0.0, 0.0, 0.0]
         # A vertex does not turn, but MuJoCo wants an inertia that it can write and read back.
         body.inertia = [VERTEX_INERTIA_KG_M2] * 3
         for axis in np.eye(3):
