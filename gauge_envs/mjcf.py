@@ -1,7 +1,7 @@
 """MJCF: the model that the MuJoCo backend steps, as a self-contained file that plain MuJoCo loads and replays.
 
-MuJoCo's own XML writer falls short of that in three ways, which this makes up for: it prints six digits, it leaves out
-the inertia of a cloth's vertices, and it cannot know what the backend writes into the compiled tables of a flex.
+MuJoCo's own XML writer prints six digits, and cannot know what the backend writes into the compiled tables of a flex;
+this makes up for both.
 """
 
 from __future__ import annotations
@@ -209,17 +209,9 @@ def expanded(text: str) -> str:
 
 
 def _exact_xml(simulation: SimulationMuJoCo) -> ElementTree.Element:
-    """MuJoCo's XML with what its writer leaves out: digits after the sixth, and inertias of bodies with no centre."""
-    spec, model = simulation.spec, simulation.model
+    """MuJoCo's XML with the digits after the sixth, which its writer leaves out."""
+    spec = simulation.spec
     root = ElementTree.fromstring(spec.to_xml())
-    for element in root.iter("body"):
-        body = spec.body(element.get("name"))
-        # The writer takes a body whose centre of mass is left to the compiler for one without inertia.
-        if body.explicitinertial and element.find("inertial") is None:
-            centre = _digits(model.body(body.name).ipos)
-            inertial = ElementTree.Element("inertial", pos=centre, mass=_digits(body.mass))
-            inertial.set("diaginertia", _digits(body.inertia))
-            element.insert(0, inertial)
     for element, source in _sources(root, spec):
         _restore_digits(element, source)
     if simulation.model.nflex:

@@ -211,6 +211,7 @@ def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64]
         body = spec.body(name)
         body.pos = place
         body.explicitinertial = True
+        body.ipos = [0.0, 0.0, 0.0]
         body.mass = mass_kg / count * (0.5 if index in (0, count) else 1.0)
     flex.contype, flex.conaffinity = 0, 0
     flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
