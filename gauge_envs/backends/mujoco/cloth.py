@@ -64,7 +64,7 @@ class ClothPart(FlexPart):
         self._points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
-        """Write the fabric's membrane law, weigh the diagonals' bending, and give driven vertices their armature."""
+        """Write the fabric's membrane law, and weigh the bending of the diagonals."""
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, self.name)
         membrane = self._grid.membrane(self._cloth.stretch_stiffness_n_per_m, self._cloth.shear_stiffness_n_per_m)
         start = model.flex_stiffnessadr[flex]
