@@ -87,7 +87,7 @@ PRESETS: dict[str, SettingsMuJoCo] = {
         sustained_solimp=(0.95, 0.99, 0.001),
     ),
     # Deformable bodies: `discrete` is the integrator that takes their elasticity implicitly. At 1/900 s the marker
-    # paths of a flung cloth are within 0.5 mm of those at half the step; cells of 25 mm put a vertex under every marker.
+    # paths of a flung cloth are within 0.5 mm of those at half the step; cells of 25 mm put a vertex under a marker.
     "cloth": SettingsMuJoCo(preset="cloth", timestep_s=1 / 900, integrator="discrete", cone="pyramidal", impratio=1.0),
     # Cloth that folds over and between bodies has thousands of contacts: conjugate gradients with a cap on iterations
     # are five times faster than Newton there, and larger cells do the rest.
