@@ -196,7 +196,8 @@ def _draw_coordinates(axes: Sequence[Axes], results: Sequence[Result]) -> None:
             if first and not many:
                 told = f"{body}, {label}"
             elif index == 0:
-                told = f"{label}, {len(bodies)} bodies"
+                stems = {name.rpartition("-")[0] for name in bodies}
+                told = f"{label}, {len(bodies)} {f'{stems.pop()}s' if len(stems) == 1 else 'bodies'}"
             color = OURS[number % len(OURS)]
             axis.plot(times, samples[:, index], color=color, ls=style, lw=1.5 if not many else 0.9, label=told)
     for axis, title in zip(axes, _axis_names(results[0]), strict=True):
