@@ -346,14 +346,18 @@ def _result_files(source: Path) -> list[Path]:
 
 
 def _stdout() -> Console:
-    console = Console()
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = PIPE_WIDTH
-    return console
+    return _widened(Console())
 
 
 def _stderr() -> Console:
-    return Console(stderr=True, highlight=False)
+    return _widened(Console(stderr=True, highlight=False))
+
+
+def _widened(console: Console) -> Console:
+    """A console that does not cut tables where there is no terminal."""
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = PIPE_WIDTH
+    return console
 
 
 def _plain(text: str) -> str:
