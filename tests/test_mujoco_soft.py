@@ -7,6 +7,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
+from hexahedra import extrapolated_end_force
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -150,6 +151,16 @@ def test_shear_of_a_clamped_and_guided_bar(poisson: float) -> None:
     inertia, shear_pa = EDGE_M**4 / 12, YOUNG_PA / (2 * (1 + poisson))
     compliance = 0.1743**3 / (12 * YOUNG_PA * inertia) + 0.1743 / (5 / 6 * shear_pa * AREA_M2)
     assert force == pytest.approx(1e-3 / compliance, rel=0.05)
+
+
+@pytest.mark.parametrize(("axis", "limit"), [(0, 0.05), (2, 0.02)], ids=["shear", "tension"])
+@pytest.mark.parametrize("poisson", [0.23, 0.34])
+def test_clamped_bar_agrees_with_fine_finite_elements(poisson: float, axis: int, limit: float) -> None:
+    """The clamps' share, which beam theory leaves out, is the same in an independent solution."""
+    force = static(block(poisson=poisson), depth_m=0.01285).reaction(list(1e-3 * np.eye(3)[axis]))[axis]
+    fine = extrapolated_end_force(edge_m=EDGE_M, length_m=0.1743, young_pa=YOUNG_PA, poisson=poisson, axis=axis)
+    assert force / 1e-3 == pytest.approx(fine, rel=limit)
+    assert force / 1e-3 > fine
 
 
 def test_bonded_blocks_of_unlike_stiffness_in_series() -> None:
