@@ -23,12 +23,13 @@ from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_ba
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.task_format import FRAME_RATE_HZ, Observable
 
-__all__ = ["SAMPLES_PER_FRAME", "DriverPath", "GaugeEnv", "Trajectory", "reference_band"]
+__all__ = ["SAMPLES_PER_FRAME", "SAMPLE_INTERVAL_S", "DriverPath", "GaugeEnv", "Trajectory", "reference_band"]
 
 SAMPLES_PER_FRAME = 6
 """Samples kept per frame: 180 Hz, the rate of the motion-capture cameras (paper, data acquisition)."""
 
 SAMPLE_INTERVAL_S = 1.0 / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
+"""Time between samples, and for which a driven body's motion is prescribed at once [s]."""
 
 NO_RATES = np.zeros(0)
 

@@ -616,7 +616,9 @@ class TaskSpec(_Table):
         )
 
     def provenance_of(self, key: str) -> str:
-        """Where the number under a dotted key is from: the entry with the longest matching prefix.
+        """Where the number under a dotted key is from.
+
+        The entry with the longest matching prefix counts; of several as long, the one with the fewest wildcards.
 
         Raises:
             UnknownNameError: No entry covers the key.
@@ -624,7 +626,7 @@ class TaskSpec(_Table):
         parts = key.split(".")
         for length in range(len(parts), 0, -1):
             prefix = ".".join(parts[:length])
-            for pattern, provenance in self.provenance.items():
-                if pattern.count(".") == prefix.count(".") and fnmatchcase(prefix, pattern):
-                    return provenance
+            matching = [p for p in self.provenance if p.count(".") == prefix.count(".") and fnmatchcase(prefix, p)]
+            if matching:
+                return self.provenance[min(matching, key=lambda pattern: pattern.count("*"))]
         raise UnknownNameError("provenance of", key, self.provenance)

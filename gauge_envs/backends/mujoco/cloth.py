@@ -61,7 +61,7 @@ class ClothPart(FlexPart):
         self.rest_m = rest_m
         self._cloth = cloth
         self._grid = grid
-        self._points = points
+        self.points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law, and weigh the bending of the diagonals."""
@@ -78,13 +78,9 @@ class ClothPart(FlexPart):
         forms = model.flex_bending[start : start + BENDING_PER_EDGE * count].reshape(-1, BENDING_PER_EDGE)
         forms[diagonal] *= _diagonal_weight(*self._grid.cell_m)
 
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up the joints."""
-        self._points.bind(model, data)
-
     def nodes(self) -> NDArray[np.float64]:
         """World positions of the vertices now [m], shape [node_count, 3]; y of the cloth runs fastest."""
-        return self._points.positions()
+        return self.points.positions()
 
 
 def add_cloth(

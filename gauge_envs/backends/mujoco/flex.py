@@ -32,32 +32,6 @@ class Glue:
     pose: Pose
 
 
-class FlexPart(ABC):
-    """A deformable body of a MuJoCo model.
-
-    Attributes:
-        name: Name of the deformable body, and of its flex.
-        flex: The flex in the editable model; who builds contacts sets contact bits and friction on it.
-        rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
-    """
-
-    name: str
-    flex: mujoco.MjsFlex
-    rest_m: NDArray[np.float64]
-
-    @abstractmethod
-    def complete(self, model: mujoco.MjModel) -> None:
-        """Write into the compiled model what the editable one cannot express."""
-
-    @abstractmethod
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up addresses for reading."""
-
-    @abstractmethod
-    def nodes(self) -> NDArray[np.float64]:
-        """World positions of the nodes now [m], shape [node_count, 3]."""
-
-
 class Points:
     """The points that carry a flex: bodies of their own with slide joints x, y, z, or places on rigid bodies.
 
@@ -96,6 +70,34 @@ class Points:
             mujoco.mju_quat2Mat(turn, pose[3:])
             positions[rows] = arms @ turn.reshape(3, 3).T + pose[:3]
         return positions
+
+
+class FlexPart(ABC):
+    """A deformable body of a MuJoCo model.
+
+    Attributes:
+        name: Name of the deformable body, and of its flex.
+        flex: The flex in the editable model; who builds contacts sets contact bits and friction on it.
+        rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
+        points: The points that carry the flex.
+    """
+
+    name: str
+    flex: mujoco.MjsFlex
+    rest_m: NDArray[np.float64]
+    points: Points
+
+    @abstractmethod
+    def complete(self, model: mujoco.MjModel) -> None:
+        """Write into the compiled model what the editable one cannot express."""
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Look up the joints, for reading."""
+        self.points.bind(model, data)
+
+    @abstractmethod
+    def nodes(self) -> NDArray[np.float64]:
+        """World positions of the nodes now [m], shape [node_count, 3]."""
 
 
 def glued_points(

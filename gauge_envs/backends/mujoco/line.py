@@ -57,18 +57,14 @@ class LinePart(FlexPart):
         self.flex = flex
         self.rest_m = rest_m
         self.geoms = list(geoms)
-        self._points = points
+        self.points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Nothing: the editable model expresses all of a line."""
 
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up the joints."""
-        self._points.bind(model, data)
-
     def nodes(self) -> NDArray[np.float64]:
         """World positions of the nodes now [m], shape [node_count, 3]."""
-        return self._points.positions()
+        return self.points.positions()
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
         """Reader of points in or on the line, which keep their place along it and turn with it, without twist.

@@ -77,7 +77,7 @@ class SoftPart(FlexPart):
         self.flex = flex
         self._lattice = lattice
         self._blocks = tuple(blocks)
-        self._points = points
+        self.points = points
         self.rest_m = lattice.grid_m(lattice.subdivisions)
         self._grid = lattice.weights(self.rest_m)
         self._rows = {}
@@ -97,13 +97,9 @@ class SoftPart(FlexPart):
         # Whatever MuJoCo derives from the stiffness.
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
-    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up the joints."""
-        self._points.bind(model, data)
-
     def nodes(self) -> NDArray[np.float64]:
         """World positions of the grid of points now [m], shape [node_count, 3]."""
-        return self._grid @ self._points.positions()
+        return self._grid @ self.points.positions()
 
     def block_nodes(self, name: str) -> NDArray[np.intp]:
         """Rows of `nodes` that belong to a body; those on a bonded face belong to both, shape [block_node_count]."""
@@ -122,7 +118,7 @@ class SoftPart(FlexPart):
             ShapeError: A point lies outside the free material.
         """
         weights = self._lattice.weights(np.asarray(points_m, dtype=np.float64))
-        return lambda: weights @ self._points.positions()
+        return lambda: weights @ self.points.positions()
 
 
 class _Lattice:
