@@ -10,9 +10,11 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
 
 from gymnasium.envs.registration import WrapperSpec, register, registry
 
-from gauge_envs.env import GaugeEnv, Trajectory, reference_band
+from gauge_envs.env import GaugeEnv
+from gauge_envs.episode import Trajectory, reference_band
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.jitter import Jitter
 from gauge_envs.score import Score, score_trajectory
 from gauge_envs.task import find_variant, load_task, variants
 from gauge_envs.task_format import Variant
@@ -22,6 +24,7 @@ __all__ = [
     "Experiment",
     "GaugeEnv",
     "GaugeError",
+    "Jitter",
     "Score",
     "ScoreEpisode",
     "Trajectory",

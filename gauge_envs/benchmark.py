@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend as find_backend
-from gauge_envs.env import GaugeEnv, reference_band
+from gauge_envs.env import GaugeEnv
+from gauge_envs.episode import reference_band
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, TrajectoryFileError, UnsupportedSceneError
 from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.reference import band_grade

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -10,19 +11,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.env import reference_band
+from gauge_envs.comparison import (
+    METRICS,
+    Comparison,
+    ExperimentComparison,
+    Spread,
+    compare,
+    distances_over_time,
+    group_by_configuration,
+)
+from gauge_envs.episode import reference_band
 from gauge_envs.errors import MissingExtraError, ResultFileError, ShapeError
 from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.reference import Band, BandGrade, published_baselines
-from gauge_envs.report import ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, result_label
-from gauge_envs.result import RecordedTrajectory, Result
+from gauge_envs.report import ALIGNED_TITLE, ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, configuration_labels, score_text
+from gauge_envs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.task_format import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_experiment", "save_figures"]
+__all__ = ["draw_experiment", "draw_overview", "save_comparison", "save_figures"]
 
 OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of results: Okabe and Ito's, which colour-blind readers can tell apart."""
@@ -30,13 +40,49 @@ OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
 REAL = "#303030"
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
+WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
+HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 2}
+CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "ls": "", "zorder": 4}
+UNSCORED = "#f4f4f4"
 BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+ENGINE_MARKERS = ("s", "^", "D")
 LINE_STYLES = ("-", "--", ":", "-.")
 MOST_LEGEND_ENTRIES = 12
+MOST_ALIGNED = 2
+"""Curves that are drawn a second time, aligned to the release; with more, the picture would be full of them."""
+OVERVIEW = "overview"
+"""Name of the picture of all experiments."""
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Results of one configuration in one experiment, and how they look."""
+
+    label: str
+    color: str
+    results: tuple[Result, ...]
+
+    @property
+    def told(self) -> str:
+        """Entry of the legend."""
+        diverged = sum(result.diverged for result in self.results)
+        count = len(self.results)
+        ending = f", {diverged if count > 1 else ''} diverged".replace("  ", " ") if diverged else ""
+        return f"{self.label}{f', {count} repeats' if count > 1 else ''}{ending}"
+
+    @property
+    def width(self) -> float:
+        return 1.8 if len(self.results) == 1 else 0.8
+
+    @property
+    def alpha(self) -> float:
+        return 1.0 if len(self.results) == 1 else 0.7
 
 
 def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
     """Write one PNG for each experiment among the results, named after it.
+
+    A configuration has the same colour in all of them.
 
     Yields:
         Path of each picture, as soon as it is written.
@@ -47,61 +93,110 @@ def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
     """
     groups: dict[str, list[Result]] = {}
     for result in results:
-        groups.setdefault(result.id, []).append(result)
+        if result.trajectory is not None:
+            groups.setdefault(result.id, []).append(result)
     for name, group in groups.items():
-        figure = draw_experiment(group)
-        path = folder / f"{name.removeprefix('GAUGE/')}.png"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            figure.savefig(path, dpi=120)
-        except OSError as error:
-            raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
-        yield path
+        yield _saved(draw_experiment(group, among=results), folder / f"{name.removeprefix('GAUGE/')}.png")
 
 
-def draw_experiment(results: Sequence[Result]) -> Figure:
+def save_comparison(results: Sequence[Result], folder: Path, *, metric: str = "rmse") -> Iterator[Path]:
+    """Write the pictures of `save_figures`, and one of all experiments, `overview.png`, where any has a score.
+
+    Args:
+        results: Results of any experiments and configurations.
+        folder: Where to, created if need be.
+        metric: Metric of the overview, one of `gauge_envs.comparison.METRICS`.
+
+    Yields:
+        Path of each picture, as soon as it is written.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ResultFileError: The folder cannot be written.
+    """
+    yield from save_figures(results, folder)
+    overview = draw_overview(compare(results), metric=metric)
+    if overview is not None:
+        yield _saved(overview, folder / f"{OVERVIEW}.png")
+
+
+def _saved(figure: Figure, path: Path) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def _figure(width: float, height: float) -> Figure:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError("plotting", "plot", error) from error
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) -> Figure:
     """Picture of one experiment: curves of all its results, the band where there is one, and scores.
+
+    Results that differ in their seed alone are thin lines of one colour.
 
     Args:
         results: Results of one experiment that ran, one or more; their parameters, backends and seeds may differ.
+        among: All results that are shown together, which decide labels and colours; these alone where it is empty.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         ShapeError: There is no result, or they are of different experiments.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("plotting", "plot", error) from error
     ids = {result.id for result in results}
     if len(ids) != 1:
         raise ShapeError(f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}")
+    series = _series(results, among or results)
     resolved = experiment(results[0].id, results[0].parameters)
     band = reference_band(resolved)
-    bars = _bar_groups(results)
+    bars = _bar_groups(results[0].id, series)
     names = band.coordinates if band is not None else _axis_names(results[0])
-    rows = len(names)
-    figure = Figure(figsize=(11.0, max(4.6, 2.0 * rows + 1.2)), layout="constrained")
+    # Without a reference, how far the engines are apart is all there is to see.
+    with_distance = band is None and len(series) > 1
+    rows = len(names) + with_distance
+    bar_count = sum(len(group) + 1 for group in bars.values())
+    figure = _figure(12.0, max(4.8, 2.1 * rows + 1.2, 0.24 * bar_count + 1.6))
     columns = 2 if bars else 1
-    grid = figure.add_gridspec(rows, columns, width_ratios=(2.0, 1.0)[:columns])
+    grid = figure.add_gridspec(rows, columns, width_ratios=(1.8, 1.0)[:columns])
     axes: list[Any] = []
     for row in range(rows):
         axes.append(figure.add_subplot(grid[row, 0], sharex=axes[0] if axes else None))
         axes[-1].tick_params(labelbottom=row == rows - 1)
+    if with_distance:
+        _draw_distances(axes[-1], series)
     if band is None:
-        _draw_coordinates(axes, results)
+        _draw_coordinates(axes[: len(names)], series)
     else:
         for column, axis in enumerate(axes):
             _draw_band(axis, band, column)
-            _draw_results(axis, results, band, column)
-    axes[0].legend(fontsize=8, frameon=False, loc="best")
+            _draw_results(axis, series, band, column)
+    _legend_above(axes[0])
     axes[-1].set_xlabel("time [s]")
     if bars:
         _draw_bars(figure.add_subplot(grid[:, 1]), bars, depth=5.0 * rows)
     figure.suptitle(_title(resolved, results, band), x=0.01, ha="left", fontsize=12, fontweight="bold")
-    notes = wrap(_subtitle(resolved, band, has_bars=bool(bars)), 185)
+    notes = wrap(_subtitle(resolved, band, has_bars=bool(bars)), 195)
     figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=8, color="#505050")
     return figure
+
+
+def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]:
+    groups = group_by_configuration(among)
+    labels = configuration_labels([configuration for configuration, _ in groups])
+    here = {id(result) for result in results}
+    series = []
+    for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True)):
+        mine = tuple(result for result in members if id(result) in here)
+        if mine:
+            series.append(_Series(label, OURS[index % len(OURS)], mine))
+    return series
 
 
 # --- curves ----------------------------------------------------------------------------------------------------------
@@ -148,20 +243,21 @@ def _runs(flags: NDArray[np.bool_], wanted: bool) -> Iterator[tuple[int, int]]:
     yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
 
 
-def _draw_results(axis: Axes, results: Sequence[Result], band: Band, column: int) -> None:
+def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int) -> None:
     end = (len(band.mean) - 1) / FRAME_RATE_HZ
     low, high = axis.get_ylim()
-    for result, color, label in zip(results, _colors(results), _labels(results), strict=True):
-        times, samples = _recorded(result).arrays()
-        values = band.project(samples)[:, column]
-        low, high = _span(low, high, values)
-        ending = ", diverged" if result.diverged else ""
-        axis.plot(times, values, color=color, lw=1.8, label=label + ending if column == 0 else None, zorder=4)
-        offset = result.score.release_offset_s
-        if offset is not None:
+    for one in series:
+        for number, result in enumerate(one.results):
+            times, samples = _recorded(result).arrays()
+            values = band.project(samples)[:, column]
+            low, high = _span(low, high, values)
+            label = one.told if column == 0 and number == 0 else None
+            axis.plot(times, values, color=one.color, lw=one.width, alpha=one.alpha, label=label, zorder=4)
+        offset = one.results[0].score.release_offset_s
+        if offset is not None and len(one.results) == 1 and len(series) <= MOST_ALIGNED:
             moved = np.interp(times - offset, times, values)
-            title = f"{label}, {offset:+.3f} s to align the release" if column == 0 else None
-            axis.plot(times, moved, color=color, lw=1.2, ls="--", label=title, zorder=3)
+            title = f"{one.label}, {offset:+.3f} s to align the release" if column == 0 else None
+            axis.plot(times, moved, color=one.color, lw=1.2, ls="--", label=title, zorder=3)
     margin = 0.04 * (high - low)
     axis.set_ylim(low - margin, high + margin)
     axis.set_xlim(0.0, end)
@@ -177,33 +273,82 @@ def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, 
     )
 
 
-def _draw_coordinates(axes: Sequence[Axes], results: Sequence[Result]) -> None:
-    """Curves of an experiment without a band: a panel each for x, y and z, a colour a body, a line style a result."""
-    recorded = _recorded(results[0])
-    names, unit = recorded.coordinates, recorded.unit
-    bodies = list(dict.fromkeys(name.rpartition(".")[0] or name for name in names))
-    many = len(bodies) * len(results) > MOST_LEGEND_ENTRIES
-    for position, (result, label) in enumerate(zip(results, _labels(results), strict=True)):
-        times, samples = _recorded(result).arrays()
-        style = LINE_STYLES[position % len(LINE_STYLES)]
-        for index, name in enumerate(names):
-            body, _, direction = name.rpartition(".")
-            axis = axes["xyz".index(direction) if len(axes) == 3 else 0]
-            body = body or name
-            number = bodies.index(body) if len(bodies) > 1 else position
-            first = axis is axes[0]
-            told = None
-            if first and not many:
-                told = f"{body}, {label}"
-            elif index == 0:
-                stems = {name.rpartition("-")[0] for name in bodies}
-                told = f"{label}, {len(bodies)} {f'{stems.pop()}s' if len(stems) == 1 else 'bodies'}"
-            color = OURS[number % len(OURS)]
-            axis.plot(times, samples[:, index], color=color, ls=style, lw=1.5 if not many else 0.9, label=told)
-    for axis, title in zip(axes, _axis_names(results[0]), strict=True):
+def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
+    """Curves of an experiment without a band, a panel each for x, y and z.
+
+    One configuration has a colour for each body; several have a colour each, and a line style for each of a few bodies.
+    """
+    recorded = _recorded(series[0].results[0])
+    unit = recorded.unit
+    bodies = list(dict.fromkeys(name.rpartition(".")[0] or name for name in recorded.coordinates))
+    if len(series) == 1 and len(bodies) > 1:
+        _draw_bodies(axes, series[0], bodies)
+    else:
+        _draw_engines(axes, series, bodies)
+    for axis, title in zip(axes, _axis_names(series[0].results[0]), strict=True):
         axis.set_ylabel(f"{title} [{unit}]")
         axis.margins(x=0.0)
         _tidy(axis)
+
+
+def _curves(result: Result, panels: int) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
+    """Panel, body, times [s] and values of each coordinate."""
+    recorded = _recorded(result)
+    times, samples = recorded.arrays()
+    for index, name in enumerate(recorded.coordinates):
+        body, _, direction = name.rpartition(".")
+        yield "xyz".index(direction) if panels == 3 else 0, body or name, times, samples[:, index]
+
+
+def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> None:
+    many = len(bodies) > MOST_LEGEND_ENTRIES
+    seen: set[str] = set()
+    for result in one.results:
+        for panel, body, times, values in _curves(result, len(axes)):
+            # Too many bodies to name: one entry for all.
+            told = _crowd(one, bodies) if many else f"{body}, {one.told}"
+            color = OURS[bodies.index(body) % len(OURS)]
+            width = 0.9 if many else min(one.width, 1.5)
+            axes[panel].plot(times, values, color=color, lw=width, label=None if told in seen or panel else told)
+            seen |= {told} if panel == 0 else set()
+
+
+def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Sequence[str]) -> None:
+    few = len(bodies) <= len(LINE_STYLES)
+    for order, one in enumerate(series):
+        told: str | None = one.told if few else _crowd(one, bodies)
+        for result in one.results:
+            for panel, body, times, values in _curves(result, len(axes)):
+                style = LINE_STYLES[bodies.index(body)] if few else "-"
+                # The later ones are thinner, so that one that lies on another does not hide it.
+                width = min(one.width, 1.9 - 0.35 * min(order, 3)) if few else 0.7
+                alpha = one.alpha if few else 0.6
+                axes[panel].plot(times, values, color=one.color, ls=style, lw=width, alpha=alpha, label=told)
+                told = None
+    if few and len(bodies) > 1:
+        for body, style in zip(bodies, LINE_STYLES, strict=False):
+            axes[0].plot([], [], color=REAL, ls=style, lw=1.2, label=body)
+
+
+def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
+    """Distance of each configuration to the first, and how far a typical real trial is from their mean."""
+    first = series[0]
+    for one in series[1:]:
+        for times, distance in distances_over_time(first.results, one.results):
+            axis.plot(times, distance, color=one.color, lw=min(one.width, 1.4), alpha=one.alpha)
+    baseline = published_baselines(first.results[0].id.removeprefix("GAUGE/")).get("rmse")
+    if baseline is not None:
+        axis.axhline(baseline.mean, color=REAL, lw=1.0, ls="--", label="published mean RMSE of the real trials")
+        _legend_above(axis)
+    unit = _recorded(first.results[0]).unit
+    axis.set_ylabel("\n".join([*wrap(f"distance to {first.label}", 22), f"[{unit}]"]))
+    axis.set_ylim(bottom=0.0)
+    _tidy(axis)
+
+
+def _crowd(one: _Series, bodies: Sequence[str]) -> str:
+    stems = {name.rpartition("-")[0] for name in bodies}
+    return f"{one.told}, {len(bodies)} {f'{stems.pop()}s' if len(stems) == 1 else 'bodies'}"
 
 
 def _axis_names(result: Result) -> tuple[str, ...]:
@@ -216,71 +361,165 @@ def _recorded(result: Result) -> RecordedTrajectory:
     return result.trajectory
 
 
+def _legend_above(axis: Axes) -> None:
+    """Legend above the curves, where it hides none of them; its lines are bold where those of a crowd are faint."""
+    columns = max(1, min(3, len(axis.get_legend_handles_labels()[0])))
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderpad": 0.2}
+    legend = axis.legend(fontsize=8, frameon=False, ncols=columns, **place)
+    for line in legend.get_lines():
+        line.set(alpha=1.0, linewidth=max(1.4, line.get_linewidth()))
+
+
 def _tidy(axis: Axes) -> None:
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(color="#ececec", lw=0.7)
     axis.set_axisbelow(True)
 
 
-def _colors(results: Sequence[Result]) -> list[str]:
-    return [OURS[index % len(OURS)] for index in range(len(results))]
-
-
-def _labels(results: Sequence[Result]) -> list[str]:
-    """Labels of the results, numbered where they do not tell them apart."""
-    labels = [result_label(result) for result in results]
-    if len(set(labels)) == len(labels):
-        return labels
-    return [f"{label} ({number})" for number, label in enumerate(labels, start=1)]
-
-
 # --- scores ----------------------------------------------------------------------------------------------------------
 
-Bars = dict[str, list[tuple[str, float | None, str]]]
-"""Label, value and colour of each bar, by metric."""
+
+@dataclass(frozen=True)
+class _Bar:
+    """A normalized score: whose, how much, and what is said where there is none."""
+
+    label: str
+    color: str
+    spread: Spread | None
+    missing: str
 
 
-def _bar_groups(results: Sequence[Result]) -> Bars:
+def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
     """Normalized scores of the results and of the published engines, for the metrics that the paper has."""
-    groups: Bars = {}
-    for metric, line in published_baselines(results[0].id.removeprefix("GAUGE/")).items():
+    groups: dict[str, list[_Bar]] = {}
+    for metric, line in published_baselines(name.removeprefix("GAUGE/")).items():
         if metric == "el":
             continue
-        ours = [
-            (label, getattr(result.score, f"{metric}_normalized"), color)
-            for result, label, color in zip(results, _labels(results), _colors(results), strict=True)
-        ]
-        engines = zip(ENGINE_TITLES.items(), ENGINES, strict=True)
-        groups[METRIC_TITLES[metric]] = ours + [(title, line.engines[name], color) for (name, title), color in engines]
+        bars = []
+        for one in series:
+            values = [getattr(result.score, f"{metric}_normalized") for result in one.results]
+            spread = Spread.of([value for value in values if value is not None])
+            diverged = any(result.diverged for result in one.results)
+            bars.append(_Bar(one.label, one.color, spread, "diverged" if diverged else "no reference"))
+        for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
+            value = line.engines[engine]
+            bars.append(_Bar(f"{title}, paper", color, None if value is None else Spread.of([value]), "not published"))
+        groups[METRIC_TITLES[metric]] = bars
     return groups
 
 
-def _draw_bars(axis: Axes, groups: Bars, *, depth: float) -> None:
+def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> None:
     """Bars from the top down; `depth` is how many fit at the least, so that a tall panel has no thick bars."""
-    longest = max([1.2, *(value for group in groups.values() for _, value, _ in group if value is not None)])
+    spreads = [bar.spread for group in groups.values() for bar in group if bar.spread is not None]
+    longest = max([1.2, *(spread.mean + (spread.std or 0.0) for spread in spreads)])
     unit = 0.015 * longest
     ticks, places = [], []
     place = 0.0
     for metric, group in groups.items():
         axis.text(unit, place - 0.75, metric, fontsize=9, fontweight="bold", va="center", bbox=BACKING)
-        for label, value, color in group:
-            axis.barh(place, value or 0.0, color=color, height=0.78)
-            missing = "not published" if color in ENGINES else "no reference"
-            told = missing if value is None else f"{value:.2f}"
-            axis.text((value or 0.0) + unit, place, told, va="center", fontsize=8, color="#404040", bbox=BACKING)
+        for bar in group:
+            length, reach, told = 0.0, 0.0, bar.missing
+            if bar.spread is not None:
+                length, reach = bar.spread.mean, bar.spread.std or 0.0
+                told = score_text(length) + (f" +- {score_text(reach)}" if reach else "")
+            axis.barh(place, length, color=bar.color, height=0.78, xerr=reach or None, error_kw=WHISKER)
+            axis.text(length + reach + unit, place, told, va="center", fontsize=8, color="#404040", bbox=BACKING)
             places.append(place)
-            ticks.append("\n".join(wrap(label, 22)))
+            ticks.append("\n".join(wrap(bar.label, 22)))
             place += 1.0
         place += 1.1
     axis.axvline(1.0, color=REAL, lw=1.0, ls="--", zorder=2)
     axis.set_yticks(places, ticks, fontsize=8)
     axis.set_ylim(max(place - 1.3, depth), -1.3)
-    axis.set_xlim(0.0, 1.2 * longest)
+    axis.set_xlim(0.0, 1.28 * longest)
     meaning = "a typical real trial" if METRIC_TITLES["rmse"] in groups else "the real mean, ideal"
     axis.set_xlabel(f"normalized score; 1 = {meaning}")
     _tidy(axis)
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", length=0)
+
+
+# --- overview --------------------------------------------------------------------------------------------------------
+
+
+def draw_overview(comparison: Comparison, *, metric: str = "rmse") -> Figure | None:
+    """Dots of the normalized score of every experiment: configurations in colour, published engines in grey.
+
+    Args:
+        comparison: What `gauge_envs.comparison.compare` returns.
+        metric: One of `gauge_envs.comparison.METRICS`.
+
+    Returns:
+        The picture; None where no experiment has such a score.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    chosen = METRICS[metric]
+    scores = {
+        one.id: [None if cell is None else cell.spread(chosen, normalized=True) for cell in one.cells]
+        for one in comparison.experiments
+    }
+    published = {one.id: one.baselines.get(chosen.published or "") for one in comparison.experiments}
+    if chosen.normalized is None or not any(any(scores[key]) or published[key] for key in scores):
+        return None
+    rows = [one for one in comparison.experiments if any(scores[one.id]) or published[one.id] or _diverged(one)]
+    figure = _figure(10.0, 0.3 * len(rows) + 2.2)
+    axis = figure.add_subplot()
+    axis.set_xscale("log")
+    axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.axvline(1.0, color=REAL, lw=1.2, ls="--", zorder=1)
+    for place, one in enumerate(rows):
+        line = published[one.id]
+        for engine, marker in zip(ENGINE_TITLES, ENGINE_MARKERS, strict=True):
+            value = None if line is None else line.engines[engine]
+            # A score of 0 has no place on a logarithmic axis.
+            if value:
+                axis.plot(value, place, marker, **HOLLOW)
+        _draw_dots(axis, one, scores[one.id], place)
+    _overview_legend(figure, axis, configuration_labels(comparison.configurations), rows)
+    axis.set_yticks(range(len(rows)), [f"{one.name}  ({one.grade})" for one in rows], fontsize=8)
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    title = METRIC_TITLES.get(metric, ALIGNED_TITLE)
+    closer = "1 is ideal" if metric in ("lsd", "mte", "pd") else "1 = a typical real trial, lower is closer"
+    repeats = any(spread and spread.std is not None for spreads in scores.values() for spread in spreads)
+    whiskers = "; whiskers: standard deviation of repeats" if repeats else ""
+    axis.set_xlabel(f"normalized {title}, log scale; {closer}{whiskers}")
+    axis.set_title(f"{title} of each experiment, against reality", loc="left", fontsize=12, fontweight="bold")
+    _tidy(axis)
+    axis.tick_params(axis="y", length=0)
+    return figure
+
+
+def _draw_dots(axis: Axes, one: ExperimentComparison, spreads: Sequence[Spread | None], place: int) -> None:
+    """Scores of one experiment as a row of dots, crosses at the right edge for what diverged."""
+    for index, (cell, spread) in enumerate(zip(one.cells, spreads, strict=True)):
+        # Configurations side by side within the row, so that equal scores do not hide each other.
+        height = place + 0.5 * ((index + 0.5) / len(one.cells) - 0.5)
+        color = OURS[index % len(OURS)]
+        if spread is not None and spread.mean > 0.0:
+            reach = spread.std or 0.0
+            low = min(reach, 0.95 * spread.mean)
+            axis.errorbar(spread.mean, height, xerr=[[low], [reach]], fmt="o", ms=5.5, color=color, zorder=4)
+        if cell is not None and cell.count(Outcome.DIVERGED):
+            axis.plot(0.985, height, "x", color=color, transform=axis.get_yaxis_transform(), **CROSS)
+    if not any(spreads):
+        axis.axhspan(place - 0.5, place + 0.5, color=UNSCORED, zorder=0)
+
+
+def _diverged(one: ExperimentComparison) -> bool:
+    return any(cell is not None and cell.count(Outcome.DIVERGED) for cell in one.cells)
+
+
+def _overview_legend(figure: Figure, axis: Axes, labels: Sequence[str], rows: Sequence[ExperimentComparison]) -> None:
+    for index, label in enumerate(labels):
+        axis.plot([], [], "o", color=OURS[index % len(OURS)], ms=5.5, label=label)
+    for title, marker in zip(ENGINE_TITLES.values(), ENGINE_MARKERS, strict=True):
+        axis.plot([], [], marker, label=f"{title}, paper", **HOLLOW)
+    axis.fill_between([], [], fc=UNSCORED, ec="#c4c4c4", label="no score: no reference, or not run")
+    if any(map(_diverged, rows)):
+        axis.plot([], [], "x", color=REAL, label="diverged, at the right edge", **CROSS)
+    figure.legend(loc="outside lower left", ncols=4, fontsize=8, frameon=False)
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco import BackendMuJoCo, SimulationMuJoCo
-from gauge_envs.env import SAMPLE_INTERVAL_S, DriverPath
+from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
 from gauge_envs.errors import ResultFileError
 from gauge_envs.experiment import Experiment
 from gauge_envs.result import task_sha256

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.base import Simulation, World
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
 from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
@@ -46,7 +46,7 @@ class Observer(Protocol):
     width: int
     markers_m: NDArray[np.float64]
 
-    def now(self, simulation: Simulation) -> NDArray[np.float64]:
+    def now(self, world: World) -> NDArray[np.float64]:
         """g(t) now, shape [width]."""
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
@@ -65,9 +65,9 @@ class ObserverPositions:
         self.width = 3 * len(self._names)
         self.markers_m = np.zeros((0, 3))
 
-    def now(self, simulation: Simulation) -> NDArray[np.float64]:
+    def now(self, world: World) -> NDArray[np.float64]:
         """Positions now, shape [width]."""
-        return 1e3 * simulation.body_states(self._names)[:, :3].ravel()
+        return 1e3 * world.body_states(self._names)[:, :3].ravel()
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
         """Advance and observe, shape [count, width]."""
@@ -81,7 +81,7 @@ class ObserverMarkers:
     Args:
         scene: The scene; its markers say where the markers are at rest.
         observable: What to make of their positions.
-        simulation: Simulation at the start, for its nodes.
+        world: The world at the start, for its nodes.
         proxy: What stands for a marker.
 
     Attributes:
@@ -92,14 +92,14 @@ class ObserverMarkers:
         ShapeError: A marker lies more than 1 cm from every free node, or outside the material.
     """
 
-    def __init__(self, scene: Scene, observable: Observable, simulation: Simulation, proxy: MarkerProxy) -> None:
+    def __init__(self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy) -> None:
         if scene.markers is None:
             raise ShapeError(f"observable {observable.value!r} needs markers, and the scene has none")
         self._markers = scene.markers
         self._observable = observable
-        rest = {name: simulation.nodes(name) for name in scene.markers.bodies}
+        rest = {name: world.nodes(name) for name in scene.markers.bodies}
         targets = np.asarray(scene.markers.positions_m)
-        self._read = _tracker(simulation, tuple(rest), targets) if proxy is MarkerProxy.MATERIAL else None
+        self._read = _tracker(world, tuple(rest), targets) if proxy is MarkerProxy.MATERIAL else None
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
             self._indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
@@ -107,13 +107,13 @@ class ObserverMarkers:
         elif self._read is None:
             deformables = {body.name: body for body in scene.deformables}
             self._indices, self._weights = _material_points(targets, rest, deformables)
-        self.markers_m = self._marker_positions(simulation)
+        self.markers_m = self._marker_positions(world)
         self.largest_distance_m = float(np.linalg.norm(self.markers_m - targets, axis=1).max())
         self.width = len(self._observed(self.markers_m[None])[0])
 
-    def now(self, simulation: Simulation) -> NDArray[np.float64]:
+    def now(self, world: World) -> NDArray[np.float64]:
         """g(t) now, shape [width]."""
-        self.markers_m = self._marker_positions(simulation)
+        self.markers_m = self._marker_positions(world)
         return self._observed(self.markers_m[None])[0]
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
@@ -125,10 +125,10 @@ class ObserverMarkers:
         self.markers_m = markers[-1].copy()
         return self._observed(markers)
 
-    def _marker_positions(self, simulation: Simulation) -> NDArray[np.float64]:
+    def _marker_positions(self, world: World) -> NDArray[np.float64]:
         if self._read is not None:
             return self._read()
-        nodes = np.concatenate([simulation.nodes(name) for name in self._markers.bodies])
+        nodes = np.concatenate([world.nodes(name) for name in self._markers.bodies])
         return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
 
     def _observed(self, markers_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -137,13 +137,13 @@ class ObserverMarkers:
 
 
 def _tracker(
-    simulation: Simulation, names: Sequence[str], targets_m: NDArray[np.float64]
+    world: World, names: Sequence[str], targets_m: NDArray[np.float64]
 ) -> Callable[[], NDArray[np.float64]] | None:
     """The engine's own reader of the markers, if one of the bodies answers for all of them."""
     refusal = None
     for name in names:
         try:
-            return simulation.track(name, targets_m)
+            return world.track(name, targets_m)
         except ShapeError as error:
             refusal = error
     raise refusal or ShapeError("the markers are on no body")

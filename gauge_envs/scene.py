@@ -6,9 +6,11 @@ and never which experiment it came from.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -386,6 +388,25 @@ class Scene:
     def dynamic_bodies(self) -> tuple[RigidBody, ...]:
         """Bodies that move under forces, in scene order."""
         return tuple(body for body in self.bodies if body.motion is Motion.DYNAMIC)
+
+    @cached_property
+    def has_impact_chain(self) -> bool:
+        """Whether more than two dynamic bodies collide with each other, so that impacts travel through them."""
+        dynamic = {body.name for body in self.dynamic_bodies}
+        return any(
+            contact.mode is ContactMode.IMPACT and len(dynamic & set(contact.first) & set(contact.second)) > 2
+            for contact in self.contacts
+        )
+
+    def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
+        """Distinct pairs of bodies of a contact that can meet: at least one moves under forces or is deformable."""
+        moving = {body.name for body in self.dynamic_bodies} | {body.name for body in self.deformables}
+        seen = set()
+        for first, second in product(contact.first, contact.second):
+            pair = frozenset((first, second))
+            if first != second and pair & moving and pair not in seen:
+                seen.add(pair)
+                yield first, second
 
     @cached_property
     def floor_height_m(self) -> float:

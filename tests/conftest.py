@@ -11,7 +11,7 @@ import pytest
 import gauge_envs
 from gauge_envs.backends import Support
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.env import Trajectory
+from gauge_envs.episode import Trajectory
 from gauge_envs.scene import Scene
 
 RIGID_FAMILIES = (

@@ -22,7 +22,7 @@ from gauge_envs import assets
 from gauge_envs.assets import asset_texts, assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli import app
-from gauge_envs.env import DriverPath
+from gauge_envs.episode import DriverPath
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.materials import Fabric, isaac_surface

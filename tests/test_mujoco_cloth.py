@@ -14,7 +14,7 @@ from gauge_envs import experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
 from gauge_envs.backends.mujoco.flex import Glue
-from gauge_envs.env import SAMPLE_INTERVAL_S, DriverPath
+from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Region
 

@@ -19,7 +19,7 @@ from gauge_envs import experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.backend import SimulationMuJoCo
 from gauge_envs.backends.mujoco.cloth import BENDING_PER_EDGE, STIFFNESS_PER_TRIANGLE
-from gauge_envs.env import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
+from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
 from gauge_envs.task_format import FRAME_RATE_HZ
 
 SHARE = 0.02

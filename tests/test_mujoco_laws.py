@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from gauge_envs import experiment
 from gauge_envs.backends import backend
 from gauge_envs.driver import Driver, DriverMotion, TrapezoidProfile
-from gauge_envs.env import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
+from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.metrics import fitted_acceleration
 from gauge_envs.scene import (

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene import Pose, Scene
 
-__all__ = ["Backend", "Simulation", "Support"]
+__all__ = ["Backend", "Simulation", "Support", "World", "Worlds"]
 
 
 @dataclass(frozen=True)
@@ -42,18 +42,14 @@ class Support:
         return not self.missing
 
 
-class Simulation(ABC):
-    """One running scene. Poses are body frames in the world; everything is in SI units.
+class World(ABC):
+    """One copy of a scene, to be driven and read. Poses are body frames in the world; everything is in SI units.
 
     Attributes:
         settings: Every numerical setting in force, flat, JSON-ready; it is written into each result.
     """
 
     settings: Mapping[str, Any]
-
-    @abstractmethod
-    def reset(self, seed: int) -> None:
-        """Return to the scene's start at time 0; the same seed gives the same trajectory."""
 
     @abstractmethod
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
@@ -70,10 +66,6 @@ class Simulation(ABC):
         """
 
     @abstractmethod
-    def advance(self, seconds: float) -> None:
-        """Simulate an interval; a multiple of 1/180 s whenever an environment calls."""
-
-    @abstractmethod
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Poses and velocities now.
 
@@ -81,18 +73,6 @@ class Simulation(ABC):
             Shape [len(names), 13]: position [m] (3), quaternion w x y z (4), linear velocity of the body origin [m/s]
             (3) and angular velocity [rad/s] (3), both in the world frame.
         """
-
-    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
-        """Advance `count` intervals and read where bodies are after each; override where a tighter loop is possible.
-
-        Returns:
-            Positions of the body origins [m], shape [count, len(names), 3].
-        """
-        positions = np.empty((count, len(names), 3))
-        for row in positions:
-            self.advance(interval_s)
-            row[:] = self.body_states(names)[:, :3]
-        return positions
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Positions of a deformable body's nodes [m], shape [node_count, 3]."""
@@ -114,6 +94,30 @@ class Simulation(ABC):
         """
         return None
 
+
+class Simulation(World):
+    """One running scene."""
+
+    @abstractmethod
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start at time 0; the same seed gives the same trajectory."""
+
+    @abstractmethod
+    def advance(self, seconds: float) -> None:
+        """Simulate an interval; a multiple of 1/180 s whenever an environment calls."""
+
+    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
+        """Advance `count` intervals and read where bodies are after each; override where a tighter loop is possible.
+
+        Returns:
+            Positions of the body origins [m], shape [count, len(names), 3].
+        """
+        positions = np.empty((count, len(names), 3))
+        for row in positions:
+            self.advance(interval_s)
+            row[:] = self.body_states(names)[:, :3]
+        return positions
+
     @abstractmethod
     def state(self) -> Any:
         """Everything that `restore` needs to go on from here bit for bit."""
@@ -125,6 +129,48 @@ class Simulation(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free what the simulation holds; calling it twice is harmless."""
+
+
+class Worlds(ABC):
+    """Copies of a scene with different starts, that run together.
+
+    Attributes:
+        worlds: The copies, in the order of the scenes.
+    """
+
+    worlds: Sequence[World]
+
+    @abstractmethod
+    def reset(self, seed: int) -> None:
+        """Return all to their starts at time 0; the same seed gives the same trajectories."""
+
+    @abstractmethod
+    def advance(self, seconds: float) -> None:
+        """Simulate an interval in all of them; a multiple of 1/180 s."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what they hold; calling it twice is harmless."""
+
+
+class _SeparateWorlds(Worlds):
+    """Simulations one after another, for engines that have no batches."""
+
+    def __init__(self, simulations: Sequence[Simulation]) -> None:
+        self.worlds = simulations
+        self._simulations = simulations
+
+    def reset(self, seed: int) -> None:
+        for simulation in self._simulations:
+            simulation.reset(seed)
+
+    def advance(self, seconds: float) -> None:
+        for simulation in self._simulations:
+            simulation.advance(seconds)
+
+    def close(self) -> None:
+        for simulation in self._simulations:
+            simulation.close()
 
 
 class Backend(ABC):
@@ -155,3 +201,15 @@ class Backend(ABC):
         Raises:
             ParameterError: A setting of that name does not exist or has an impossible value.
         """
+
+    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+        """Build copies of a scene that run together; override where the engine can simulate them at once.
+
+        Args:
+            scenes: One or more, alike but for the poses at the start.
+            settings: As in `build`.
+
+        Raises:
+            ParameterError: As `build`.
+        """
+        return _SeparateWorlds([self.build(scene, settings) for scene in scenes])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import product
 
 import mujoco
@@ -11,6 +10,7 @@ import numpy as np
 from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.meshes import prism
 from gauge_envs.scene import (
     Box,
     Contact,
@@ -30,9 +30,6 @@ __all__ = ["add_geoms", "build_model"]
 
 EXPLICIT_PAIR_LIMIT = 1000
 """Contacts with more geom pairs than this go through MuJoCo's broad phase instead of explicit pairs."""
-
-PRISM_SIDES = 96
-"""Sides of the prism that stands for a cylinder; it lies within 0.06 % of the radius."""
 
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -119,11 +116,7 @@ def _collision_shape(body: RigidBody) -> Shape:
     """
     if not isinstance(body.shape, Cylinder) or body.motion is Motion.DYNAMIC:
         return body.shape
-    angles = 2.0 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
-    x, y = body.shape.radius_m * np.cos(angles), body.shape.radius_m * np.sin(angles)
-    z = 0.5 * body.shape.length_m
-    rings = [np.column_stack([x, y, np.full(PRISM_SIDES, height)]) for height in (-z, z)]
-    return ConvexUnion(pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),))
+    return prism(body.shape)
 
 
 def _add_body(
@@ -185,17 +178,6 @@ def _contact_parameters(contact: Contact, settings: SettingsMuJoCo) -> dict[str,
     return parameters
 
 
-def _pairs(scene: Scene, contact: Contact) -> Iterator[tuple[str, str]]:
-    """Distinct pairs of bodies of which at least one moves under forces."""
-    seen = set()
-    for first, second in product(contact.first, contact.second):
-        pair = tuple(sorted((first, second)))
-        moves = any(scene.body(name).motion is Motion.DYNAMIC for name in pair)
-        if first != second and moves and pair not in seen:
-            seen.add(pair)
-            yield first, second
-
-
 def _add_contact(
     spec: mujoco.MjSpec,
     scene: Scene,
@@ -205,7 +187,7 @@ def _add_contact(
     bit: int,
 ) -> None:
     parameters = _contact_parameters(contact, settings)
-    pairs = list(_pairs(scene, contact))
+    pairs = list(scene.colliding_pairs(contact))
     if set(contact.first) == set(contact.second) and len(pairs) > EXPLICIT_PAIR_LIMIT:
         for name in contact.first:
             for geom in geoms[name]:

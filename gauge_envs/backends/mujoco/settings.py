@@ -9,20 +9,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.scene import Cloth, ContactMode, Rod, Scene, SoftBody
+from gauge_envs.backends.presets import SteppedSettings, resolve_settings
+from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
 
 __all__ = ["PRESETS", "SettingsMuJoCo", "settings_for"]
 
 
-class SettingsMuJoCo(BaseModel):
+class SettingsMuJoCo(SteppedSettings):
     """Settings of one simulation.
 
     Attributes:
-        preset: Name of the preset that these started from.
-        timestep_s: Step of the integrator; frames (1/30 s) and driver intervals (1/180 s) must be multiples of it.
         integrator: MuJoCo's name of the integrator.
         cone: Friction cone.
         impratio: Ratio of frictional to normal constraint impedance; above 1 it keeps resting bodies from creeping.
@@ -44,10 +42,6 @@ class SettingsMuJoCo(BaseModel):
         cloth_solimp: Impedance of a cloth's contacts. Stiffer ones bounce light cloth, softer ones let bodies sink in.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    preset: str
-    timestep_s: float = Field(gt=0.0, le=1 / 180)
     integrator: Literal["Euler", "RK4", "implicit", "implicitfast", "discrete"] = "implicitfast"
     cone: Literal["pyramidal", "elliptic"] = "elliptic"
     impratio: float = Field(default=10.0, gt=0.0)
@@ -114,7 +108,6 @@ STACK_BODY_COUNT = 20
 
 
 def _preset_name(scene: Scene) -> str:
-    dynamic = {body.name for body in scene.dynamic_bodies}
     if scene.deformables:
         cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
         if cloths:
@@ -127,12 +120,9 @@ def _preset_name(scene: Scene) -> str:
         return "rod" if any(isinstance(body, Rod) for body in scene.deformables) else "contact"
     if not scene.contacts:
         return "contact_free"
-    if len(dynamic) >= STACK_BODY_COUNT:
+    if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
         return "stack"
-    chain = any(
-        c.mode is ContactMode.IMPACT and len(dynamic & set(c.first) & set(c.second)) > 2 for c in scene.contacts
-    )
-    return "impact_chain" if chain else "contact"
+    return "impact_chain" if scene.has_impact_chain else "contact"
 
 
 def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> SettingsMuJoCo:
@@ -142,18 +132,4 @@ def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> Se
         UnknownNameError: No such preset.
         ParameterError: No such setting, or an impossible value.
     """
-    changes = dict(overrides or {})
-    name = changes.pop("preset", None) or _preset_name(scene)
-    if name not in PRESETS:
-        raise UnknownNameError("MuJoCo preset", name, PRESETS)
-    try:
-        settings = SettingsMuJoCo.model_validate(PRESETS[name].model_dump() | changes)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        known = ", ".join(SettingsMuJoCo.model_fields)
-        reason = "there is no such setting" if first["type"] == "extra_forbidden" else first["msg"]
-        raise ParameterError(f"MuJoCo setting {first['loc'][0]!r}: {reason}; settings: {known}") from error
-    steps = 1 / 180 / settings.timestep_s
-    if abs(steps - round(steps)) > 1e-6:
-        raise ParameterError(f"MuJoCo setting 'timestep_s': 1/180 s is {steps:.6g} steps, not a whole number")
-    return settings
+    return resolve_settings("MuJoCo", PRESETS, preset=_preset_name(scene), changes=overrides)

@@ -1,0 +1,405 @@
+"""One episode of one experiment on one world: what is driven, observed, recorded and judged, frame by frame.
+
+An `Episode` does not step the engine. Whoever does (an environment for a single simulation, a batch for many worlds at
+once) calls `drive`, advances by `SAMPLE_INTERVAL_S`, and calls `observe`, six times a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, cast
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from gauge_envs.backends.base import Simulation, World
+from gauge_envs.driver import Driver, mean_velocity
+from gauge_envs.errors import ActionError, EpisodeError
+from gauge_envs.experiment import Experiment
+from gauge_envs.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
+from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_band
+from gauge_envs.scene import Pose, Scene
+from gauge_envs.task_format import FRAME_RATE_HZ, Observable
+
+__all__ = [
+    "SAMPLES_PER_FRAME",
+    "SAMPLE_INTERVAL_S",
+    "DriverPath",
+    "Episode",
+    "Observation",
+    "Trajectory",
+    "reference_band",
+]
+
+SAMPLES_PER_FRAME = 6
+"""Samples kept per frame: 180 Hz, the rate of the motion-capture cameras (paper, data acquisition)."""
+
+SAMPLE_INTERVAL_S = 1.0 / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
+"""Time between samples, and for which a driven body's motion is prescribed at once [s]."""
+
+NO_RATES = np.zeros(0)
+
+Observation = dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """What an episode recorded so far.
+
+    Attributes:
+        times_s: Times of the dense samples, shape [sample_count], 180 a second.
+        samples: The generalized trajectory g(t) at those times, shape [sample_count, coordinate_count].
+        frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
+        bodies: States of the recorded bodies at the frames, shape [frame_count, body_count, 13]; none where markers
+            are recorded.
+        markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; none where bodies are.
+    """
+
+    times_s: NDArray[np.float64]
+    samples: NDArray[np.float64]
+    frames: NDArray[np.float64]
+    bodies: NDArray[np.float64]
+    markers_m: NDArray[np.float64]
+
+
+def reference_band(resolved: Experiment) -> Band | None:
+    """The best reference there is for an experiment: real trials, else a law, else none."""
+    bundled = load_band(resolved.variant.name)
+    if bundled is not None:
+        return bundled
+    law = law_for(resolved.variant.name)
+    if law is None:
+        return None
+    return carried_band(
+        variant=resolved.variant.name,
+        positions_mm=_carried_positions_mm(resolved.scene, law.body, law.carrier, resolved.frame_count),
+    )
+
+
+def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:
+    """Positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
+    start = scene.body(carrier).pose
+    place = start.to_body(np.asarray(scene.body(body).pose.position_m))
+    driver = next((d for d in scene.drivers if d.body == carrier), None)
+    poses = [start if driver is None else driver.pose(start, k / FRAME_RATE_HZ) for k in range(frame_count)]
+    return 1e3 * np.array([pose.to_world(place) for pose in poses])
+
+
+class Episode:
+    """What one episode does to a world and what it records of it.
+
+    Args:
+        resolved: The experiment.
+        world: The world, standing at the start of the experiment's scene.
+        band: What the reward is measured against; None gives a reward of 0.
+        marker_proxy: What stands for a marker on a deformable body.
+
+    Attributes:
+        experiment: The experiment.
+        band: What the reward is measured against.
+        frame: Number of the current frame; None before `begin`.
+        action_space: As the environment's.
+        observation_space: As the environment's.
+        rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
+    """
+
+    def __init__(self, resolved: Experiment, world: World, *, band: Band | None, marker_proxy: MarkerProxy) -> None:
+        scene = resolved.scene
+        self.experiment = resolved
+        self.band = band
+        self.frame: int | None = None
+        self._world = world
+        self._drivers = [DriverPath(driver, scene, resolved.frame_count) for driver in scene.drivers]
+        self._driven = tuple(driver.body for driver in scene.drivers)
+        self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
+        rows = [self._dynamic.index(name) for name in resolved.recorded]
+        # A slice reads faster than an index array, and the recorded bodies mostly are all that move.
+        self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
+        self._masses = np.array([body.mass_kg for body in scene.dynamic_bodies]).reshape(-1, 1)
+        self._energy_limit_j = scene.kinetic_energy_limit_j
+        self._limits = np.concatenate(
+            [
+                np.full(3, scene.distance_limit_m),
+                np.full(4, 2.0),
+                np.full(3, scene.speed_limit_m_per_s),
+                np.full(3, np.inf),
+            ]
+        )
+        self._band_rows = _band_rows(band)
+        self.rest_nodes_m = self.nodes_m()
+        self._deformables = [_DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
+        observable = resolved.spec.score.observable
+        self._observer: Observer = (
+            ObserverPositions(resolved.recorded)
+            if observable is Observable.POSITION
+            else ObserverMarkers(scene, observable, world, marker_proxy)
+        )
+        frames, bodies = resolved.frame_count, len(resolved.recorded)
+        self._samples = np.full(((frames - 1) * SAMPLES_PER_FRAME + 1, self._observer.width), np.nan)
+        self._bodies = np.full((frames, bodies, 13), np.nan)
+        self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
+        self.action_space = self._action_space()
+        self.observation_space = self._observation_space()
+
+    # --- spaces ---
+
+    def _action_space(self) -> spaces.Space[Any]:
+        count = sum(path.motion_count for path in self._drivers)
+        return spaces.Box(-1.0, 1.0, (count,), np.float64) if count else spaces.Discrete(1)
+
+    def _observation_space(self) -> spaces.Space[Observation]:
+        scene = self.experiment.scene
+        distance, speed = scene.distance_limit_m, scene.speed_limit_m_per_s
+        state = np.concatenate([np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)])
+
+        def states(count: int) -> spaces.Box:
+            bound = np.tile(state, (count, 1))
+            return spaces.Box(-bound, bound, dtype=np.float64)
+
+        entries: dict[str, spaces.Space[Any]] = {
+            "observable": spaces.Box(-1e3 * distance, 1e3 * distance, (self._observer.width,), np.float64),
+            "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
+        }
+        if self.experiment.recorded:
+            entries["bodies"] = states(len(self.experiment.recorded))
+        else:
+            entries["markers"] = spaces.Box(-distance, distance, self._markers_m.shape[1:], np.float64)
+        if self._driven:
+            entries["driver"] = states(len(self._driven))
+        return cast("spaces.Space[Observation]", spaces.Dict(entries))
+
+    # --- course ---
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the rigid bodies that move, driven ones last."""
+        return (*self._dynamic, *self._driven)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the last frame is reached."""
+        return self.frame == self.experiment.frame_count - 1
+
+    def begin(self) -> None:
+        """Record frame 0; the world stands at the start."""
+        for path in self._drivers:
+            path.reset()
+        self.frame = 0
+        self._samples[0] = self._observer.now(self._world)
+        self._record()
+
+    def drive(self, sample: int, rates: NDArray[np.float64]) -> None:
+        """Prescribe the driven bodies for a sample of the coming frame.
+
+        Args:
+            sample: Number of the sample in the frame, from 0 to 5.
+            rates: What `checked` returned.
+        """
+        number = (self.frame or 0) * SAMPLES_PER_FRAME + sample
+        offset = 0
+        for path in self._drivers:
+            end = offset + path.motion_count
+            self._world.drive(path.body, *path.interval(number, rates[offset:end]))
+            offset = end
+
+    def observe(self, sample: int) -> None:
+        """Keep g(t) after a sample of the coming frame."""
+        self._samples[(self.frame or 0) * SAMPLES_PER_FRAME + 1 + sample] = self._observer.now(self._world)
+
+    def advance(self, simulation: Simulation, rates: NDArray[np.float64]) -> None:
+        """Drive, advance and observe the coming frame, where the world is a simulation of its own."""
+        first = (self.frame or 0) * SAMPLES_PER_FRAME + 1
+        rows = self._samples[first : first + SAMPLES_PER_FRAME]
+        if not self._drivers:
+            rows[:] = self._observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
+            return
+        for sample, row in enumerate(rows):
+            self.drive(sample, rates)
+            row[:] = self._observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
+
+    def end_frame(self) -> str | None:
+        """Record the frame; why the simulation counts as diverged, or None."""
+        self.frame = (self.frame or 0) + 1
+        return self._fault(self._record())
+
+    def trajectory(self) -> Trajectory:
+        """What the current episode recorded so far.
+
+        Raises:
+            EpisodeError: The environment was not reset.
+        """
+        if self.frame is None:
+            raise EpisodeError(f"{self.experiment.variant.id}: no trajectory before reset")
+        last = self.frame * SAMPLES_PER_FRAME + 1
+        return Trajectory(
+            times_s=np.arange(last, dtype=np.float64) * SAMPLE_INTERVAL_S,
+            samples=self._samples[:last].copy(),
+            frames=self._samples[:last:SAMPLES_PER_FRAME].copy(),
+            bodies=self._bodies[: self.frame + 1].copy(),
+            markers_m=self._markers_m[: self.frame + 1].copy(),
+        )
+
+    # --- reading ---
+
+    def nodes_m(self) -> dict[str, NDArray[np.float64]]:
+        """Nodes of the deformable bodies now [m], each of shape [node_count, 3]."""
+        return {body.name: self._world.nodes(body.name).copy() for body in self.experiment.scene.deformables}
+
+    def _record(self) -> NDArray[np.float64]:
+        """Keep bodies and markers of this frame; states of the dynamic bodies, shape [body_count, 13]."""
+        states = self._world.body_states(self._dynamic)
+        frame = self.frame or 0
+        self._bodies[frame] = states[self._recorded_rows]
+        self._markers_m[frame] = self._observer.markers_m
+        return states
+
+    def checked(self, action: Any) -> NDArray[np.float64]:
+        """Residual rates of an action, shape [motion_count].
+
+        Raises:
+            ActionError: The action has the wrong shape, is out of range or is not a number.
+        """
+        space = self.action_space
+        if isinstance(space, spaces.Discrete):
+            if isinstance(action, int | np.integer) and action == 0:
+                return NO_RATES
+            if isinstance(action, np.ndarray) and space.contains(action):
+                return NO_RATES
+            raise ActionError(f"action {action!r}: nothing is driven here, the only action is 0")
+        try:
+            rates = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ActionError(f"action {action!r} is not an array of numbers") from error
+        if rates.shape != space.shape:
+            raise ActionError(f"action has shape {rates.shape}, expected {space.shape}: one entry a driven motion")
+        if not np.isfinite(rates).all() or np.abs(rates).max() > 1.0:
+            raise ActionError(f"action {rates.tolist()} must hold numbers from -1 to 1")
+        return rates
+
+    def observation(self) -> Observation:
+        """Observation of the current frame."""
+        frame = self.frame or 0
+        observation = {
+            "observable": self._samples[frame * SAMPLES_PER_FRAME].copy(),
+            "time": np.array([frame / FRAME_RATE_HZ]),
+        }
+        if self.experiment.recorded:
+            observation["bodies"] = self._bodies[frame].copy()
+        else:
+            observation["markers"] = self._markers_m[frame].copy()
+        if self._driven:
+            observation["driver"] = self._world.body_states(self._driven)
+        return observation
+
+    def info(self) -> dict[str, Any]:
+        """Frame, time and grade of the reference."""
+        frame = self.frame or 0
+        grade = self.band.grade.value if self.band else BandGrade.NONE.value
+        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, "reference": grade}
+
+    def reward(self) -> float:
+        """Minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a band."""
+        if self._band_rows is None:
+            return 0.0
+        projection, mean, weight = self._band_rows
+        frame = self.frame or 0
+        deviation = projection.dot(self._samples[frame * SAMPLES_PER_FRAME]) - mean[frame]
+        return -float(np.abs(deviation).dot(weight[frame]))
+
+    def _fault(self, states: NDArray[np.float64]) -> str | None:
+        """Why the simulation counts as diverged, judged by physics: it may be wrong and still finite."""
+        velocity = states[:, 7:10]
+        energy = 0.5 * float(np.vdot(velocity, self._masses * velocity))
+        for bounds in self._deformables:
+            fault = bounds.fault(self._world.nodes(bounds.name))
+            if fault:
+                return fault
+        # A comparison with NaN is false, so that each bound also catches what is not a number.
+        if energy <= self._energy_limit_j and (np.abs(states) <= self._limits).all():
+            return None
+        if not np.isfinite(states).all():
+            return "the state is not finite"
+        over = np.abs(states) > self._limits
+        name = self._dynamic[int(over.any(axis=1).argmax())]
+        if over[:, 7:10].any():
+            speed, limit = np.abs(velocity).max(), self._limits[7]
+            return f"{name} moves at {speed:.3g} m/s, more than the scene can give ({limit:.3g} m/s)"
+        if over[:, :3].any():
+            return f"{name} is further from the origin than it can get ({self._limits[0]:.3g} m)"
+        return f"kinetic energy is {energy:.3g} J, more than was there ({self._energy_limit_j:.3g} J)"
+
+
+def _band_rows(band: Band | None) -> tuple[NDArray, NDArray, NDArray] | None:
+    """Projection, mean and weights such that |deviation| @ weight is the mean of |z| over measured coordinates."""
+    if band is None:
+        return None
+    usable = band.measured[:, None] & (band.sigma > 0.0) & np.isfinite(band.mean)
+    count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
+    weight = np.where(usable, 1.0, 0.0) / np.where(usable, band.sigma, 1.0) / count
+    return band.projection, np.nan_to_num(band.mean), weight
+
+
+def _extent_m(nodes: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(np.ptp(nodes, axis=0)))
+
+
+class _DeformableBounds:
+    """Judges by its nodes whether a deformable body has blown up."""
+
+    STRETCH = 3.0
+    """A body as many times longer than at rest has torn, not stretched; the paper's largest strains are 0.3."""
+
+    def __init__(self, name: str, scene: Scene, rest_m: NDArray[np.float64]) -> None:
+        self.name = name
+        self._distance_m = scene.distance_limit_m
+        self._extent_m = _extent_m(rest_m)
+
+    def fault(self, nodes: NDArray[np.float64]) -> str | None:
+        """Why the body counts as blown up, from its nodes now [m], shape [node_count, 3]."""
+        extent_m = _extent_m(nodes)
+        if extent_m <= self.STRETCH * self._extent_m and np.abs(nodes).max() <= self._distance_m:
+            return None
+        if not np.isfinite(nodes).all():
+            return f"a node of {self.name} is not finite"
+        return f"{self.name} spans {extent_m:.3g} m, at rest {self._extent_m:.3g} m; or is further away than it can get"
+
+
+class DriverPath:
+    """A driver's motion cut into sample intervals; the undisturbed path is computed once."""
+
+    def __init__(self, driver: Driver, scene: Scene, frame_count: int) -> None:
+        self.body = driver.body
+        self.motion_count = len(driver.motions)
+        self._driver = driver
+        self._start = scene.body(driver.body).pose
+        self._scale = np.array([motion.residual_rate for motion in driver.motions])
+        self._offsets = np.zeros(self.motion_count)
+        count = (frame_count - 1) * SAMPLES_PER_FRAME
+        states = [driver.state(self._start, k * SAMPLE_INTERVAL_S) for k in range(count + 1)]
+        self._path = [_interval(*a, *b) for a, b in pairwise(states)]
+
+    def reset(self) -> None:
+        """Back to the recorded motion."""
+        self._offsets[:] = 0.0
+
+    def interval(
+        self, sample: int, action: NDArray[np.float64]
+    ) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
+        """Pose, velocity and acceleration that lead through a sample interval; see `Simulation.drive`."""
+        if not self._offsets.any() and not action.any():
+            return self._path[sample]
+        rates = action * self._scale
+        before = self._driver.state(self._start, sample * SAMPLE_INTERVAL_S, self._offsets, rates)
+        self._offsets = self._offsets + rates * SAMPLE_INTERVAL_S
+        after = self._driver.state(self._start, (sample + 1) * SAMPLE_INTERVAL_S, self._offsets, rates)
+        return _interval(*before, *after)
+
+
+def _interval(
+    start: Pose, start_velocity: NDArray[np.float64], end: Pose, end_velocity: NDArray[np.float64]
+) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
+    """Uniformly accelerated motion between two poses, as close to their velocities as ending at the pose allows."""
+    miss = mean_velocity(start, end, SAMPLE_INTERVAL_S) - 0.5 * (start_velocity + end_velocity)
+    return start, start_velocity + miss, (end_velocity - start_velocity) / SAMPLE_INTERVAL_S
