@@ -6,7 +6,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend as find_backend
-from gauge_envs.env import GaugeEnv
-from gauge_envs.episode import reference_band
+from gauge_envs.backends.base import Worlds
+from gauge_envs.env import GaugeEnv, check_support
+from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, Episode, reference_band, score_episode
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, TrajectoryFileError, UnsupportedSceneError
 from gauge_envs.experiment import Experiment, Parameters, experiment
+from gauge_envs.jitter import Jitter, jittered
+from gauge_envs.observer import MarkerProxy
 from gauge_envs.reference import band_grade
 from gauge_envs.result import (
     Outcome,
@@ -36,7 +39,7 @@ from gauge_envs.task import find_variant, task_spec
 from gauge_envs.task_format import Variant
 from gauge_envs.trajectory_file import coordinate_names, read_trajectory, recorded_id
 
-__all__ = ["check_request", "episode_result", "run_episode", "run_many", "score_file"]
+__all__ = ["check_request", "episode_result", "run_episode", "run_many", "run_repeats", "run_together", "score_file"]
 
 Notify = Callable[[str], None]
 
@@ -68,8 +71,7 @@ def run_episode(
         ParameterError: A parameter, a setting or the seed does not exist or is out of range.
         UnsupportedSceneError: The backend cannot build the scene.
     """
-    if seed < 0:
-        raise ParameterError(f"seed is {seed}, expected 0 or more")
+    _check_seed(seed)
     name = variant.name if isinstance(variant, Variant) else find_variant(variant).name
     env = gymnasium.make(
         f"GAUGE/{name}", backend=backend, parameters=parameters, settings=settings, disable_env_checker=True
@@ -102,26 +104,145 @@ def episode_result(env: gymnasium.Env, info: Mapping[str, Any], *, wall_s: float
         KeyError: The episode is not over: `info` has no score.
     """
     inner: GaugeEnv = env.unwrapped  # type: ignore[assignment]
-    resolved, recorded, reason = inner.experiment, inner.trajectory(), info.get("diverged")
+    return _result_of(
+        inner.episode,
+        info.get("diverged"),
+        backend=inner.backend_name,
+        settings=inner.simulation.settings,
+        settings_given=env.spec.kwargs.get("settings") if env.spec else None,
+        engine_versions=inner.versions,
+        seed=inner.seed_used,
+        jitter=inner.jitter,
+        wall_s=wall_s,
+        score=info["score"],
+    )
+
+
+def _result_of(
+    episode: Episode,
+    fault: str | None,
+    *,
+    backend: str,
+    settings: Mapping[str, Any],
+    settings_given: Mapping[str, Any] | None,
+    engine_versions: Mapping[str, str],
+    seed: int | None,
+    jitter: Jitter | None,
+    wall_s: float | None,
+    score: Score | None = None,
+) -> Result:
+    resolved, recorded = episode.experiment, episode.trajectory()
     return Result(
         id=resolved.variant.id,
-        outcome=Outcome.DIVERGED if reason else Outcome.FINISHED,
+        outcome=Outcome.DIVERGED if fault else Outcome.FINISHED,
         parameters=_parameters_of(resolved),
-        score=info["score"],
+        score=score or score_episode(episode, diverged=bool(fault)),
         task_sha256=task_sha256(resolved.variant.family),
-        backend=inner.backend_name,
+        backend=backend,
         frames=len(recorded.frames),
-        diverged=bool(reason),
-        diverged_reason=reason,
+        diverged=bool(fault),
+        diverged_reason=fault,
         wall_s=wall_s,
         sim_s=float(recorded.times_s[-1]),
-        settings=json_ready(inner.simulation.settings),
-        settings_given=json_ready((env.spec.kwargs.get("settings") if env.spec else None) or {}),
-        versions=inner.versions | versions(),
-        seed=inner.seed_used,
+        settings=json_ready(settings),
+        settings_given=json_ready(settings_given or {}),
+        versions={**engine_versions, **versions()},
+        seed=seed,
+        jitter=asdict(jitter) if jitter else {},
         driver_provenance=resolved.driver_provenance,
         trajectory=_recorded(resolved, recorded.times_s, recorded.samples),
     )
+
+
+def run_repeats(
+    variant: str | Variant,
+    *,
+    repeats: int,
+    backend: str = "mujoco",
+    parameters: Parameters = "calibrated",
+    settings: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    jitter: Jitter | None = None,
+) -> list[Result]:
+    """Run an experiment several times at once, from starts that scatter as real ones do, and score each.
+
+    They are worlds of one simulation where the engine has such; else simulations that are stepped in turn.
+
+    Args:
+        variant: Variant, its name, or its Gymnasium id.
+        repeats: How many, 1 or more.
+        backend: Name of an installed physics engine.
+        parameters: Name of a parameter set, or overrides keyed `body.constant`.
+        settings: Numerical settings of the backend that replace its defaults.
+        seed: Seed of the first; each next one has one more.
+        jitter: How far the starts scatter; the default `Jitter` when left out.
+
+    Returns:
+        Results in the order of their seeds. All are scored against the same reference, that of the calibrated start.
+
+    Raises:
+        UnknownNameError: No such variant or backend.
+        ParameterError: A parameter, a setting, the seed or the number is out of range, or nothing can be jittered.
+        UnsupportedSceneError: The backend cannot build the scene.
+    """
+    _check_seed(seed)
+    if repeats < 1:
+        raise ParameterError(f"repeats is {repeats}, expected 1 or more")
+    jitter = jitter or Jitter()
+    resolved, engine = experiment(variant, parameters), find_backend(backend)
+    check_support(resolved, backend)
+    band = reference_band(resolved)
+    runs = [replace(resolved, scene=jittered(resolved.scene, jitter, seed=seed + k)) for k in range(repeats)]
+    worlds = engine.build_worlds([run.scene for run in runs], settings)
+    try:
+        start = time.perf_counter()
+        worlds.reset(seed)
+        episodes = [
+            Episode(run, world, band=band, marker_proxy=MarkerProxy.NODE)
+            for run, world in zip(runs, worlds.worlds, strict=True)
+        ]
+        faults = run_together(episodes, worlds)
+        share_s = (time.perf_counter() - start) / repeats
+        return [
+            _result_of(
+                episode,
+                fault,
+                backend=backend,
+                settings=world.settings,
+                settings_given=settings,
+                engine_versions=engine.versions(),
+                seed=seed + number,
+                jitter=jitter,
+                wall_s=share_s,
+            )
+            for number, (episode, fault, world) in enumerate(zip(episodes, faults, worlds.worlds, strict=True))
+        ]
+    finally:
+        worlds.close()
+
+
+def run_together(episodes: Sequence[Episode], worlds: Worlds) -> list[str | None]:
+    """Run episodes with zero actions to their end, all worlds at once; why each one diverged, or None.
+
+    One that has diverged is recorded no further, and the others go on.
+    """
+    faults: list[str | None] = [None] * len(episodes)
+    zero = [np.zeros(episode.action_space.shape or 0) for episode in episodes]
+    for episode in episodes:
+        episode.begin()
+    for _ in range(episodes[0].experiment.frame_count - 1):
+        running = [number for number, fault in enumerate(faults) if fault is None]
+        if not running:
+            break
+        for sample in range(SAMPLES_PER_FRAME):
+            for number in running:
+                episodes[number].drive(sample, zero[number])
+            worlds.advance(SAMPLE_INTERVAL_S)
+            for number in running:
+                episodes[number].observe(sample)
+        for number in running:
+            faults[number] = episodes[number].end_frame()
+    return faults
 
 
 def score_file(file: Path, *, variant: str | None = None, parameters: Parameters | None = None) -> tuple[Result, int]:
@@ -165,6 +286,11 @@ def score_file(file: Path, *, variant: str | None = None, parameters: Parameters
         trajectory=_recorded(resolved, trajectory.times_s, trajectory.values),
     )
     return result, trajectory.interpolated_frames
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise ParameterError(f"seed is {seed}, expected 0 or more")
 
 
 def _parameters_of(resolved: Experiment) -> str | dict[str, Any]:
@@ -215,11 +341,13 @@ def run_many(
     parameters: Parameters = "calibrated",
     settings: Mapping[str, Any] | None = None,
     seed: int = 0,
+    repeats: int = 1,
+    jitter: Jitter | None = None,
     out: Path | None = None,
     resume: bool = False,
     notify: Notify = _log.warning,
 ) -> Iterator[Result]:
-    """Run episodes one after another; each result is on disk before it is yielded.
+    """Run episodes one after another, repeats together; each result is on disk before it is yielded.
 
     One that is declined or fails is yielded with its `error`, and not written; the others go on.
 
@@ -229,9 +357,11 @@ def run_many(
         parameters: As in `run_episode`.
         settings: As in `run_episode`.
         seed: As in `run_episode`.
+        repeats: How often each runs, from starts that scatter; 1 runs the calibrated start, unless jitter is given.
+        jitter: How far starts scatter; the default `Jitter` where repeats ask for it.
         out: Folder for the result files, created if need be; None writes none.
         resume: Take results that `out` has already, where they are of the same experiment, backend, parameters,
-            settings, seed, task file and versions of engine and gauge-envs. A damaged one is moved aside, to
+            settings, seed, jitter, task file and versions of engine and gauge-envs. A damaged one is moved aside, to
             `*.damaged`, and run again.
         notify: Takes one sentence for each file that `resume` could not take.
 
@@ -246,48 +376,69 @@ def run_many(
     if out is not None:
         _check_writable(out)
 
+    if repeats > 1 and jitter is None:
+        jitter = Jitter()
+
     def results() -> Iterator[Result]:
         for name in backends:
             for variant in chosen:
-                empty = _empty_result(variant, name, parameters, settings, seed)
-                file = None if out is None else out / result_file_name(empty)
-                result = _earlier(file, empty, notify) if resume and file is not None else None
-                if result is None:
-                    result = _attempt(variant, name, parameters, settings, seed, empty)
+                empty = [
+                    _empty_result(variant, name, parameters, settings, seed + number, jitter)
+                    for number in range(repeats)
+                ]
+                files = [None if out is None else out / result_file_name(one) for one in empty]
+                found = [
+                    _earlier(file, one, notify) if resume and file is not None else None
+                    for file, one in zip(files, empty, strict=True)
+                ]
+                if all(found):
+                    yield from (result for result in found if result)
+                    continue
+                for result, file in zip(_attempt(variant, parameters, empty, jitter), files, strict=True):
                     if file is not None and result.error is None:
                         write_result(result, file)
-                yield result
+                    yield result
 
     return results()
 
 
-def _attempt(
+def _attempt(variant: Variant, parameters: Parameters, empty: Sequence[Result], jitter: Jitter | None) -> list[Result]:
+    """Results of a variant's repeats; those that were declined or failed carry the reason."""
+    first = empty[0]
+    try:
+        resolved = experiment(variant, parameters)
+        if jitter is not None:
+            jittered(resolved.scene, jitter, seed=0)
+    except ParameterError as error:
+        return [replace(one, outcome=Outcome.DECLINED, error=str(error)) for one in empty]
+    except GaugeError as error:
+        return [replace(one, error=str(error)) for one in empty]
+    request: dict[str, Any] = {
+        "backend": first.backend,
+        "parameters": parameters,
+        "settings": first.settings_given or None,
+        "seed": first.seed,
+    }
+    try:
+        if jitter is None:
+            return [run_episode(variant, **request)]
+        return run_repeats(variant, repeats=len(empty), jitter=jitter, **request)
+    except UnsupportedSceneError as error:
+        return [replace(one, outcome=Outcome.DECLINED, error=str(error)) for one in empty]
+    except GaugeError as error:
+        return [replace(one, error=str(error)) for one in empty]
+    except Exception as error:  # Engines raise anything, and one episode must not cost the others.
+        _log.exception("%s on %s", variant.id, first.backend)
+        return [replace(one, error=f"{type(error).__name__}: {error}") for one in empty]
+
+
+def _empty_result(
     variant: Variant,
     backend: str,
     parameters: Parameters,
     settings: Mapping[str, Any] | None,
     seed: int,
-    empty: Result,
-) -> Result:
-    try:
-        experiment(variant, parameters)
-    except ParameterError as error:
-        return replace(empty, outcome=Outcome.DECLINED, error=str(error))
-    except GaugeError as error:
-        return replace(empty, error=str(error))
-    try:
-        return run_episode(variant, backend=backend, parameters=parameters, settings=settings, seed=seed)
-    except UnsupportedSceneError as error:
-        return replace(empty, outcome=Outcome.DECLINED, error=str(error))
-    except GaugeError as error:
-        return replace(empty, error=str(error))
-    except Exception as error:  # Engines raise anything, and one episode must not cost the others.
-        _log.exception("%s on %s", variant.id, backend)
-        return replace(empty, error=f"{type(error).__name__}: {error}")
-
-
-def _empty_result(
-    variant: Variant, backend: str, parameters: Parameters, settings: Mapping[str, Any] | None, seed: int
+    jitter: Jitter | None,
 ) -> Result:
     """What is known before an episode runs; as it stands, one that failed."""
     return Result(
@@ -299,6 +450,7 @@ def _empty_result(
         backend=backend,
         settings_given=json_ready(settings or {}),
         seed=seed,
+        jitter=asdict(jitter) if jitter else {},
         error="not run",
     )
 
@@ -328,7 +480,7 @@ def _earlier(file: Path, wanted: Result, notify: Notify) -> Result | None:
         file.replace(aside)
         notify(f"{error}; moved to {aside.name} and run again")
         return None
-    for key in ("id", "backend", "parameters", "settings_given", "seed", "task_sha256"):
+    for key in ("id", "backend", "parameters", "settings_given", "seed", "jitter", "task_sha256"):
         if getattr(found, key) != getattr(wanted, key):
             notify(f"{file}: {key} differs from what is asked for; run again")
             return None

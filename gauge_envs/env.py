@@ -110,12 +110,12 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         check_support(self.experiment, backend)
         self.versions = find_backend(backend).versions()
         self._build(self.experiment)
-        self.action_space = self._episode.action_space
-        self.observation_space = self._episode.observation_space
+        self.action_space = self.episode.action_space
+        self.observation_space = self.episode.observation_space
 
     def _build(self, resolved: Experiment) -> None:
         self.simulation: Simulation = find_backend(self.backend_name).build(resolved.scene, self._settings)
-        self._episode = Episode(resolved, self.simulation, band=self.band, marker_proxy=self._marker_proxy)
+        self.episode = Episode(resolved, self.simulation, band=self.band, marker_proxy=self._marker_proxy)
 
     # --- episode ---
 
@@ -143,8 +143,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self.jitter = jitter
         self.simulation.reset(self.seed_used)
         self._over = False
-        self._episode.begin()
-        return self._episode.observation(), self._episode.info()
+        self.episode.begin()
+        return self.episode.observation(), self.episode.info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulate one frame, 1/30 s.
@@ -153,7 +153,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             ActionError: The action has the wrong shape, is out of range or is not a number.
             EpisodeError: The environment was not reset, or the episode is over.
         """
-        episode = self._episode
+        episode = self.episode
         if episode.frame is None:
             raise EpisodeError(f"{self.experiment.variant.id}: call reset before step")
         if self._over:
@@ -173,7 +173,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         Raises:
             EpisodeError: The environment was not reset.
         """
-        return self._episode.trajectory()
+        return self.episode.trajectory()
 
     def render(self) -> NDArray[np.uint8] | None:
         """Picture of the scene now, shape [height, width, 3]; None without `render_mode="rgb_array"`.
@@ -184,7 +184,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         """
         if self.render_mode is None:
             return None
-        episode = self._episode
+        episode = self.episode
         if episode.frame is None:
             raise EpisodeError(f"{self.experiment.variant.id}: call reset before render")
         if self._renderer is None:

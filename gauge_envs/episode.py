@@ -21,6 +21,7 @@ from gauge_envs.experiment import Experiment
 from gauge_envs.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
 from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_band
 from gauge_envs.scene import Pose, Scene
+from gauge_envs.score import Score, score_trajectory
 from gauge_envs.task_format import FRAME_RATE_HZ, Observable
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Observation",
     "Trajectory",
     "reference_band",
+    "score_episode",
 ]
 
 SAMPLES_PER_FRAME = 6
@@ -329,6 +331,16 @@ class Episode:
         if over[:, :3].any():
             return f"{name} is further from the origin than it can get ({self._limits[0]:.3g} m)"
         return f"kinetic energy is {energy:.3g} J, more than was there ({self._energy_limit_j:.3g} J)"
+
+
+def score_episode(episode: Episode, *, diverged: bool) -> Score:
+    """Score of an episode that has ended; one that diverged has a grade and nothing else."""
+    resolved, band = episode.experiment, episode.band
+    if diverged:
+        grade = BandGrade.NONE if band is None else band.grade
+        return Score(grade=grade.value, unit=resolved.spec.score.observable.unit)
+    trajectory = episode.trajectory()
+    return score_trajectory(resolved, band, times_s=trajectory.times_s, values=trajectory.samples)
 
 
 def _band_rows(band: Band | None) -> tuple[NDArray, NDArray, NDArray] | None:

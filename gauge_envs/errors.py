@@ -8,6 +8,7 @@ from pathlib import Path
 
 __all__ = [
     "ActionError",
+    "BackendError",
     "EpisodeError",
     "GaugeError",
     "MissingExtraError",
@@ -34,6 +35,10 @@ class ActionError(GaugeError, ValueError):
     """An action has the wrong shape, lies outside its space, or is not a number."""
 
 
+class BackendError(GaugeError, RuntimeError):
+    """A backend cannot be loaded, or does not keep the contract."""
+
+
 class EpisodeError(GaugeError, RuntimeError):
     """An environment was used out of order: a step before reset, or after the episode's end."""
 
@@ -51,11 +56,18 @@ class UnsupportedSceneError(GaugeError, RuntimeError):
 
 
 class MissingExtraError(GaugeError, ImportError):
-    """An optional dependency is missing; the message names the pip command that installs it."""
+    """An optional dependency is missing; the message names the pip command that installs it.
 
-    def __init__(self, feature: str, extra: str, cause: ImportError) -> None:
+    Args:
+        feature: What needs it, as `backend 'newton'`.
+        extra: Extra of the package that brings it.
+        cause: The import that failed.
+        package: Package that has the extra.
+    """
+
+    def __init__(self, feature: str, extra: str, cause: ImportError, *, package: str = "gauge-envs") -> None:
         super().__init__(
-            f"{feature} needs {cause.name or cause}, which is not installed: pip install 'gauge-envs[{extra}]'"
+            f"{feature} needs {cause.name or cause}, which is not installed: pip install '{package}[{extra}]'"
         )
 
 

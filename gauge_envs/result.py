@@ -96,12 +96,14 @@ class Result:
         frames: Frames that there are, the first included.
         diverged: Whether the simulation left what is physically possible.
         diverged_reason: How it did.
-        wall_s: Time that reset and steps took [s], building the scene not included.
+        wall_s: Time that reset and steps took [s], building the scene not included; for one of several that ran
+            together, its share.
         sim_s: Simulated time [s].
         settings: Every numerical setting of the engine that was in force.
         settings_given: Those of them that the caller gave.
         versions: Versions of the engine, gauge-envs, gymnasium, numpy and python.
-        seed: Seed of the reset.
+        seed: Seed of the reset and of the jitter.
+        jitter: How far the start was moved at random, as standard deviations; empty where it was not.
         score: Distance to reality; metrics are None where they do not apply.
         task_sha256: Hash of the task file that the episode was built from.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
@@ -125,6 +127,7 @@ class Result:
     settings_given: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
     seed: int | None = None
+    jitter: dict[str, float] = field(default_factory=dict)
     driver_provenance: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     error: str | None = None
@@ -157,12 +160,14 @@ def task_sha256(family: str) -> str:
 
 
 def result_file_name(result: Result) -> str:
-    """`SlopeSlider-2-wood.mujoco.calibrated.json`; overrides and settings by a hash of theirs, seeds other than 0."""
+    """`SlopeSlider-2-wood.mujoco.calibrated.json`; overrides, settings and jitter by a hash, seeds other than 0."""
     named = result.parameters
     parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
     parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
     if result.settings_given:
         parts.append(f"settings-{_digest(result.settings_given)}")
+    if result.jitter:
+        parts.append(f"jitter-{_digest(result.jitter)}")
     if result.seed:
         parts.append(f"seed-{result.seed}")
     return ".".join([*parts, "json"])

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 
 from gauge_envs.env import GaugeEnv
-from gauge_envs.score import Score, score_trajectory
+from gauge_envs.episode import score_episode
 
 __all__ = ["ScoreEpisode"]
 
@@ -38,14 +38,7 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
         """Step, and score at the end."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
-            info["score"] = self._score(diverged="diverged" in info)
+            env = self.unwrapped
+            assert isinstance(env, GaugeEnv)
+            info["score"] = score_episode(env.episode, diverged="diverged" in info)
         return observation, reward, terminated, truncated, info
-
-    def _score(self, *, diverged: bool) -> Score:
-        env = self.unwrapped
-        assert isinstance(env, GaugeEnv)
-        if diverged:
-            grade = "none" if env.band is None else env.band.grade.value
-            return Score(grade=grade, unit=env.experiment.spec.score.observable.unit)
-        trajectory = env.trajectory()
-        return score_trajectory(env.experiment, env.band, times_s=trajectory.times_s, values=trajectory.samples)

@@ -9,8 +9,9 @@ A backend is one class with three methods. It sees a `Scene` and never the name 
         def build(self, scene, settings): ...
         def versions(self): ...
 
-`build` returns a `Simulation`, which an environment resets, drives and reads once every frame. A backend becomes
-available under its name through an entry point of the group `gauge_envs.backends`.
+`build` returns a `Simulation` that already stands at the scene's start and is read before it is first reset. An
+environment resets it, and in each 1/180 s drives every kinematic body and advances. A backend becomes available under
+its name through an entry point of the group `gauge_envs.backends`; docs/adding_an_engine.md walks through one.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class World(ABC):
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body for the coming `advance`: it starts there and accelerates uniformly.
 
-        Uniform acceleration matters: a body driven at piecewise constant speed jolts what rests on it at each change,
+        Called before every `advance`: after t seconds the body is at pose + v t + a t^2 / 2. Uniform acceleration matters: a body driven at piecewise constant speed jolts what rests on it at each change,
         which lets it creep. An engine that cannot may use the mean velocity, and should say so.
 
         Args:
@@ -70,8 +71,8 @@ class World(ABC):
         """Poses and velocities now.
 
         Returns:
-            Shape [len(names), 13]: position [m] (3), quaternion w x y z (4), linear velocity of the body origin [m/s]
-            (3) and angular velocity [rad/s] (3), both in the world frame.
+            A new array, shape [len(names), 13]: position [m] (3), quaternion w x y z (4), linear velocity of the body
+            origin [m/s] (3) and angular velocity [rad/s] (3), both in the world frame. Fixed bodies can be asked for too.
         """
 
     def nodes(self, name: str) -> NDArray[np.float64]:
@@ -87,7 +88,7 @@ class World(ABC):
 
         Returns:
             Function that returns where the points are now [m], shape [point_count, 3]; None leaves it to
-            interpolation between the nodes.
+            interpolation between the nodes, which a line of nodes does not allow.
 
         Raises:
             ShapeError: A point lies outside the material.
@@ -188,7 +189,7 @@ class Backend(ABC):
 
     @abstractmethod
     def supports(self, scene: Scene) -> Support:
-        """Whether `build` will work on a scene, and if not, why."""
+        """Whether `build` will work on a scene, and if not, why: at once, without building anything."""
 
     @abstractmethod
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:

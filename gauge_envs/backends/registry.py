@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from gauge_envs.backends.base import Backend
-from gauge_envs.errors import UnknownNameError
+from gauge_envs.errors import BackendError, GaugeError, UnknownNameError
 
 __all__ = ["backend", "backend_names"]
 
@@ -25,8 +25,14 @@ def backend(name: str) -> Backend:
     Raises:
         UnknownNameError: No installed package offers it.
         MissingExtraError: Its engine is not installed.
+        BackendError: Its package cannot be imported for another reason.
     """
     for point in entry_points(group=ENTRY_POINT_GROUP):
         if point.name == name:
-            return point.load()()
+            try:
+                return point.load()()
+            except GaugeError:
+                raise
+            except Exception as error:  # A package of someone else raises anything, and others must stay usable.
+                raise BackendError(f"backend {name!r} ({point.value}): {type(error).__name__}: {error}") from error
     raise UnknownNameError("backend", name, backend_names())

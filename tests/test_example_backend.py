@@ -1,0 +1,454 @@
+"""The example engine and the guide on adding an engine: installed as a package of its own, found by name, and right.
+
+What the engine does runs in processes of its own, whose path has the installed package; its numbers come back as JSON.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+import gauge_envs
+from gauge_envs.backends import Simulation, backend
+from gauge_envs.driver import Driver, DriverMotion
+from gauge_envs.episode import SAMPLE_INTERVAL_S
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "examples" / "point_engine"
+GUIDE = ROOT / "docs" / "adding_an_engine.md"
+
+G = 9.80665
+RADIUS_M = 0.03
+GROUND_M = np.array([0.1, 0.2, 0.3])
+
+
+# --- running with the package installed ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment variables of a process that finds the installed example, and this module."""
+    target = tmp_path_factory.mktemp("installed")
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(target)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(PACKAGE)], check=True, capture_output=True)
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(target), str(Path(__file__).parent)])}
+
+
+def run_python(environment: dict[str, str], code: str, *, cwd: Path | None = None) -> str:
+    run = subprocess.run([sys.executable, "-c", code], env=environment, cwd=cwd, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+@pytest.fixture(scope="module")
+def measured(environment: dict[str, str]) -> dict[str, Any]:
+    """What each `measure_*` function of this module returns in a process that has the example installed, by name."""
+    return json.loads(run_python(environment, f"import {Path(__file__).stem} as m; m.print_measured()"))
+
+
+def print_measured() -> None:
+    """Print the results of all `measure_*` functions as JSON."""
+    prefix = "measure_"
+    found = {name.removeprefix(prefix): f() for name, f in globals().items() if name.startswith(prefix)}
+    print(json.dumps(found))
+
+
+def gauge(environment: dict[str, str], arguments: Sequence[str], cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).parent / "gauge"), *arguments]
+    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True)
+
+
+# --- closed forms ----------------------------------------------------------------------------------------------------
+
+
+def bouncing_height(
+    times_s: ArrayLike, drop_m: float, restitution: float, *, gravity: float = G
+) -> NDArray[np.float64]:
+    """Height above the lowest point of a ball dropped from `drop_m`; 0 after infinitely many bounces."""
+    heights = []
+    for time in np.asarray(times_s, dtype=float):
+        # A flight that starts upward from 0 at `begin`; the drop is the second half of one.
+        speed = np.sqrt(2 * gravity * drop_m)
+        begin = -speed / gravity
+        while time >= begin + 2 * speed / gravity and speed > 1e-9:
+            begin, speed = begin + 2 * speed / gravity, speed * restitution
+        since = time - begin
+        heights.append(max(speed * since - 0.5 * gravity * since**2, 0.0))
+    return np.array(heights)
+
+
+# --- scenes ----------------------------------------------------------------------------------------------------------
+
+
+def ball_on_plane(
+    *,
+    drop_m: float = 0.0,
+    tilt_deg: float = 0.0,
+    friction: float = 0.5,
+    restitution: float = 0.0,
+    mode: ContactMode = ContactMode.IMPACT,
+    motion: Motion = Motion.FIXED,
+    drivers: tuple[Driver, ...] = (),
+) -> Scene:
+    """A ball over a plane that leans about y, so that down the slope is (cos, 0, -sin)."""
+    ground = Pose.from_euler_deg(tuple(GROUND_M.tolist()), (0.0, tilt_deg, 0.0))
+    x, y, z = ground.to_world(np.array([0.0, 0.0, RADIUS_M])).tolist()
+    return Scene(
+        bodies=(
+            RigidBody(name="ground", shape=Plane(), motion=motion, pose=ground, mass_kg=0.0),
+            RigidBody(
+                name="ball",
+                shape=Sphere(radius_m=RADIUS_M),
+                motion=Motion.DYNAMIC,
+                pose=Pose(position_m=(x, y, z + drop_m)),
+                mass_kg=0.1,
+            ),
+        ),
+        contacts=(Contact(first=("ball",), second=("ground",), friction=friction, restitution=restitution, mode=mode),),
+        drivers=drivers,
+        duration_s=1.0,
+    )
+
+
+def ball_course(
+    scene: Scene, seconds: float, *, acceleration: ArrayLike | None = None, timestep_s: float = 1 / 1800
+) -> NDArray[np.float64]:
+    """States of the ball every 1/180 s, the start first, shape [sample_count, 13].
+
+    With an acceleration [m/s^2], shape [3], the ground is driven with it from rest.
+    """
+    simulation = backend("point").build(scene, {"timestep_s": timestep_s})
+    simulation.reset(seed=0)
+    states = [simulation.body_states(["ball"])[0]]
+    for sample in range(round(seconds / SAMPLE_INTERVAL_S)):
+        if acceleration is not None:
+            drive = np.concatenate([acceleration, np.zeros(3)])
+            time_s = sample * SAMPLE_INTERVAL_S
+            x, y, z = (GROUND_M + 0.5 * drive[:3] * time_s**2).tolist()
+            simulation.drive("ground", Pose(position_m=(x, y, z)), drive * time_s, drive)
+        simulation.advance(SAMPLE_INTERVAL_S)
+        states.append(simulation.body_states(["ball"])[0])
+    return np.array(states)
+
+
+def driven_plane(kind: Literal["translate", "rotate"], **options: Any) -> Scene:
+    """A ball over a driven plane."""
+    motion = DriverMotion(kind=kind, axis=(0.0, 0.0, 1.0), profiles=())
+    driver = Driver(body="ground", motions=(motion,), provenance="nominal")
+    return ball_on_plane(motion=Motion.KINEMATIC, drivers=(driver,), **options)
+
+
+# --- an experiment ---------------------------------------------------------------------------------------------------
+
+
+def measure_experiment() -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for parameters in ("calibrated", "effective"):
+        env = gymnasium.make("GAUGE/BouncingBall-rubber", backend="point", parameters=parameters)
+        env.reset(seed=0)
+        over = False
+        while not over:
+            *_, terminated, over, info = env.step(0)
+            assert not terminated
+        trajectory = env.unwrapped.trajectory()
+        values[parameters] = {
+            "times_s": trajectory.times_s.tolist(),
+            "position_m": (trajectory.samples / 1e3).tolist(),
+            "rmse_normalized": info["score"].rmse_normalized,
+            "versions": env.unwrapped.versions,
+        }
+    return values
+
+
+def test_bouncing_ball_follows_the_law_of_bounces(measured: dict[str, Any]) -> None:
+    for parameters, values in measured["experiment"].items():
+        scene = gauge_envs.experiment("BouncingBall-rubber", parameters).scene
+        (x, y, z), contact = scene.body("ball").pose.position_m, scene.contacts[0]
+        lowest = scene.body("ground").pose.position_m[2] + RADIUS_M
+        height = lowest + bouncing_height(values["times_s"], z - lowest, contact.restitution)
+        expected = np.column_stack([np.full(len(height), x), np.full(len(height), y), height])
+        assert np.asarray(values["position_m"]) == pytest.approx(expected, abs=1e-10)
+        # The scores of MuJoCo, whose rebound is within 0.0025 of the coefficient.
+        score = {"calibrated": 14.11, "effective": 12.77}[parameters]
+        assert values["rmse_normalized"] == pytest.approx(score, abs=0.02)
+        assert values["versions"] == {"point-engine": "1.0.0"}
+
+
+def measure_support() -> dict[str, Any]:
+    return {
+        v.name: list(backend("point").supports(gauge_envs.experiment(v).scene).missing) for v in gauge_envs.variants()
+    }
+
+
+def test_all_other_experiments_are_declined_with_reasons(measured: dict[str, Any]) -> None:
+    missing = measured["support"]
+    assert [name for name, reasons in missing.items() if not reasons] == ["BouncingBall-rubber"]
+    assert missing["SlopeSlider-2-wood"] == ["'cube' is a Box, and of moving bodies only spheres may touch others"]
+    assert missing["TextileFlinging-satin"] == ["'textile' is a Cloth, and only rigid bodies are simulated"]
+    assert missing["NewtonsCradle-metal"] == [
+        "'ball-1' (and 4 more) hangs on a Hinge, and there are no joints",
+        "'ball-1' (and 4 more) may touch more than one body",
+        "'ball-1' and 'ball-2' (and 9 more) may touch, and balls touch only planes",
+    ]
+
+
+def test_command_line_knows_the_engine(environment: dict[str, str], tmp_path: Path) -> None:
+    run = gauge(environment, ["run", "BouncingBall-rubber", "--backend", "point", "--json", "--out", "out"], tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout)["backend"] == "point"
+
+
+# --- physics ---------------------------------------------------------------------------------------------------------
+
+
+def measure_bounces() -> dict[str, Any]:
+    scene = ball_on_plane(drop_m=0.3, restitution=0.6)
+    steps = {"1/180": 1 / 180, "1/1800": 1 / 1800, "1/3600": 1 / 3600}
+    return {name: ball_course(scene, 1.2, timestep_s=step)[:, :3].tolist() for name, step in steps.items()}
+
+
+def test_bounces_are_exact_with_any_step_down_to_the_last_hop(measured: dict[str, Any]) -> None:
+    for name, positions in measured["bounces"].items():
+        step = 1 / float(name.partition("/")[2])
+        height = np.asarray(positions)[:, 2] - GROUND_M[2] - RADIUS_M
+        expected = bouncing_height(np.arange(len(height)) * SAMPLE_INTERVAL_S, 0.3, 0.6)
+        exact = expected > G * step**2 / 8
+        # Once it has hopped for less than a step it rests; infinitely many bounces end 0.99 s after the release.
+        assert exact.sum() > 150
+        followed = np.arange(len(height)) <= np.flatnonzero(exact).max()
+        tolerance = np.where(followed, 1e-10, G * step**2 / 8 + 1e-10)
+        assert (np.abs(height - expected) <= tolerance).all(), name
+        assert np.abs(height[-1]) < 1e-12
+
+
+def measure_slopes() -> dict[str, Any]:
+    return {
+        name: ball_course(ball_on_plane(tilt_deg=30, friction=mu, restitution=e, drop_m=drop, mode=mode), time).tolist()
+        for name, mu, e, drop, mode, time in (
+            ("rolls", 0.5, 0.9, 0.0, ContactMode.SUSTAINED, 0.5),
+            ("slides", 0.1, 0.9, 0.0, ContactMode.SUSTAINED, 0.5),
+            ("rebounds with grip", 0.5, 0.8, 0.2, ContactMode.IMPACT, 0.25),
+            ("rebounds with slip", 0.05, 0.8, 0.2, ContactMode.IMPACT, 0.25),
+            ("lands", 0.05, 0.8, 0.2, ContactMode.SUSTAINED, 0.25),
+        )
+    }
+
+
+def test_slopes_obey_coulomb_and_the_inertia_of_a_solid_sphere(measured: dict[str, Any]) -> None:
+    course = {name: np.asarray(states) for name, states in measured["slopes"].items()}
+    sine, cosine = np.sin(np.pi / 6), np.cos(np.pi / 6)
+    down, normal = np.array([cosine, 0.0, -sine]), np.array([sine, 0.0, cosine])
+
+    def along(name: str, axis: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (course[name][:, :3] - course[name][0, :3]) @ axis
+
+    half_square = 0.5 * (np.arange(91) * SAMPLE_INTERVAL_S) ** 2
+    assert along("rolls", down) == pytest.approx(5 / 7 * G * sine * half_square, abs=1e-10)
+    assert along("slides", down) == pytest.approx(G * (sine - 0.1 * cosine) * half_square, abs=1e-10)
+    assert along("rolls", normal) == pytest.approx(0.0, abs=1e-12)
+    # Down the slope a ball turns about +y. A rolling one has no slip; a sliding one speeds up with 5/2 mu g cos / r.
+    assert course["rolls"][-1, 11] * RADIUS_M == pytest.approx(course["rolls"][-1, 7:10] @ down, abs=1e-10)
+    assert course["slides"][-1, 11] * RADIUS_M == pytest.approx(2.5 * 0.1 * G * cosine * 0.5, abs=1e-10)
+    turn = 2 * np.arctan2(course["slides"][-1, 5], course["slides"][-1, 3])
+    missed = turn - 2.5 * 0.1 * G * cosine * half_square[-1] / RADIUS_M
+    assert np.sin(0.5 * missed) == pytest.approx(0.0, abs=1e-10)
+
+    arrival = np.sqrt(2 * G * 0.2)
+    since = 45 * SAMPLE_INTERVAL_S - arrival / G
+    for name, drag, restitution in (
+        ("rebounds with grip", 2 / 7 * arrival * sine, 0.8),
+        ("rebounds with slip", 0.05 * 1.8 * arrival * cosine, 0.8),
+    ):
+        state = course[name][-1]
+        assert state[7:10] @ down == pytest.approx(arrival * sine - drag + G * sine * since, abs=1e-10), name
+        assert state[7:10] @ normal == pytest.approx(restitution * arrival * cosine - G * cosine * since, abs=1e-10)
+        assert state[11] * RADIUS_M == pytest.approx(2.5 * drag, abs=1e-10), name
+    # A sustained contact does not rebound, whatever the restitution; friction then acts on the landing and on the way.
+    landed = arrival * (sine - 0.05 * cosine) + G * (sine - 0.05 * cosine) * since
+    assert course["lands"][-1, 7:10] == pytest.approx(landed * down, abs=1e-10)
+
+
+def measure_driven() -> dict[str, Any]:
+    resting = driven_plane("translate", mode=ContactMode.SUSTAINED)
+    bouncing = driven_plane("translate", drop_m=0.1, restitution=0.7)
+    return {
+        name: ball_course(scene, 0.4, acceleration=acceleration).tolist()
+        for name, scene, acceleration in (
+            ("sideways", resting, (2.0, 0.0, 0.0)),
+            ("up", resting, (0.0, 0.0, 3.0)),
+            ("down faster than free fall", resting, (0.0, 0.0, -15.0)),
+            ("lift", bouncing, (0.0, 0.0, 4.0)),
+        )
+    }
+
+
+def test_driven_planes_carry_lift_and_hit(measured: dict[str, Any]) -> None:
+    course = {name: np.asarray(states) for name, states in measured["driven"].items()}
+    travel = {name: states[-1, :3] - states[0, :3] for name, states in course.items()}
+    # A solid sphere that rolls on an accelerated plate goes with 2/7 of its acceleration.
+    assert travel["sideways"] == pytest.approx([2 / 7 * 0.5 * 2.0 * 0.4**2, 0.0, 0.0], abs=1e-9)
+    assert travel["up"] == pytest.approx([0.0, 0.0, 0.5 * 3.0 * 0.4**2], abs=1e-9)
+    assert travel["down faster than free fall"] == pytest.approx([0.0, 0.0, -0.5 * G * 0.4**2], abs=1e-9)
+    # In the frame of a lift that speeds up, a ball bounces as under gravity and the lift's acceleration together.
+    times_s = np.arange(73) * SAMPLE_INTERVAL_S
+    above = course["lift"][:, 2] - GROUND_M[2] - RADIUS_M - 0.5 * 4.0 * times_s**2
+    assert above == pytest.approx(bouncing_height(times_s, 0.1, 0.7, gravity=G + 4.0), abs=1e-9)
+
+
+# --- contract --------------------------------------------------------------------------------------------------------
+
+
+def course_of(simulation: Simulation) -> list[Any]:
+    """States of ball and ground after each of 60 intervals."""
+    states = []
+    for _ in range(60):
+        simulation.advance(SAMPLE_INTERVAL_S)
+        states.append(simulation.body_states(["ball", "ground"]).tolist())
+    return states
+
+
+def measure_reproducibility() -> dict[str, Any]:
+    scene = ball_on_plane(drop_m=0.1, tilt_deg=20, restitution=0.7)
+    simulation = backend("point").build(scene)
+
+    start = simulation.body_states(["ball", "ground"]).tolist()
+    first = course_of(simulation)
+    simulation.reset(seed=1)
+    after_reset = simulation.body_states(["ball", "ground"]).tolist()
+    for _ in range(30):
+        simulation.advance(SAMPLE_INTERVAL_S)
+    kept = simulation.state()
+    onward = course_of(simulation)
+    simulation.restore(kept)
+    simulation.body_states(["ball"])[:] = np.nan  # What is read is a copy: writing into it changes nothing.
+    again = course_of(simulation)
+    simulation.reset(seed=0)
+    second = course_of(simulation)
+    simulation.close()
+    simulation.close()
+    return {
+        "reset returns to the start": start == after_reset,
+        "same course after reset": first == second,
+        "restore goes on": onward == again and onward[:30] == first[30:],
+        "another build": first == course_of(backend("point").build(scene, {"timestep_s": 1 / 1800})),
+    }
+
+
+def test_reset_restore_and_rebuild_are_exact(measured: dict[str, Any]) -> None:
+    found = measured["reproducibility"]
+    assert all(found.values()), found
+
+
+def measure_refusals() -> dict[str, Any]:
+    engine = backend("point")
+    refused: dict[str, Any] = {}
+    for name, settings in (
+        ("unknown", {"substeps": 3}),
+        ("impossible", {"timestep_s": 0.0}),
+        ("odd", {"timestep_s": 0.004}),
+    ):
+        with pytest.raises(ParameterError) as caught:
+            engine.build(ball_on_plane(), settings)
+        refused[name] = str(caught.value)
+    sunk = ball_on_plane(drop_m=-0.002)
+    refused["turned"] = list(engine.supports(driven_plane("rotate")).missing)
+    refused["sunk"] = list(engine.supports(sunk).missing)
+    beside = RigidBody(
+        name="plate",
+        shape=Box(size_m=(0.1, 0.1, 0.1)),
+        motion=Motion.KINEMATIC,
+        pose=Pose(position_m=(1.0, 0.0, 0.0)),
+        mass_kg=1.0,
+    )
+    scene = dataclasses.replace(ball_on_plane(), bodies=(*ball_on_plane().bodies, beside))
+    refused["beside"] = list(engine.supports(scene).missing)
+    return refused
+
+
+def test_refusals_name_the_cause(measured: dict[str, Any]) -> None:
+    refused = measured["refusals"]
+    assert "'substeps'" in refused["unknown"] and "there is no such setting" in refused["unknown"]
+    assert "'timestep_s'" in refused["impossible"]
+    assert "not a whole number" in refused["odd"]
+    assert refused["turned"] == [
+        "'ball' and 'ground' may touch, and planes that balls touch can be shifted, not turned"
+    ]
+    assert refused["sunk"] == ["'ball' and 'ground' overlap by 2 mm at the start"]
+    assert refused["beside"] == []
+
+
+def measure_turning_plate() -> list[float]:
+    plate = RigidBody(
+        name="plate",
+        shape=Box(size_m=(0.1, 0.1, 0.1)),
+        motion=Motion.KINEMATIC,
+        pose=Pose(position_m=(1.0, 0.0, 0.0)),
+        mass_kg=1.0,
+    )
+    simulation = backend("point").build(Scene(bodies=(plate,), duration_s=1.0))
+    simulation.drive("plate", plate.pose, np.array([0, 0, 1, 0, 0, 2.0]), np.array([0, 0, 4, 0, 0, 8.0]))
+    simulation.advance(0.5)
+    return simulation.body_states(["plate"])[0].tolist()
+
+
+def test_driven_body_accelerates_uniformly(measured: dict[str, Any]) -> None:
+    state = measured["turning_plate"]
+    half_turn = 0.5 * (2.0 * 0.5 + 0.5 * 8.0 * 0.5**2)
+    expected = [1.0, 0.0, 1.0, np.cos(half_turn), 0.0, 0.0, np.sin(half_turn), 0.0, 0.0, 3.0, 0.0, 0.0, 6.0]
+    assert state == pytest.approx(expected, abs=1e-12)
+
+
+def test_conformance_kit_finds_nothing(environment: dict[str, str], tmp_path: Path) -> None:
+    run = gauge(environment, ["backend", "check", "point", "--json"], tmp_path)
+    assert run.returncode == 0, run.stdout + run.stderr
+    findings = [json.loads(line) for line in run.stdout.splitlines()]
+    assert {finding["status"] for finding in findings} == {"pass", "declined"}
+
+
+# --- guide -----------------------------------------------------------------------------------------------------------
+
+
+def fenced(language: str) -> list[str]:
+    """Code blocks of the guide in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", GUIDE.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    source = (PACKAGE / "point_engine.py").read_text()
+    blocks = fenced("python")
+    quoted = [block for block in blocks if block in source]
+    assert len(quoted) > 3
+    assert len(blocks) - len(quoted) > 3
+    run_python(environment, "\n".join(block for block in blocks if block not in source), cwd=tmp_path)
+
+
+def test_toml_of_the_guide_is_that_of_the_example() -> None:
+    manifest = (PACKAGE / "pyproject.toml").read_text()
+    assert fenced("toml")
+    assert all(block in manifest for block in fenced("toml"))
+
+
+@pytest.mark.slow
+def test_gauge_commands_of_the_guide_run(environment: dict[str, str], tmp_path: Path) -> None:
+    commands = [shlex.split(line) for block in fenced("sh") for line in block.splitlines() if line.startswith("gauge ")]
+    assert {command[1] for command in commands} == {"backend", "list", "show", "run", "compare"}
+    for command in commands:
+        run = gauge(environment, command[1:], tmp_path)
+        assert run.returncode == 0, f"{shlex.join(command)}: {run.stdout}{run.stderr}"

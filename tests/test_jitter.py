@@ -1,0 +1,168 @@
+"""Starts that scatter, and repeats that run together."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+
+from gauge_envs import Jitter, experiment
+from gauge_envs.backends import backend
+from gauge_envs.benchmark import run_episode, run_many, run_repeats, run_together
+from gauge_envs.episode import Episode, reference_band
+from gauge_envs.errors import ParameterError
+from gauge_envs.jitter import jittered
+from gauge_envs.observer import MarkerProxy
+from gauge_envs.scene import Motion, Scene
+
+STILL = Jitter(position_m=0.0, angle_rad=0.0)
+
+
+def starts(name: str, body: str, jitter: Jitter, count: int = 2000) -> tuple[np.ndarray, Scene]:
+    """Start positions of a body over seeds [m], shape [count, 3], and the scene."""
+    scene = experiment(name).scene
+    return np.array([jittered(scene, jitter, seed=k).body(body).pose.position_m for k in range(count)]), scene
+
+
+def test_a_cube_on_a_slope_slides_and_turns_on_it() -> None:
+    positions, scene = starts("SlopeSlider-2-wood", "cube", Jitter())
+    start = scene.body("cube").pose
+    moved = start.rotation.apply(positions - np.asarray(start.position_m), inverse=True)
+    # The cube's z is the slope's normal.
+    assert np.abs(moved[:, 2]).max() < 1e-12
+    assert moved[:, :2].std(axis=0) == pytest.approx([1e-3, 1e-3], rel=0.05)
+    turned = [jittered(scene, Jitter(), seed=k).body("cube").pose.rotation for k in range(500)]
+    angles = np.array([(start.rotation.inv() * one).as_rotvec() for one in turned])
+    assert np.abs(angles[:, :2]).max() < 1e-9
+    assert angles[:, 2].std() == pytest.approx(math.radians(0.5), rel=0.1)
+
+
+def test_a_ball_in_the_air_moves_in_all_directions() -> None:
+    positions, _ = starts("BouncingBall-rubber", "ball", Jitter(position_m=2e-3))
+    assert positions.std(axis=0) == pytest.approx([2e-3] * 3, rel=0.06)
+
+
+def test_a_hinged_ball_turns_about_its_hinge() -> None:
+    positions, scene = starts("Pendulum-metal", "ball", Jitter(), count=200)
+    hinge = scene.joints[0]
+    start = np.asarray(scene.body("ball").pose.position_m)
+    arms, arm = positions - np.asarray(hinge.anchor_m), start - np.asarray(hinge.anchor_m)
+    assert np.linalg.norm(arms, axis=1) == pytest.approx(np.full(200, np.linalg.norm(arm)), abs=1e-12)
+    assert np.ptp(arms @ np.asarray(hinge.axis)) < 1e-12
+    assert np.linalg.norm(arms - arm, axis=1).max() > 1e-3
+
+
+def test_a_tether_stays_tight() -> None:
+    positions, scene = starts("WallBreaking-wood", "ball", Jitter(), count=50)
+    tether = next(joint for joint in scene.joints if joint.body == "ball")
+    start = np.linalg.norm(np.asarray(scene.body("ball").pose.position_m) - tether.anchor_m)
+    assert np.linalg.norm(positions - tether.anchor_m, axis=1) == pytest.approx(np.full(50, start), abs=1e-12)
+
+
+def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane() -> None:
+    scene = experiment("RotatingBall-rayon").scene
+    other = jittered(scene, Jitter(), seed=1)
+    assert other.bodies == scene.bodies
+    cloth, moved = scene.deformables[0], other.deformables[0]
+    assert moved != cloth and moved.pose.position_m[2] == pytest.approx(cloth.pose.position_m[2], abs=1e-12)
+    turntable = experiment("Turntable-1-wood").scene
+    kept = [body for body in jittered(turntable, Jitter(), seed=3).bodies if body.motion is not Motion.DYNAMIC]
+    assert kept == [body for body in turntable.bodies if body.motion is not Motion.DYNAMIC]
+
+
+def test_a_seed_gives_the_same_start_and_another_one_another() -> None:
+    scene = experiment("SlopeSlider-2-wood").scene
+    assert jittered(scene, Jitter(), seed=5) == jittered(scene, Jitter(), seed=5)
+    assert jittered(scene, Jitter(), seed=5) != jittered(scene, Jitter(), seed=6)
+
+
+def test_nothing_to_jitter_is_said() -> None:
+    with pytest.raises(ParameterError, match="nothing to jitter"):
+        jittered(experiment("TextileFlinging-satin").scene, Jitter(), seed=0)
+
+
+@pytest.mark.parametrize("values", [{"position_m": -1e-3}, {"angle_rad": math.nan}])
+def test_impossible_scatter_is_refused(values: dict[str, float]) -> None:
+    with pytest.raises(ParameterError, match="jitter"):
+        Jitter(**values)
+
+
+def test_repeats_without_scatter_are_the_single_run() -> None:
+    single = run_episode("Turntable-2-metal")
+    for result in run_repeats("Turntable-2-metal", repeats=3, jitter=STILL):
+        assert result.trajectory == single.trajectory
+        assert result.score == single.score
+
+
+def test_repeats_scatter_about_the_single_run_and_keep_its_reference() -> None:
+    single = run_episode("SlopeSlider-2-metal").score.rmse
+    results = run_repeats("SlopeSlider-2-metal", repeats=8, seed=10)
+    assert [result.seed for result in results] == list(range(10, 18))
+    assert results[0].jitter == {"position_m": 1e-3, "angle_rad": math.radians(0.5)}
+    errors = np.array([result.score.rmse for result in results])
+    # A start 1 mm further downhill is at most 1 mm in E_RMSE.
+    assert 0.05 < errors.std() < 2.0
+    assert abs(errors.mean() - single) < 2.0
+    assert run_repeats("SlopeSlider-2-metal", repeats=1, seed=12)[0].trajectory == results[2].trajectory
+
+
+def test_one_world_that_diverges_leaves_the_others() -> None:
+    resolved = experiment("SlopeSlider-2-wood")
+    worlds = backend("mujoco").build_worlds([resolved.scene] * 2)
+    worlds.reset(0)
+    worlds.worlds[0].data.qvel[0] = 900.0
+    episodes = [
+        Episode(resolved, world, band=reference_band(resolved), marker_proxy=MarkerProxy.NODE)
+        for world in worlds.worlds
+    ]
+    faults = run_together(episodes, worlds)
+    assert "m/s" in faults[0] and faults[1] is None
+    assert [episode.frame for episode in episodes] == [1, resolved.frame_count - 1]
+
+
+def test_repeats_are_files_of_their_own_and_resume(tmp_path) -> None:
+    request = {"repeats": 3, "out": tmp_path}
+    first = list(run_many(["SlopeSlider-1-wood"], **request))
+    assert len(list(tmp_path.glob("*.json"))) == 3
+    again = list(run_many(["SlopeSlider-1-wood"], resume=True, **request))
+    assert [one.created for one in again] == [one.created for one in first]
+    assert next(iter(run_many(["SlopeSlider-1-wood"], resume=True, out=tmp_path))).jitter == {}
+    assert len(list(tmp_path.glob("*.json"))) == 4
+
+
+def test_repeats_of_what_cannot_scatter_are_declined_with_the_reason() -> None:
+    results = list(run_many(["FoamStretching-soft"], repeats=2))
+    assert [result.outcome for result in results] == ["declined"] * 2
+    assert "nothing to jitter" in results[0].error
+
+
+def test_reset_with_jitter_and_back() -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
+    start, _ = env.reset(seed=3)
+    moved, _ = env.reset(seed=3, options={"jitter": True})
+    scene = jittered(experiment("SlopeSlider-2-wood").scene, Jitter(), seed=3)
+    assert moved["bodies"][0, :3] == pytest.approx(scene.body("cube").pose.position_m, abs=1e-12)
+    assert np.linalg.norm(moved["bodies"] - start["bodies"]) > 1e-5
+    back, _ = env.reset(seed=3)
+    assert (back["bodies"] == start["bodies"]).all()
+    wide, _ = env.reset(seed=3, options={"jitter": Jitter(position_m=0.01)})
+    assert np.linalg.norm(wide["bodies"][0, :2] - start["bodies"][0, :2]) > 5e-3
+
+
+@pytest.mark.parametrize("options", [{"trial": 3}, {"jitter": 0.5}])
+def test_other_options_are_refused(options: dict) -> None:
+    with pytest.raises(ParameterError, match="option"):
+        gymnasium.make("GAUGE/SlopeSlider-2-wood").reset(options=options)
+
+
+def test_jittered_scenes_do_not_start_inside_each_other() -> None:
+    """The mean penetration at the first frame must not push a body up: no contact energy is added by jitter."""
+    for seed in range(5):
+        scene = jittered(experiment("SlopeSlider-1-wood").scene, Jitter(), seed=seed)
+        simulation = backend("mujoco").build(scene)
+        simulation.reset(0)
+        simulation.advance(1 / 30)
+        state = simulation.body_states(["cube"])[0]
+        assert np.linalg.norm(state[7:10]) < 5e-3
