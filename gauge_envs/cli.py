@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -15,6 +16,7 @@ from rich.console import Console
 
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnknownNameError
 from gauge_envs.experiment import Parameters
+from gauge_envs.jitter import Jitter
 from gauge_envs.task import find_variant, variants
 from gauge_envs.task_format import Variant
 
@@ -120,6 +122,15 @@ def run(
         list[str] | None, typer.Option("--set", help="Numerical setting of the backend, as timestep_s=0.0005.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0)] = 0,
+    repeats: Annotated[
+        int, typer.Option(min=1, help="Runs of each, at once, from starts that scatter as real ones do.")
+    ] = 1,
+    jitter_mm: Annotated[
+        float | None, typer.Option(min=0.0, help="Standard deviation of start positions [mm]; 1.0 with --repeats.")
+    ] = None,
+    jitter_deg: Annotated[
+        float | None, typer.Option(min=0.0, help="Standard deviation of start angles [deg]; 0.5 with --repeats.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
     resume: Annotated[bool, typer.Option(help="Keep results that are there already.")] = False,
     json_lines: Json = False,
@@ -150,13 +161,15 @@ def run(
         parameters=values,
         settings=settings,
         seed=seed,
+        repeats=repeats,
+        jitter=_jitter(jitter_mm, jitter_deg),
         out=out,
         resume=resume,
         notify=lambda text: stderr.print(f"[yellow]note:[/] {_plain(text)}", soft_wrap=True),
     )
     try:
         with _progress(stderr) as progress:
-            bar = progress.add_task("episodes", total=len(chosen) * len(engines))
+            bar = progress.add_task("episodes", total=len(chosen) * len(engines) * repeats)
             for result in episodes:
                 results.append(result)
                 progress.update(bar, advance=1, description=result.id.removeprefix("GAUGE/"))
@@ -223,6 +236,54 @@ def plot(
 
 
 @app.command()
+def compare(
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+    ] = None,
+    json_lines: Json = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Tables as GitHub Markdown.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures; none are drawn without it.")] = None,
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option("--metric", help="Repeatable: rmse, dtw, rmse_aligned, lsd, mte, pd, el; all by default."),
+    ] = None,
+) -> None:
+    """Compare engines, parameters and settings: scores side by side, and where they disagree without a reference.
+
+    Results that differ in their seed alone are repeats: mean and scatter. Exit code 1 when a damaged file was skipped.
+    """
+    from gauge_envs.comparison import check_metrics
+    from gauge_envs.comparison import compare as compare_results
+    from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view
+    from gauge_envs.result import load_result
+
+    if json_lines and markdown:
+        raise ParameterError("--json and --markdown exclude each other")
+    chosen = check_metrics(metrics or [])
+    files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))
+    results: list[Result] = []
+    for file in files:
+        try:
+            results.append(load_result(file))
+        except ResultFileError as error:
+            _stderr().print(f"[yellow]skipped:[/] {_plain(str(error))}", soft_wrap=True)
+    comparison = compare_results(results)
+    if json_lines:
+        _print_lines(comparison_rows(comparison, chosen))
+    elif markdown:
+        typer.echo(comparison_markdown(comparison, chosen), nl=False)
+    else:
+        _stdout().print(comparison_view(comparison, chosen))
+    if out is not None:
+        from gauge_envs.figures import save_comparison
+
+        for path in save_comparison(results, out, metric=chosen[0]):
+            _stderr().print(_plain(str(path)), soft_wrap=True)
+    if len(results) < len(files):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
 def materials(json_lines: Json = False) -> None:
     """Show the six fabrics in every engine's constants, what comes back from them, and what is lost."""
     from gauge_envs.materials import fabrics
@@ -244,6 +305,46 @@ def backend_list(json_lines: Json = False) -> None:
         _print_lines(rows)
     else:
         _stdout().print(backend_table(rows))
+
+
+@backend_app.command("check")
+def backend_check(
+    names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Backends; one column of the table each.")],
+    only: Annotated[list[str] | None, typer.Option("--only", help="Id or pattern of checks; repeatable.")] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Numerical setting of the backends, as timestep_s=0.0005.")
+    ] = None,
+    json_lines: Json = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
+) -> None:
+    """Check backends against closed forms: small scenes that show where an engine is wrong, and why.
+
+    Exit code 1 when a check failed or raised an error; what a backend declines is no failure.
+    """
+    from gauge_envs.conformance import checks, run_checks
+    from gauge_envs.conformance.table import findings_markdown, findings_view
+
+    engines = list(dict.fromkeys(names))
+    patterns, settings = only or [], _settings(changes or [])
+    runs = [run_checks(name, settings=settings, only=patterns) for name in engines]
+    findings = []
+    stderr = _stderr()
+    with _progress(stderr) as progress:
+        bar = progress.add_task("checks", total=len(checks(patterns)) * len(engines))
+        for run in runs:
+            for finding in run:
+                findings.append(finding)
+                progress.update(bar, advance=1, description=f"{finding.backend}: {finding.check}")
+                if json_lines:
+                    _print_lines([finding.to_dict()])
+    if markdown:
+        typer.echo(findings_markdown(findings))
+    elif not json_lines:
+        _stdout().print(findings_view(findings))
+    bad = sum(finding.is_bad for finding in findings)
+    stderr.print(f"{_count(len(findings), 'check')}, {bad} failed")
+    if bad:
+        raise typer.Exit(EXIT_FAILED)
 
 
 @assets_app.command("build")
@@ -333,6 +434,17 @@ def _parameters(text: str | None) -> Parameters | None:
 
 def _settings(changes: Sequence[str]) -> dict[str, Any] | None:
     return dict(map(_assigned, changes)) or None
+
+
+def _jitter(position_mm: float | None, angle_deg: float | None) -> Jitter | None:
+    if position_mm is None and angle_deg is None:
+        return None
+    given: dict[str, float] = {}
+    if position_mm is not None:
+        given["position_m"] = 1e-3 * position_mm
+    if angle_deg is not None:
+        given["angle_rad"] = math.radians(angle_deg)
+    return Jitter(**given)
 
 
 def _result_files(source: Path) -> list[Path]:

@@ -60,6 +60,7 @@ class _Series:
 
     label: str
     color: str
+    width: float
     results: tuple[Result, ...]
 
     @property
@@ -69,10 +70,6 @@ class _Series:
         count = len(self.results)
         ending = f", {diverged if count > 1 else ''} diverged".replace("  ", " ") if diverged else ""
         return f"{self.label}{f', {count} repeats' if count > 1 else ''}{ending}"
-
-    @property
-    def width(self) -> float:
-        return 1.8 if len(self.results) == 1 else 0.8
 
     @property
     def alpha(self) -> float:
@@ -154,7 +151,7 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
     if len(ids) != 1:
         raise ShapeError(f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}")
     series = _series(results, among or results)
-    resolved = experiment(results[0].id, results[0].parameters)
+    resolved = experiment(results[0].id, series[0].results[0].parameters)
     band = reference_band(resolved)
     bars = _bar_groups(results[0].id, series)
     names = band.coordinates if band is not None else _axis_names(results[0])
@@ -191,12 +188,16 @@ def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]
     groups = group_by_configuration(among)
     labels = configuration_labels([configuration for configuration, _ in groups])
     here = {id(result) for result in results}
-    series = []
-    for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True)):
-        mine = tuple(result for result in members if id(result) in here)
-        if mine:
-            series.append(_Series(label, OURS[index % len(OURS)], mine))
-    return series
+    present = [
+        (label, OURS[index % len(OURS)], mine)
+        for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True))
+        if (mine := tuple(result for result in members if id(result) in here))
+    ]
+    return [
+        # The later ones are thinner, so that one that lies on another does not hide it; repeats are thin anyway.
+        _Series(label, color, 0.8 if len(mine) > 1 else max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order), mine)
+        for order, (label, color, mine) in enumerate(present)
+    ]
 
 
 # --- curves ----------------------------------------------------------------------------------------------------------
@@ -315,13 +316,12 @@ def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> N
 
 def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Sequence[str]) -> None:
     few = len(bodies) <= len(LINE_STYLES)
-    for order, one in enumerate(series):
+    for one in series:
         told: str | None = one.told if few else _crowd(one, bodies)
         for result in one.results:
             for panel, body, times, values in _curves(result, len(axes)):
                 style = LINE_STYLES[bodies.index(body)] if few else "-"
-                # The later ones are thinner, so that one that lies on another does not hide it.
-                width = min(one.width, 1.9 - 0.35 * min(order, 3)) if few else 0.7
+                width = one.width if few else 0.7
                 alpha = one.alpha if few else 0.6
                 axes[panel].plot(times, values, color=one.color, ls=style, lw=width, alpha=alpha, label=told)
                 told = None

@@ -207,6 +207,8 @@ def load_result(file: Path) -> Result:
         content = json.loads(file.read_bytes())
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
+        # Files from before there was jitter lack the key, and had none.
+        content.setdefault("jitter", {})
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")
