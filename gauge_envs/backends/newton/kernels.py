@@ -1,0 +1,54 @@
+"""Kernels of the Newton backend; Warp compiles them, so their types are Warp's."""
+
+from __future__ import annotations
+
+import warp as wp
+
+__all__ = ["bodies_to_joints", "prescribe"]
+
+
+@wp.kernel
+def prescribe(
+    body: wp.array[wp.int32],
+    start: wp.array[wp.transform],
+    velocity: wp.array[wp.spatial_vector],
+    acceleration: wp.array[wp.spatial_vector],
+    elapsed: wp.array[wp.int32],
+    steps_ahead: int,
+    counts: int,
+    timestep_s: float,
+    body_q: wp.array[wp.transform],
+    body_qd: wp.array[wp.spatial_vector],
+):
+    """Poses and velocities of driven bodies some steps after their drive; they accelerate uniformly."""
+    # Spatial vectors hold the linear part first.
+    i = wp.tid()
+    t = float(elapsed[i] + steps_ahead) * timestep_s
+    elapsed[i] = elapsed[i] + counts
+    way = t * velocity[i] + 0.5 * t * t * acceleration[i]
+    turn = wp.spatial_bottom(way)
+    angle = wp.length(turn)
+    rotation = wp.quat_identity()
+    if angle > 0.0:
+        rotation = wp.quat_from_axis_angle(turn / angle, angle)
+    position = wp.transform_get_translation(start[i]) + wp.spatial_top(way)
+    body_q[body[i]] = wp.transform(position, rotation * wp.transform_get_rotation(start[i]))
+    body_qd[body[i]] = velocity[i] + t * acceleration[i]
+
+
+@wp.kernel
+def bodies_to_joints(
+    body: wp.array[wp.int32],
+    coordinate: wp.array[wp.int32],
+    freedom: wp.array[wp.int32],
+    body_q: wp.array[wp.transform],
+    body_qd: wp.array[wp.spatial_vector],
+    joint_q: wp.array[float],
+    joint_qd: wp.array[float],
+):
+    """Poses and velocities of bodies into the coordinates of their free joints."""
+    i = wp.tid()
+    for k in range(7):
+        joint_q[coordinate[i] + k] = body_q[body[i]][k]
+    for k in range(6):
+        joint_qd[freedom[i] + k] = body_qd[body[i]][k]

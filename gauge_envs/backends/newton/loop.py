@@ -1,0 +1,206 @@
+"""Steps a Newton model: prescribed motion, the solver's step, recorded as a graph; state that comes back bit for bit.
+
+Warp starts each kernel from Python, which costs more than the kernel itself in scenes as small as these. A step is
+therefore recorded once, as a graph on either device, and replayed: 20 to 100 times faster, with the same bits.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import newton
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.newton.kernels import prescribe
+from gauge_envs.scene import Pose
+
+__all__ = ["Loop", "warp_transform"]
+
+WARM_UP_STEPS = 2
+"""Steps before recording: solvers allocate what they need in the first ones. Even, so that the states end in place."""
+
+Snapshot = list[NDArray[Any]]
+
+
+def warp_transform(pose: Pose) -> wp.transform:
+    """Warp's transform of a pose; warp keeps quaternions as x, y, z, w."""
+    w, x, y, z = pose.quaternion
+    return wp.transform(wp.vec3(*pose.position_m), wp.quat(x, y, z, w))
+
+
+class Loop(ABC):
+    """Steps one model with one solver.
+
+    Args:
+        model: The finalized model.
+        solver: Its solver.
+        driven: Indices of the kinematic bodies.
+        timestep_s: Step of the solver [s].
+    """
+
+    def __init__(self, model: newton.Model, solver: Any, *, driven: Sequence[int], timestep_s: float) -> None:
+        self.model = model
+        self.solver = solver
+        self.timestep_s = timestep_s
+        self._steps_per_second = round(1.0 / timestep_s)
+        self._states = (model.state(), model.state())
+        self._control = model.control()
+        self._centres_m = model.body_com.numpy() if model.body_count else np.zeros((0, 3))
+        self._rows = {body: row for row, body in enumerate(driven)}
+        count = len(driven)
+        with wp.ScopedDevice(model.device):
+            self._driven = wp.array(list(driven), dtype=wp.int32)
+            self._elapsed = wp.zeros(count, dtype=wp.int32)
+            self._velocity = wp.zeros(count, dtype=wp.spatial_vector)
+            self._acceleration = wp.zeros(count, dtype=wp.spatial_vector)
+            body_q = model.body_q.numpy() if model.body_count else np.zeros((0, 7))
+            self._start = wp.array(body_q[list(driven)].reshape(count, 7), dtype=wp.transform)
+        # Drives are collected in memory and sent to the device with the next advance, all at once.
+        self._commands: dict[int, tuple[Any, ...]] = {}
+        self._current = 0
+        self._graphs: list[Any] = []
+        self._first: Snapshot = []
+
+    @abstractmethod
+    def _step(self, state: newton.State, after: newton.State) -> None:
+        """Put the driven bodies where they belong and step from one state to the other; it will be recorded."""
+
+    def record(self) -> None:
+        """Record the step in both directions; the model then stands at its start again."""
+        states = self._states
+        first = self._snapshot()
+        for _ in range(WARM_UP_STEPS // 2):
+            self._step(states[0], states[1])
+            self._step(states[1], states[0])
+        for state, after in (states, states[::-1]):
+            with wp.ScopedCapture(device=self.model.device) as capture:
+                self._step(state, after)
+            self._graphs.append(capture.graph)
+        # Arrays that the solver allocated while warming up were empty before; zero is what fresh ones hold.
+        self._first = self._completed(first)
+        self.reset()
+
+    def _completed(self, first: dict[int, NDArray[Any]]) -> Snapshot:
+        return [first.get(id(array), np.zeros_like(array.numpy())) for array in self._arrays()]
+
+    def reset(self) -> None:
+        """Return to the start."""
+        self._restore_arrays(self._first)
+        self._commands.clear()
+        self._current = 0
+
+    def drive(
+        self, body: int, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]
+    ) -> None:
+        """Prescribe a kinematic body from the next step on; see `Simulation.drive`."""
+        w, x, y, z = pose.quaternion
+        self._commands[self._rows[body]] = ([*pose.position_m, x, y, z, w], velocity, acceleration)
+
+    def advance(self, seconds: float) -> None:
+        """Replay the recorded step."""
+        self._send_commands()
+        for _ in range(round(seconds * self._steps_per_second)):
+            wp.capture_launch(self._graphs[self._current])
+            self._current = 1 - self._current
+
+    def _send_commands(self) -> None:
+        if not self._commands:
+            return
+        rows = list(self._commands)
+        elapsed = self._elapsed.numpy()
+        elapsed[rows] = 0
+        self._elapsed.assign(elapsed)
+        for array, values in zip(
+            (self._start, self._velocity, self._acceleration), zip(*self._commands.values(), strict=True), strict=True
+        ):
+            table = array.numpy()
+            table[rows] = values
+            array.assign(table)
+        self._commands.clear()
+
+    @property
+    def now(self) -> newton.State:
+        """State that the last step wrote."""
+        return self._states[self._current]
+
+    def body_states(self, bodies: Sequence[int]) -> NDArray[np.float64]:
+        """Poses and velocities of bodies by their index, shape [len(bodies), 13]; see `World.body_states`."""
+        poses = self.now.body_q.numpy()[bodies].astype(np.float64)
+        velocities = self.now.body_qd.numpy()[bodies].astype(np.float64)
+        # Newton's linear velocity is that of the centre of mass.
+        arms = Rotation.from_quat(poses[:, 3:]).apply(self._centres_m[bodies])
+        linear = velocities[:, :3] - np.cross(velocities[:, 3:], arms)
+        return np.column_stack([poses[:, :3], poses[:, 6], poses[:, 3:6], linear, velocities[:, 3:]])
+
+    def state(self) -> tuple[int, dict[int, tuple[Any, ...]], Snapshot]:
+        """Everything that `restore` needs."""
+        return self._current, dict(self._commands), [array.numpy().copy() for array in self._arrays()]
+
+    def restore(self, state: tuple[int, dict[int, tuple[Any, ...]], Snapshot]) -> None:
+        """Go back to what `state` returned."""
+        self._current, commands, snapshot = state
+        self._commands = dict(commands)
+        self._restore_arrays(snapshot)
+
+    # --- snapshots ---
+
+    def _arrays(self) -> list[wp.array]:
+        """Every array that a step may change: both states, the solver's memory, and the drive."""
+        found: dict[int, wp.array] = {}
+        for root in (*self._states, self.solver, *self._memory()):
+            found |= {id(array): array for array in _arrays_in(root, depth=3)}
+        return [*found.values(), self._elapsed, self._start, self._velocity, self._acceleration]
+
+    def _memory(self) -> tuple[Any, ...]:
+        """Further objects that keep arrays from one step to the next."""
+        return ()
+
+    def _snapshot(self) -> dict[int, NDArray[Any]]:
+        return {id(array): array.numpy().copy() for array in self._arrays()}
+
+    def _restore_arrays(self, snapshot: Snapshot) -> None:
+        for array, values in zip(self._arrays(), snapshot, strict=True):
+            array.assign(values)
+
+    def _prescribe(self, body_q: wp.array, body_qd: wp.array, *, steps_ahead: int = 0, counts: bool = True) -> None:
+        """Write pose and velocity of the driven bodies.
+
+        Args:
+            body_q: Poses of all bodies.
+            body_qd: Velocities of all bodies.
+            steps_ahead: 0 for the start of the coming step, 1 for its end.
+            counts: Whether this is the step's last, so that the next step goes on from its end.
+        """
+        if self._rows:
+            wp.launch(
+                prescribe,
+                dim=len(self._rows),
+                inputs=[
+                    self._driven,
+                    self._start,
+                    self._velocity,
+                    self._acceleration,
+                    self._elapsed,
+                    steps_ahead,
+                    int(counts),
+                    self.timestep_s,
+                ],
+                outputs=[body_q, body_qd],
+                device=self.model.device,
+            )
+
+
+def _arrays_in(root: Any, *, depth: int) -> Iterator[wp.array]:
+    """Warp arrays among the attributes of an object, and of the plain objects that it holds."""
+    for value in vars(root).values():
+        for entry in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(entry, wp.array):
+                if entry.size and entry.is_contiguous:
+                    yield entry
+            elif depth and hasattr(entry, "__dict__") and not isinstance(entry, newton.Model | type):
+                yield from _arrays_in(entry, depth=depth - 1)

@@ -1,0 +1,137 @@
+"""Rigid bodies of a scene -> bodies and shapes of a Newton model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import newton
+import numpy as np
+import trimesh
+import warp as wp
+from numpy.typing import NDArray
+
+from gauge_envs.backends.newton.loop import warp_transform
+from gauge_envs.meshes import prism
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Shape, Sphere
+
+__all__ = ["RigidIndex", "add_bodies", "mass_properties"]
+
+WORLD = -1
+"""Newton's index of the world, as of a body."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidIndex:
+    """Where the rigid bodies of one scene are in a model.
+
+    Attributes:
+        bodies: Index of each body; -1 for fixed ones, whose shapes belong to the world.
+        shapes: Indices of the shapes of each body.
+    """
+
+    bodies: dict[str, int] = field(default_factory=dict)
+    shapes: dict[str, list[int]] = field(default_factory=dict)
+
+
+def add_bodies(builder: newton.ModelBuilder, scene: Scene, *, config: newton.ModelBuilder.ShapeConfig) -> RigidIndex:
+    """Add the rigid bodies of a scene, with hinges as joints and driven bodies as kinematic ones.
+
+    Args:
+        builder: Model in the making.
+        scene: Its scene.
+        config: Contact constants of every shape; its density must be 0, as masses are set here.
+    """
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    index = RigidIndex()
+    for body in scene.bodies:
+        if body.motion is Motion.FIXED:
+            place, frame = WORLD, warp_transform(body.pose)
+        else:
+            place, frame = _add_body(builder, body, hinges.get(body.name)), wp.transform_identity()
+        index.bodies[body.name] = place
+        index.shapes[body.name] = _add_shapes(builder, place, frame, body, config)
+    return index
+
+
+def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None) -> int:
+    centre, inertia = mass_properties(body.shape, body.mass_kg)
+    given = {
+        "xform": warp_transform(body.pose),
+        "mass": body.mass_kg,
+        "com": wp.vec3(*centre),
+        "inertia": wp.mat33(inertia),
+        "lock_inertia": True,
+        "label": body.name,
+    }
+    if hinge is None:
+        return builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **given)
+    link = builder.add_link(**given)
+    anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
+    joint = builder.add_joint_revolute(
+        WORLD,
+        link,
+        parent_xform=anchor,
+        child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
+        axis=wp.vec3(*hinge.axis),
+        armature=0.0,
+        friction=0.0,
+        label=body.name,
+    )
+    builder.add_articulation([joint], label=body.name)
+    return link
+
+
+def _add_shapes(
+    builder: newton.ModelBuilder,
+    place: int,
+    frame: wp.transform,
+    body: RigidBody,
+    config: newton.ModelBuilder.ShapeConfig,
+) -> list[int]:
+    given = {"body": place, "xform": frame, "cfg": config}
+    shape = body.shape
+    if isinstance(shape, Box):
+        x, y, z = (0.5 * edge for edge in shape.size_m)
+        return [builder.add_shape_box(hx=x, hy=y, hz=z, label=body.name, **given)]
+    if isinstance(shape, Sphere):
+        return [builder.add_shape_sphere(radius=shape.radius_m, label=body.name, **given)]
+    if isinstance(shape, Cylinder | ConvexUnion):
+        solid = prism(shape) if isinstance(shape, Cylinder) else shape
+        return [
+            builder.add_shape_convex_hull(mesh=_hull(np.asarray(piece)), label=f"{body.name}/{number}", **given)
+            for number, piece in enumerate(solid.pieces_m)
+        ]
+    return [builder.add_shape_plane(width=0.0, length=0.0, label=body.name, **given)]
+
+
+def _hull(points_m: NDArray[np.float64]) -> newton.Mesh:
+    hull = trimesh.convex.convex_hull(points_m)
+    return newton.Mesh(hull.vertices, hull.faces.ravel(), compute_inertia=False)
+
+
+def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centre of mass and inertia of a uniform solid.
+
+    Returns:
+        Centre of mass in the body frame [m], shape [3], and inertia about it in the body's axes [kg m^2], shape [3, 3].
+    """
+    if isinstance(shape, Box):
+        x, y, z = np.square(shape.size_m)
+        return np.zeros(3), mass_kg / 12.0 * np.diag([y + z, x + z, x + y])
+    if isinstance(shape, Sphere):
+        return np.zeros(3), 0.4 * mass_kg * shape.radius_m**2 * np.eye(3)
+    if isinstance(shape, Cylinder):
+        across = (3.0 * shape.radius_m**2 + shape.length_m**2) / 12.0
+        return np.zeros(3), mass_kg * np.diag([across, across, 0.5 * shape.radius_m**2])
+    if isinstance(shape, ConvexUnion):
+        pieces = [trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m]
+        density = mass_kg / sum(piece.volume for piece in pieces)
+        centre = density / mass_kg * sum(piece.volume * piece.center_mass for piece in pieces)
+        inertia = np.zeros((3, 3))
+        for piece in pieces:
+            arm = piece.center_mass - centre
+            # Steiner's theorem moves each piece's own inertia to the common centre.
+            steiner = piece.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            inertia += density * (piece.moment_inertia + steiner)
+        return centre, inertia
+    return np.zeros(3), np.zeros((3, 3))

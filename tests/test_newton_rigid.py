@@ -1,0 +1,225 @@
+"""Rigid scenes on Newton's MuJoCo solver."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gauge_envs import Jitter, experiment
+from gauge_envs.benchmark import run_episode, run_repeats
+from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
+from gauge_envs.metrics import fitted_acceleration
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Box,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
+
+pytest.importorskip("newton")
+
+from gauge_envs.backends import backend
+from gauge_envs.backends.newton.rigid import mass_properties
+from gauge_envs.conformance import Status, run_checks
+
+NEWTON = backend("newton")
+
+
+def solid(name: str, shape: object, position_m: tuple, *, motion: Motion = Motion.DYNAMIC, mass_kg: float = 0.1):
+    return RigidBody(name=name, shape=shape, motion=motion, pose=Pose(position_m=position_m), mass_kg=mass_kg)
+
+
+@pytest.mark.parametrize(
+    "patterns", [["free-*", "start-*", "pendulum-*", "hinge-*"], ["reset-*", "restore*", "determinism"]]
+)
+def test_laws_without_contact_and_the_contract(patterns: list[str]) -> None:
+    findings = list(run_checks("newton", only=patterns))
+    assert [f"{f.check}: {f.measured}" for f in findings if f.status is not Status.PASS] == []
+
+
+def test_laws_of_contact() -> None:
+    only = ["slide*", "hold", "rebound-*", "collision-*", "carry-*", "driven-*", "pile-*", "spin-*", "contact-*"]
+    findings = list(run_checks("newton", only=only))
+    assert len(findings) > 20
+    assert [f"{f.check}: {f.measured}" for f in findings if f.status is not Status.PASS] == []
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+def test_slide_has_coulombs_acceleration(material: str) -> None:
+    result = run_episode(f"SlopeSlider-2-{material}", backend="newton")
+    times, samples = result.trajectory.arrays()
+    friction = experiment(result.id).scene.contacts[0].friction
+    downhill = 1e-3 * (samples[:60] - samples[0]) @ [np.cos(np.pi / 6), 0.0, -0.5]
+    expected = GRAVITY_M_PER_S2 * (0.5 - friction * np.cos(np.pi / 6))
+    assert fitted_acceleration(times[:60], downhill) == pytest.approx(expected, rel=0.01)
+
+
+def test_the_same_scene_in_two_engines_moves_alike() -> None:
+    for name in ("Turntable-2-metal", "NonsmoothContact-1-wood", "Pendulum-metal"):
+        courses = [run_episode(name, backend=engine).trajectory.arrays()[1][:400] for engine in ("mujoco", "newton")]
+        moved = np.linalg.norm(np.ptp(courses[0], axis=0))
+        assert np.sqrt(np.square(courses[0] - courses[1]).sum(axis=1).mean()) < 0.03 * moved
+
+
+def test_worlds_are_the_single_simulation_bit_for_bit() -> None:
+    still = Jitter(position_m=0.0, angle_rad=0.0)
+    single = run_episode("Turntable-2-wood", backend="newton").trajectory
+    assert [r.trajectory for r in run_repeats("Turntable-2-wood", repeats=3, backend="newton", jitter=still)] == [
+        single
+    ] * 3
+
+
+def test_worlds_start_apart_and_do_not_meet() -> None:
+    results = run_repeats("SlopeSlider-2-wood", repeats=6, backend="newton", seed=1)
+    singles = run_repeats("SlopeSlider-2-wood", repeats=1, backend="newton", seed=4)
+    assert len({result.score.rmse for result in results}) == 6
+    assert results[3].trajectory == singles[0].trajectory
+
+
+def test_a_pair_that_no_body_can_speak_for_is_declined() -> None:
+    """Newton keeps friction with shapes: three bodies that all touch with three frictions cannot be told apart."""
+    names = [("a", "b"), ("b", "c"), ("c", "a")]
+    scene = Scene(
+        bodies=tuple(solid(name, Sphere(radius_m=0.02), (0.1 * i, 0.0, 1.0)) for i, name in enumerate("abc")),
+        contacts=tuple(
+            Contact(first=(x,), second=(y,), friction=0.1 * i + 0.1, restitution=0.0) for i, (x, y) in enumerate(names)
+        ),
+        duration_s=0.1,
+    )
+    assert "belong to a body, not to a pair" in NEWTON.supports(scene).missing[0]
+
+
+def test_friction_of_two_pairs_on_one_body_is_each_its_own() -> None:
+    """A board carries neither; the two bodies on it do (MuJoCo's maximum would give both the larger)."""
+    scene = Scene(
+        bodies=(
+            solid("board", Box(size_m=(2.0, 1.0, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC, mass_kg=1.0),
+            solid("slick", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.2, 0.535)),
+            solid("rough", Box(size_m=(0.05, 0.05, 0.05)), (0.0, -0.2, 0.535)),
+        ),
+        contacts=(
+            Contact(first=("slick",), second=("board",), friction=0.05, restitution=0.0),
+            Contact(first=("rough",), second=("board",), friction=0.5, restitution=0.0),
+        ),
+        duration_s=1.0,
+    )
+    simulation = NEWTON.build(scene)
+    simulation.reset(0)
+    pose, speed = scene.body("board").pose, np.zeros(6)
+    for k in range(36):
+        t = k / 180
+        place = Pose(position_m=(0.5 * 2.0 * t * t, 0.0, pose.position_m[2]))
+        speed[0] = 2.0 * t
+        simulation.drive("board", place, speed, np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        simulation.advance(1 / 180)
+    speeds = simulation.body_states(["slick", "rough"])[:, 7]
+    assert speeds[0] == pytest.approx(0.05 * GRAVITY_M_PER_S2 * 0.2, rel=0.03)
+    assert speeds[1] == pytest.approx(2.0 * 0.2, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("shape", "inertia"),
+    [
+        (Box(size_m=(0.1, 0.2, 0.3)), np.array([0.13, 0.10, 0.05]) / 12),
+        (Sphere(radius_m=0.1), np.full(3, 0.4 * 0.01)),
+        (Cylinder(radius_m=0.1, length_m=0.3), np.array([0.12 / 12, 0.12 / 12, 0.005])),
+    ],
+)
+def test_inertia_of_solids(shape: object, inertia: np.ndarray) -> None:
+    centre, matrix = mass_properties(shape, 1.0)
+    assert centre == pytest.approx(np.zeros(3))
+    assert matrix == pytest.approx(np.diag(inertia))
+
+
+def test_inertia_of_a_union_is_that_of_its_pieces_about_their_common_centre() -> None:
+    """A box cut in two unequal pieces is the box; one of the pieces alone lies off the origin."""
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.05, 0.05) for z in (-0.02, 0.02)])
+    low, high = corners.copy(), corners.copy()
+    low[:, 0] = np.where(low[:, 0] > 0, 0.03, -0.1)
+    high[:, 0] = np.where(high[:, 0] < 0, 0.03, 0.1)
+    pieces = tuple(tuple(map(tuple, piece.tolist())) for piece in (low, high))
+    centre, matrix = mass_properties(ConvexUnion(pieces_m=pieces), 2.0)
+    assert centre == pytest.approx(np.zeros(3), abs=1e-12)
+    assert matrix == pytest.approx(mass_properties(Box(size_m=(0.2, 0.1, 0.04)), 2.0)[1], abs=1e-12)
+    assert mass_properties(ConvexUnion(pieces_m=pieces[:1]), 2.0)[0] == pytest.approx([-0.035, 0.0, 0.0])
+
+
+def test_settings_are_checked_and_named() -> None:
+    scene = experiment("SlopeSlider-2-wood").scene
+    with pytest.raises(ParameterError, match=r"'tau'.*no such setting.*sustained_solref"):
+        NEWTON.build(scene, {"tau": 1.0})
+    with pytest.raises(ParameterError, match="not a whole number"):
+        NEWTON.build(scene, {"timestep_s": 1 / 1000})
+    simulation = NEWTON.build(scene, {"preset": "rigid_180hz"})
+    assert simulation.settings["timestep_s"] == pytest.approx(1 / 180)
+    assert simulation.settings["solver"] == "SolverMuJoCo"
+
+
+def test_what_newton_cannot_do_is_declined_with_the_reason() -> None:
+    with pytest.raises(UnsupportedSceneError, match="string"):
+        run_episode("WallBreaking-wood", backend="newton")
+
+
+def test_a_ball_on_a_plane_rebounds_at_its_restitution_at_both_presets() -> None:
+    """The paper's rate is coarser, and still within 3 %."""
+    scene = Scene(
+        bodies=(
+            solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.45)),
+            solid("ground", Plane(), (0.0, 0.0, 0.0), motion=Motion.FIXED, mass_kg=0.0),
+        ),
+        contacts=(
+            Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.6, mode=ContactMode.IMPACT),
+        ),
+        duration_s=1.0,
+    )
+    for preset, tolerance in (("rigid", 0.005), ("rigid_180hz", 0.03)):
+        simulation = NEWTON.build(scene, {"preset": preset})
+        simulation.reset(0)
+        heights, speeds = [], []
+        for _ in range(100):
+            simulation.advance(1 / 180)
+            state = simulation.body_states(["ball"])[0]
+            heights.append(state[2])
+            speeds.append(state[9])
+        # Mechanical energy before and after, since samples do not fall on the impact.
+        energy = np.array(heights) - 0.03 + np.square(speeds) / (2 * GRAVITY_M_PER_S2)
+        rebound = int(np.flatnonzero(np.diff(speeds) > 0.5)[0])
+        ratio = np.sqrt(energy[rebound + 4] / energy[max(rebound - 2, 0)])
+        assert ratio == pytest.approx(0.6, abs=tolerance)
+
+
+def test_importing_the_package_does_not_import_the_engine() -> None:
+    code = (
+        "import sys, gymnasium, gauge_envs, gauge_envs.cli, gauge_envs.backends\n"
+        "gauge_envs.backends.backend_names()\n"
+        "gymnasium.make('GAUGE/SlopeSlider-2-wood').reset()\n"
+        "print([name for name in ('warp', 'newton', 'mujoco_warp') if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_without_the_extra_the_error_names_the_pip_command() -> None:
+    code = (
+        "import sys\n"
+        "sys.modules['warp'] = None\n"
+        "import gymnasium, gauge_envs\n"
+        "try:\n"
+        "    gymnasium.make('GAUGE/SlopeSlider-2-wood', backend='newton')\n"
+        "except gauge_envs.GaugeError as error:\n"
+        "    print(type(error).__name__, error)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.startswith(MissingExtraError.__name__)
+    assert "pip install 'gauge-envs[newton]'" in found.stdout
