@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any
@@ -42,12 +43,22 @@ class BackendNewton(Backend):
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are those of the preset's solver, see `settings.py`."""
+        _start_quietly()
         from gauge_envs.backends.newton.simulation import SimulationNewton
 
         return SimulationNewton(scene, settings_for(scene, settings))
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
         """Build scenes as the worlds of one model, which a single step advances."""
+        _start_quietly()
         from gauge_envs.backends.newton.simulation import WorldsNewton
 
         return WorldsNewton(scenes, settings_for(scenes[0], settings))
+
+
+@cache
+def _start_quietly() -> None:
+    """Keep Warp from telling of every kernel that it loads."""
+    import warp
+
+    warp.config.log_level = warp.LOG_WARNING

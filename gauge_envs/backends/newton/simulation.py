@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import warp
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation, World, Worlds
@@ -16,11 +15,6 @@ from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.scene import Motion, Pose, Scene
 
 __all__ = ["SimulationNewton", "WorldsNewton"]
-
-# Warp tells of every kernel that it loads and, while it starts, that a machine has no GPU.
-warp.config.log_level = warp.LOG_ERROR
-warp.init()
-warp.config.log_level = warp.LOG_WARNING
 
 
 class _WorldNewton(World):
