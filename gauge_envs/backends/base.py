@@ -56,8 +56,9 @@ class World(ABC):
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body for the coming `advance`: it starts there and accelerates uniformly.
 
-        Called before every `advance`: after t seconds the body is at pose + v t + a t^2 / 2. Uniform acceleration matters: a body driven at piecewise constant speed jolts what rests on it at each change,
-        which lets it creep. An engine that cannot may use the mean velocity, and should say so.
+        Called before every `advance`: t seconds later the body is at pose + v t + a t^2 / 2. Uniform acceleration
+        matters: a body driven at piecewise constant speed jolts what rests on it at each change, which lets it creep.
+        An engine that cannot may use the mean velocity, and should say so.
 
         Args:
             body: Name of a kinematic body.
@@ -72,7 +73,7 @@ class World(ABC):
 
         Returns:
             A new array, shape [len(names), 13]: position [m] (3), quaternion w x y z (4), linear velocity of the body
-            origin [m/s] (3) and angular velocity [rad/s] (3), both in the world frame. Fixed bodies can be asked for too.
+            origin [m/s] (3) and angular velocity [rad/s] (3), both in the world frame. Fixed bodies can be asked for.
         """
 
     def nodes(self, name: str) -> NDArray[np.float64]:
