@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 import newton
 import numpy as np
@@ -59,7 +60,7 @@ def add_contacts(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, 
     pairs = pair_constants(scene, settings)
     for name, constants in carried_constants(pairs).items():
         for shape in index.shapes[name]:
-            _carry(builder, shape, constants)
+            _carry(builder, shape, constants, newton_material=settings.newton_material)
     for first, second in combinations(scene.bodies, 2):
         if frozenset((first.name, second.name)) not in pairs:
             for one in index.shapes[first.name]:
@@ -70,17 +71,19 @@ def add_contacts(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, 
             builder.add_shape_collision_filter_pair(one, other)
 
 
-def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants) -> None:
+def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, *, newton_material: bool) -> None:
     builder.shape_material_mu[shape] = max(constants.friction, NO_FRICTION)
-    builder.shape_material_kf[shape] = constants.friction_gain_n_s_per_m
-    vector5 = wp.types.vector(5, wp.float32)
-    for key, value in {
-        "condim": 3 if constants.friction > 0.0 else 1,
-        "geom_priority": 1,
-        "solref": wp.vec2(*constants.solref),
-        "solref_mode": SOLREF_AS_GIVEN,
-        "geom_solimp": vector5(*constants.solimp, *SOLIMP_SHAPE),
-    }.items():
+    attributes: dict[str, Any] = {"condim": 3 if constants.friction > 0.0 else 1, "geom_priority": 1}
+    if newton_material:
+        builder.shape_material_kf[shape] = newton.ModelBuilder.ShapeConfig().kf
+    else:
+        builder.shape_material_kf[shape] = constants.friction_gain_n_s_per_m
+        attributes |= {
+            "solref": wp.vec2(*constants.solref),
+            "solref_mode": SOLREF_AS_GIVEN,
+            "geom_solimp": wp.types.vector(5, wp.float32)(*constants.solimp, *SOLIMP_SHAPE),
+        }
+    for key, value in attributes.items():
         attribute = builder.custom_attributes[f"mujoco:{key}"]
         attribute.values = (attribute.values or {}) | {shape: value}
 

@@ -44,6 +44,8 @@ class SettingsMuJoCoWarp(SettingsNewton):
         impact_stiffness: Dimensionless stiffness s of impacts, as in the MuJoCo backend: the direct solref of a pair is
             (-s/h^2, -(1+e)/h). Newton's own `restitution` has no effect in this solver.
         impact_solimp: Impedance of impacts; constant in depth, since the rebound would depend on depth otherwise.
+        newton_material: Leave stiffness, damping and friction gain of contacts at Newton's own values, whatever the
+            four settings above say; the scene's restitution then has no effect.
     """
 
     solver: Literal["SolverMuJoCo"] = "SolverMuJoCo"
@@ -57,6 +59,7 @@ class SettingsMuJoCoWarp(SettingsNewton):
     sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
     impact_stiffness: float = Field(default=0.002, gt=0.0)
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
+    newton_material: bool = False
 
 
 PRESETS: dict[str, SettingsNewton] = {
@@ -64,14 +67,9 @@ PRESETS: dict[str, SettingsNewton] = {
     # in proportion to the step. A carried body creeps by omega^2 r times half the contact's time constant, as in
     # MuJoCo; a shorter one lets sliding cubes hop higher.
     "rigid": SettingsMuJoCoWarp(preset="rigid", timestep_s=1 / 3600),
-    # The rate of the paper's rigid runs, with the cone and the contact softness that MuJoCo has out of the box.
-    "rigid_180hz": SettingsMuJoCoWarp(
-        preset="rigid_180hz",
-        timestep_s=1 / 180,
-        cone="pyramidal",
-        impratio=1.0,
-        sustained_solref=(0.02, 1.0),
-        sustained_solimp=(0.9, 0.95, 0.001),
+    # Newton as it comes, at the rate of the paper's rigid runs; only masses, shapes and friction are the scene's.
+    "out_of_box": SettingsMuJoCoWarp(
+        preset="out_of_box", timestep_s=1 / 180, cone="pyramidal", impratio=1.0, newton_material=True
     ),
     "impact_chain": SettingsMuJoCoWarp(
         preset="impact_chain", timestep_s=1 / 9000, impact_solimp=(0.9999, 0.9999, 0.001)
