@@ -8,7 +8,7 @@ DEMO := "SlopeSlider-*" "Turntable-1-*" BouncingBall-rubber NewtonsCradle-metal 
 
 .PHONY: demo test slow lint bench clean
 
-demo: $(VENV)/.installed
+demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
 	$(BIN)/gauge run BouncingBall-rubber NewtonsCradle-metal --parameters effective --out results
 	$(BIN)/gauge plot results --out plots
@@ -27,8 +27,13 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/step.py
 	$(BIN)/python benchmarks/dtw.py
 
-$(VENV)/.installed: pyproject.toml
+# Running needs no engine but MuJoCo; the tests want them all.
+$(VENV)/.runs: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet -e ".[plot]"
+	touch $@
+
+$(VENV)/.installed: $(VENV)/.runs
 	$(BIN)/pip install --quiet -e ".[dev]"
 	touch $@
 
