@@ -19,9 +19,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Points, glued_points
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.scene import Cloth, Motion, Region
+from gauge_envs.backends.glue import Glue
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
+from gauge_envs.backends.sheet import Sheet, held_vertices
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import Cloth
 
 __all__ = ["ClothPart", "add_cloth"]
 
@@ -43,7 +45,7 @@ class ClothPart(FlexPart):
     Args:
         cloth: The cloth.
         flex: Its flex in the editable model.
-        grid: Its mesh.
+        sheet: Its mesh.
         rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3].
         points: Its vertices.
     """
@@ -52,7 +54,7 @@ class ClothPart(FlexPart):
         self,
         cloth: Cloth,
         flex: mujoco.MjsFlex,
-        grid: _Grid,
+        sheet: Sheet,
         rest_m: NDArray[np.float64],
         points: Points,
     ) -> None:
@@ -60,23 +62,23 @@ class ClothPart(FlexPart):
         self.flex = flex
         self.rest_m = rest_m
         self._cloth = cloth
-        self._grid = grid
+        self._sheet = sheet
         self.points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law, and weigh the bending of the diagonals."""
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, self.name)
-        membrane = self._grid.membrane(self._cloth.stretch_stiffness_n_per_m, self._cloth.shear_stiffness_n_per_m)
+        membrane = _membrane(self._sheet, self._cloth.stretch_stiffness_n_per_m, self._cloth.shear_stiffness_n_per_m)
         start = model.flex_stiffnessadr[flex]
         table = model.flex_stiffness[start : start + STIFFNESS_PER_TRIANGLE * len(membrane)]
         table.reshape(-1, STIFFNESS_PER_TRIANGLE)[:, :6] = membrane
 
         edge, count = model.flex_edgeadr[flex], model.flex_edgenum[flex]
-        ends = self._grid.plane_m[model.flex_edge[edge : edge + count]]
+        ends = self._sheet.plane_m[model.flex_edge[edge : edge + count]]
         diagonal = (np.abs(ends[:, 1] - ends[:, 0]) > 1e-9).all(axis=1)
         start = model.flex_bendingadr[flex]
         forms = model.flex_bending[start : start + BENDING_PER_EDGE * count].reshape(-1, BENDING_PER_EDGE)
-        forms[diagonal] *= _diagonal_weight(*self._grid.cell_m)
+        forms[diagonal] *= _diagonal_weight(*self._sheet.cell_m)
 
     def nodes(self) -> NDArray[np.float64]:
         """World positions of the vertices now [m], shape [node_count, 3]; y of the cloth runs fastest."""
@@ -113,16 +115,16 @@ def add_cloth(
         ParameterError: The cells are so small that neighbouring ones would touch.
         UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
     """
-    grid = _Grid(cloth, cell_m)
-    if contact_radius_m is not None and 2.0 * contact_radius_m >= min(grid.cell_m):
+    sheet = Sheet(cloth, cell_m)
+    if contact_radius_m is not None and 2.0 * contact_radius_m >= min(sheet.cell_m):
         raise ParameterError(
             f"cloth {cloth.name!r} is {1e3 * cloth.thickness_m:g} mm thick but would collide with "
-            f"{2e3 * contact_radius_m:g} mm, more than its cells of {1e3 * min(grid.cell_m):.3g} mm allow"
+            f"{2e3 * contact_radius_m:g} mm, more than its cells of {1e3 * min(sheet.cell_m):.3g} mm allow"
         )
-    held = _held(grid, cloth, glued)
-    rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))
+    held = held_vertices(sheet, cloth, glued)
+    rest = cloth.pose.to_world(np.column_stack([sheet.plane_m, np.zeros(len(sheet.plane_m))]))
     names = [f"{cloth.name}/{index}" for index in range(len(rest))]
-    for index, mass in enumerate(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()):
+    for index, mass in enumerate(cloth.areal_density_kg_per_m2 * sheet.vertex_areas_m2()):
         if index in held:
             continue
         body = spec.worldbody.add_body(name=names[index], pos=rest[index])
@@ -137,7 +139,7 @@ def add_cloth(
     flex = spec.add_flex(name=cloth.name, dim=2)
     flex.vertbody, places = glued_points(names, rest, held)
     flex.vert = places.ravel()
-    flex.elem = grid.triangles.ravel().tolist()
+    flex.elem = sheet.triangles.ravel().tolist()
     flex.elastic2d = ELASTIC_BOTH
     # MuJoCo derives both stiffnesses from one solid plate; this is the plate that has both of the fabric's.
     flex.thickness = sqrt(12.0 * bending_stiffness_n_m / cloth.stretch_stiffness_n_per_m)
@@ -147,19 +149,7 @@ def add_cloth(
     flex.contype = 0
     flex.conaffinity = 0
     flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-    return ClothPart(cloth, flex, grid, rest, Points(names, rest, held))
-
-
-def _held(grid: _Grid, cloth: Cloth, glued: Sequence[Glue]) -> dict[int, Glue]:
-    """Which glue holds each glued vertex, the first of several."""
-    held: dict[int, Glue] = {}
-    for glue in reversed(glued):
-        if glue.motion is Motion.DYNAMIC:
-            raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r}, which is dynamic")
-        if glue.region.axis == "z":
-            raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r} by its face, not by an edge")
-        held |= dict.fromkeys(np.flatnonzero(grid.within(glue.region)).tolist(), glue)
-    return held
+    return ClothPart(cloth, flex, sheet, rest, Points(names, rest, held))
 
 
 def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
@@ -175,54 +165,14 @@ def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
     return max(0.0, 2.0 - ratio**2) / (ratio + 1.0 / ratio) ** 2
 
 
-class _Grid:
-    """Regular triangulation of a cloth in its own plane; diagonals lean one way in even rows and the other in odd ones.
-
-    Attributes:
-        cell_m: Edge lengths along x and y [m].
-        plane_m: Vertices in the cloth's frame [m], shape [vertex_count, 2]; y runs fastest.
-        triangles: Vertex indices, shape [triangle_count, 3].
-    """
-
-    def __init__(self, cloth: Cloth, cell_m: float) -> None:
-        self._size_m = cloth.size_m
-        nx, ny = self._counts = tuple(max(1, round(size / cell_m)) for size in cloth.size_m)
-        self.cell_m = (cloth.size_m[0] / nx, cloth.size_m[1] / ny)
-        x, y = (np.linspace(-0.5 * size, 0.5 * size, n + 1) for size, n in zip(cloth.size_m, (nx, ny), strict=True))
-        self.plane_m = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        i, j = (index.ravel() for index in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
-        a, b = i * (ny + 1) + j, (i + 1) * (ny + 1) + j
-        d, c = a + 1, b + 1
-        rising = np.stack([a, b, c, a, c, d], axis=-1)
-        falling = np.stack([a, b, d, b, c, d], axis=-1)
-        self.triangles = np.where((j % 2 == 0)[:, None], rising, falling).reshape(-1, 3)
-
-    def within(self, region: Region) -> NDArray[np.bool_]:
-        """Which vertices lie in a region, shape [vertex_count]."""
-        axis = "xy".index(region.axis)
-        from_low = self.plane_m[:, axis] + 0.5 * self._size_m[axis]
-        inward = from_low if region.side == "low" else self._size_m[axis] - from_low
-        return np.asarray(inward <= region.depth_m + 1e-6 * self._size_m[axis])
-
-    def vertex_areas_m2(self) -> NDArray[np.float64]:
-        """A quarter of the cells around each vertex [m^2], shape [vertex_count].
-
-        Thirds of triangles would weigh the vertices of an edge unevenly, since two diagonals meet at every other one.
-        """
-        along_x, along_y = (
-            cell * np.where(np.arange(count + 1) % count == 0, 0.5, 1.0)
-            for cell, count in zip(self.cell_m, self._counts, strict=True)
-        )
-        return np.outer(along_x, along_y).ravel()
-
-    def membrane(self, stretch_n_per_m: float, shear_n_per_m: float) -> NDArray[np.float64]:
-        """MuJoCo's stiffness of each triangle for the law diag(stretch, stretch, shear), shape [triangle_count, 6]."""
-        corners = self.plane_m[self.triangles]
-        edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
-        to_edges = np.stack([edges[..., 0] ** 2, edges[..., 1] ** 2, edges[..., 0] * edges[..., 1]], axis=-1)
-        to_strains = np.linalg.inv(to_edges)
-        law = np.diag([stretch_n_per_m, stretch_n_per_m, shear_n_per_m])
-        half_area = 0.25 * self.cell_m[0] * self.cell_m[1]
-        matrices = half_area * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
-        rows, columns = np.triu_indices(3)
-        return np.asarray(matrices[:, rows, columns])
+def _membrane(sheet: Sheet, stretch_n_per_m: float, shear_n_per_m: float) -> NDArray[np.float64]:
+    """MuJoCo's stiffness of each triangle for the law diag(stretch, stretch, shear), shape [triangle_count, 6]."""
+    corners = sheet.plane_m[sheet.triangles]
+    edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+    to_edges = np.stack([edges[..., 0] ** 2, edges[..., 1] ** 2, edges[..., 0] * edges[..., 1]], axis=-1)
+    to_strains = np.linalg.inv(to_edges)
+    law = np.diag([stretch_n_per_m, stretch_n_per_m, shear_n_per_m])
+    half_area = 0.25 * sheet.cell_m[0] * sheet.cell_m[1]
+    matrices = half_area * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
+    rows, columns = np.triu_indices(3)
+    return np.asarray(matrices[:, rows, columns])

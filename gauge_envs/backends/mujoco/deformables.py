@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.glue import bonded_rows, glue_of
 from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
-from gauge_envs.backends.mujoco.flex import FlexPart, Glue
+from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
@@ -25,7 +26,7 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
     Returns:
         The part of each deformable body, by its name; soft bodies that are bonded share one.
     """
-    glued = {body.name: _glue(scene, body.name) for body in scene.deformables}
+    glued = {body.name: glue_of(scene, body.name) for body in scene.deformables}
     parts: dict[str, FlexPart] = {}
     for body in scene.deformables:
         if isinstance(body, Cloth):
@@ -42,7 +43,7 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
             parts[body.name] = add_rope(spec, body, glued=glued[body.name])
         elif not isinstance(body, SoftBody):
             parts[body.name] = add_rod(spec, body, glued=glued[body.name])
-    for row in _bonded_rows(scene):
+    for row in bonded_rows(scene):
         part = add_soft(spec, row, glued={body.name: glued[body.name] for body in row})
         parts |= {body.name: part for body in row}
     return parts
@@ -62,26 +63,6 @@ def undoable(scene: Scene) -> Iterator[str]:
 
 def _touches_itself(scene: Scene, name: str) -> bool:
     return any(name in contact.first and name in contact.second for contact in scene.contacts)
-
-
-def _glue(scene: Scene, name: str) -> list[Glue]:
-    rigid = {body.name: body for body in scene.bodies}
-    return [
-        Glue(region=a.region, body=a.to, motion=rigid[a.to].motion, pose=rigid[a.to].pose)
-        for a in scene.attachments
-        if a.deformable == name and a.to in rigid
-    ]
-
-
-def _bonded_rows(scene: Scene) -> list[list[SoftBody]]:
-    """Soft bodies, those that are glued to each other together."""
-    rows = {body.name: [body] for body in scene.deformables if isinstance(body, SoftBody)}
-    for attachment in scene.attachments:
-        first, second = rows.get(attachment.deformable), rows.get(attachment.to)
-        if first is not None and second is not None and first is not second:
-            first.extend(second)
-            rows |= {body.name: first for body in second}
-    return list({id(row): row for row in rows.values()}.values())
 
 
 def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:

@@ -4,32 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.scene import Motion, Pose, Region
+from gauge_envs.backends.glue import Glue
+from gauge_envs.scene import Motion
 
-__all__ = ["FlexPart", "Glue", "Points", "glued_points"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Glue:
-    """A region of a deformable body that is part of a rigid one.
-
-    Attributes:
-        region: Which material, in the deformable body's frame.
-        body: Name of the rigid body.
-        motion: How the rigid body moves; one that moves has a free joint.
-        pose: Start pose of the rigid body.
-    """
-
-    region: Region
-    body: str
-    motion: Motion
-    pose: Pose
+__all__ = ["FlexPart", "Points", "glued_points"]
 
 
 class Points:

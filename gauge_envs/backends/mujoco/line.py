@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Points, glued_points
+from gauge_envs.backends.glue import Glue
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Rod, Rope
 

@@ -8,8 +8,6 @@ cost are up to 38 % too stiff in torsion.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 from math import ceil
 
 import mujoco
@@ -17,9 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Glue, Points, glued_points
-from gauge_envs.errors import ShapeError, UnsupportedSceneError
-from gauge_envs.scene import Motion, SoftBody
+from gauge_envs.backends.glue import Glue
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
+from gauge_envs.backends.rows import TOLERANCE_M, Row
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import SoftBody
 
 __all__ = ["SoftPart", "add_soft"]
 
@@ -40,17 +40,6 @@ CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """MuJoCo softens contacts in proportion to the lightness of what touches: a foam's nodes weigh 20 mg. With its default
 impedance a cube sinks right through a foam; so close to 1 it sinks in by 0.2 mm."""
 
-TOLERANCE_M = 1e-5
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Block:
-    """One box of a row, in the world frame: only what its turn by right angles leaves."""
-
-    body: SoftBody
-    low_m: NDArray[np.float64]
-    high_m: NDArray[np.float64]
-
 
 class SoftPart(FlexPart):
     """One soft body, or several bonded in a row, of a MuJoCo model.
@@ -69,21 +58,18 @@ class SoftPart(FlexPart):
         self,
         flex: mujoco.MjsFlex,
         lattice: _Lattice,
-        blocks: Sequence[_Block],
+        row: Row,
         points: Points,
     ) -> None:
         self.name = flex.name
-        self.names = tuple(block.body.name for block in blocks)
+        self.names = tuple(block.body.name for block in row.blocks)
         self.flex = flex
         self._lattice = lattice
-        self._blocks = tuple(blocks)
+        self._row = row
         self.points = points
         self.rest_m = lattice.grid_m(lattice.subdivisions)
         self._grid = lattice.weights(self.rest_m)
-        self._rows = {}
-        for block in blocks:
-            inside = (self.rest_m > block.low_m - TOLERANCE_M) & (self.rest_m < block.high_m + TOLERANCE_M)
-            self._rows[block.body.name] = np.flatnonzero(inside.all(axis=1))
+        self._nodes = {block.body.name: np.flatnonzero(block.holds(self.rest_m)) for block in row.blocks}
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Give each cell the stiffness of its material."""
@@ -91,8 +77,8 @@ class SoftPart(FlexPart):
         start = int(model.flex_stiffnessadr[self.flex.id])
         matrices = model.flex_stiffness[start : start + np.prod(cells) * 81 * 81].reshape(*cells, -1)
         along = np.moveaxis(matrices, self._lattice.axis, 0)
-        each = len(along) // len(self._blocks)
-        for index, block in enumerate(self._blocks):
+        each = len(along) // len(self._row.blocks)
+        for index, block in enumerate(self._row.blocks):
             along[index * each : (index + 1) * each] = _cell_stiffness(self._lattice.cell_m, block.body)
         # Whatever MuJoCo derives from the stiffness.
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -103,7 +89,7 @@ class SoftPart(FlexPart):
 
     def block_nodes(self, name: str) -> NDArray[np.intp]:
         """Rows of `nodes` that belong to a body; those on a bonded face belong to both, shape [block_node_count]."""
-        return self._rows[name]
+        return self._nodes[name]
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
         """Reader of arbitrary material points, exact for the elements: their own shape functions interpolate.
@@ -117,7 +103,7 @@ class SoftPart(FlexPart):
         Raises:
             ShapeError: A point lies outside the free material.
         """
-        weights = self._lattice.weights(np.asarray(points_m, dtype=np.float64))
+        weights = self._lattice.weights(self._row.checked(np.asarray(points_m, dtype=np.float64)))
         return lambda: weights @ self.points.positions()
 
 
@@ -164,10 +150,6 @@ class _Lattice:
     def weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
         """Matrix that turns node positions into those of material points, shape [point_count, lattice_node_count]."""
         places = (points_m - self._low_m) / self.cell_m
-        outside = np.maximum(-places, places - self.cells).max(axis=1) * self.cell_m.max()
-        if not np.all(outside < TOLERANCE_M):
-            worst = int(np.argmax(outside))
-            raise ShapeError(f"point {worst} lies {1e3 * outside[worst]:.3g} mm outside the free soft material")
         cell = np.clip(np.floor(places).astype(int), 0, np.array(self.cells) - 1)
         x = places - cell
         # Quadratic Lagrange polynomials with nodes at 0, 1/2 and 1.
@@ -198,18 +180,12 @@ def add_soft(
         damping_s: Viscous part of the material's stress, as the time by which it multiplies the rate of strain.
 
     Raises:
-        UnsupportedSceneError: A body is not turned by right angles, the bodies do not form a row of equal cells, or
-            something else than an end is glued.
+        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends (`Row.of`), of equal free
+            lengths.
     """
-    axis, blocks = _row(bodies, glued)
+    row = Row.of(bodies, glued)
+    axis, blocks, low_m, high_m = row.axis, row.blocks, row.low_m, row.high_m
     along, across = cells or (LONE_CELLS if len(blocks) == 1 else BONDED_CELLS)
-    low_m, high_m = blocks[0].low_m.copy(), blocks[-1].high_m.copy()
-    ends = _glued_ends(blocks, glued, axis)
-    for side, glue in ends.items():
-        if side == "low":
-            low_m[axis] += glue.region.depth_m
-        else:
-            high_m[axis] -= glue.region.depth_m
     lattice = _Lattice(low_m, high_m, tuple(along * len(blocks) if i == axis else across for i in range(3)), axis)
     inner_m = low_m[axis] + lattice.cell_m[axis] * along * np.arange(1, len(blocks))
     if np.any(abs(inner_m - [block.low_m[axis] for block in blocks[1:]]) > TOLERANCE_M):
@@ -236,12 +212,12 @@ def add_soft(
     flex.priority = 1
     flex.solref, flex.solimp = list(CONTACT_SOLREF), list(CONTACT_SOLIMP)
 
-    densities = np.repeat([block.body.mass_kg / block.body.shape.volume_m3 for block in blocks], along)
+    densities = np.repeat([block.density_kg_per_m3 for block in blocks], along)
     for node, mass in zip(flex.nodebody, lattice.node_masses(densities * np.prod(lattice.cell_m)), strict=True):
         spec.body(node).mass = mass
     layers = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
     held: dict[int, Glue] = {}
-    for side, glue in ends.items():
+    for side, glue in row.ends.items():
         held |= dict.fromkeys(layers[0 if side == "low" else -1].ravel().tolist(), glue)
         _add_gripped_material(spec, flex, glue, low_m, high_m, axis, side)
     names = list(flex.nodebody)
@@ -250,61 +226,7 @@ def add_soft(
     # Only now: deleting a body that a flex uses deletes the flex.
     for index in held:
         spec.delete(spec.body(names[index]))
-    return SoftPart(flex, lattice, blocks, Points(names, lattice.rest_m, held))
-
-
-def _row(bodies: Sequence[SoftBody], glued: Mapping[str, Sequence[Glue]]) -> tuple[int, list[_Block]]:
-    """World axis of a row, and its boxes from the low to the high end."""
-    blocks = []
-    for body in bodies:
-        turn = body.pose.rotation.as_matrix()
-        if not np.allclose(turn, np.rint(turn), atol=1e-6):
-            raise UnsupportedSceneError(f"soft body {body.name!r} is not turned by right angles")
-        half = 0.5 * np.abs(np.rint(turn)) @ body.shape.size_m
-        centre = np.asarray(body.pose.position_m)
-        blocks.append(_Block(body=body, low_m=centre - half, high_m=centre + half))
-    ends = [(block, glue) for block in blocks for glue in glued.get(block.body.name, ())]
-    if len(blocks) > 1:
-        centres = np.array([block.low_m + block.high_m for block in blocks])
-        axis = int(np.argmax(np.ptp(centres, axis=0)))
-    elif ends:
-        axis = _world_axis(*ends[0])[0]
-    else:
-        axis = int(np.argmax(blocks[0].high_m - blocks[0].low_m))
-    blocks.sort(key=lambda block: float(block.low_m[axis]))
-    for first, second in pairwise(blocks):
-        low, high = first.low_m.copy(), first.high_m.copy()
-        high[axis] += second.high_m[axis] - second.low_m[axis]
-        low[axis] = first.high_m[axis]
-        if max(np.abs(second.low_m - low).max(), np.abs(second.high_m - high).max()) > TOLERANCE_M:
-            raise UnsupportedSceneError(
-                f"soft bodies {first.body.name!r} and {second.body.name!r} do not join face to face"
-            )
-    return axis, blocks
-
-
-def _world_axis(block: _Block, glue: Glue) -> tuple[int, str]:
-    """World axis and side of a glued region, which is given in the body's frame."""
-    direction = block.body.pose.rotation.as_matrix()[:, "xyz".index(glue.region.axis)]
-    axis = int(np.argmax(np.abs(direction)))
-    flipped = {"low": "high", "high": "low"}[glue.region.side]
-    return axis, glue.region.side if direction[axis] > 0.0 else flipped
-
-
-def _glued_ends(blocks: Sequence[_Block], glued: Mapping[str, Sequence[Glue]], axis: int) -> dict[str, Glue]:
-    """What holds the low and the high end of a row."""
-    ends: dict[str, Glue] = {}
-    for block in blocks:
-        for glue in glued.get(block.body.name, ()):
-            found, side = _world_axis(block, glue)
-            if found != axis or block is not (blocks[0] if side == "low" else blocks[-1]) or side in ends:
-                raise UnsupportedSceneError(f"soft body {block.body.name!r} is glued elsewhere than at a free end")
-            if glue.motion is Motion.DYNAMIC:
-                raise UnsupportedSceneError(
-                    f"soft body {block.body.name!r} is glued to {glue.body!r}, which moves under forces"
-                )
-            ends[side] = glue
-    return ends
+    return SoftPart(flex, lattice, row, Points(names, lattice.rest_m, held))
 
 
 def _add_gripped_material(

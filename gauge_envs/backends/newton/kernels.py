@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-__all__ = ["bodies_to_joints", "prescribe"]
+__all__ = ["bodies_to_joints", "carry", "hold", "predict", "prescribe"]
 
 
 @wp.kernel
@@ -52,3 +52,53 @@ def bodies_to_joints(
         joint_q[coordinate[i] + k] = body_q[body[i]][k]
     for k in range(6):
         joint_qd[freedom[i] + k] = body_qd[body[i]][k]
+
+
+@wp.kernel
+def predict(
+    timestep_s: float,
+    velocity: wp.array[wp.vec3],
+    inverse_mass: wp.array[float],
+    last_velocity: wp.array[wp.vec3],
+    displacement: wp.array[wp.vec3],
+):
+    """Way of each particle in a step that accelerates as the last one did."""
+    i = wp.tid()
+    if inverse_mass[i] > 0.0:
+        displacement[i] = timestep_s * (2.0 * velocity[i] - last_velocity[i])
+        last_velocity[i] = velocity[i]
+
+
+@wp.kernel
+def hold(
+    particle: wp.array[wp.int32],
+    body: wp.array[wp.int32],
+    place: wp.array[wp.vec3],
+    body_q: wp.array[wp.transform],
+    particle_q: wp.array[wp.vec3],
+):
+    """Particles to their places on bodies."""
+    i = wp.tid()
+    particle_q[particle[i]] = wp.transform_point(body_q[body[i]], place[i])
+
+
+@wp.kernel
+def carry(
+    particle: wp.array[wp.int32],
+    body: wp.array[wp.int32],
+    place: wp.array[wp.vec3],
+    body_q: wp.array[wp.transform],
+    body_q_after: wp.array[wp.transform],
+    body_qd_after: wp.array[wp.spatial_vector],
+    timestep_s: float,
+    particle_q: wp.array[wp.vec3],
+    particle_qd: wp.array[wp.vec3],
+    particle_qd_grad: wp.array[wp.mat33],
+):
+    """Particles to their places on bodies before a step, with the velocity that takes them to those after it."""
+    i = wp.tid()
+    here = wp.transform_point(body_q[body[i]], place[i])
+    there = wp.transform_point(body_q_after[body[i]], place[i])
+    particle_q[particle[i]] = here
+    particle_qd[particle[i]] = wp.div(wp.sub(there, here), timestep_s)
+    particle_qd_grad[particle[i]] = wp.skew(wp.spatial_bottom(body_qd_after[body[i]]))

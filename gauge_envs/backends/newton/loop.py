@@ -94,9 +94,7 @@ class Loop(ABC):
         self._commands.clear()
         self._current = 0
 
-    def drive(
-        self, body: int, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]
-    ) -> None:
+    def drive(self, body: int, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body from the next step on; see `Simulation.drive`."""
         w, x, y, z = pose.quaternion
         self._commands[self._rows[body]] = ([*pose.position_m, x, y, z, w], velocity, acceleration)

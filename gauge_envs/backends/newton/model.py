@@ -1,27 +1,36 @@
-"""Scenes -> one Newton model with its solver: what each solver takes, and what it cannot do."""
+"""Scenes -> one Newton model and the loop that steps it: what each solver takes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import newton
 import numpy as np
-from newton.solvers import SolverMuJoCo
+from newton.solvers import SolverImplicitMPM, SolverMuJoCo
 from numpy.typing import NDArray
 
+from gauge_envs.backends.glue import bonded_rows, glue_of
+from gauge_envs.backends.newton.cloth import add_cloth
 from gauge_envs.backends.newton.loop import Loop
+from gauge_envs.backends.newton.mpm import LoopMPM, add_soft_mpm, fitted_voxel_m
 from gauge_envs.backends.newton.mujoco import LoopMuJoCo, add_contacts, shape_config
-from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies
-from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp, SettingsNewton
-from gauge_envs.scene import Motion, Scene
+from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies, keep_apart
+from gauge_envs.backends.newton.settings import SettingsMPM, SettingsMuJoCoWarp, SettingsNewton, SettingsVBD
+from gauge_envs.backends.newton.soft import add_soft
+from gauge_envs.backends.newton.surface import surface_contacts
+from gauge_envs.backends.newton.vbd import LoopVBD, Pin, SelfContact, apply_contacts
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import Cloth, Motion, Scene
 
 __all__ = ["Copy", "Part", "build_model"]
 
 
 class Part(Protocol):
-    """A deformable body in a model."""
+    """A deformable body in a model, or several that are bonded."""
+
+    pins: tuple[Pin, ...]
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
         """World positions of the nodes in a state [m], shape [node_count, 3]."""
@@ -36,11 +45,18 @@ class Copy:
 
     Attributes:
         rigid: Its rigid bodies.
-        parts: Its deformable bodies, by name.
+        parts: Its deformable bodies, by name; bonded ones share a part.
+        rows: Rows of the part's nodes that are a body's own, by name, where a part has several bodies.
     """
 
     rigid: RigidIndex
     parts: dict[str, Part] = field(default_factory=dict)
+    rows: dict[str, NDArray[np.intp]] = field(default_factory=dict)
+
+    def nodes(self, name: str, state: newton.State) -> NDArray[np.float64]:
+        """World positions of a deformable body's nodes in a state [m], shape [node_count, 3]."""
+        nodes = self.parts[name].nodes(state)
+        return nodes[self.rows[name]] if name in self.rows else nodes
 
 
 def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Loop, list[Copy]]:
@@ -52,16 +68,22 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Loop
 
     Returns:
         The loop, standing at the start, and the copies in the order of the scenes.
+
+    Raises:
+        ParameterError: The preset is for other bodies than the scene has, or its settings cannot be stable.
     """
+    _check_preset(scenes[0], settings)
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
-    SolverMuJoCo.register_custom_attributes(builder)
+    add = _scene_adder(builder, scenes[0], settings)
     copies = []
     for scene in scenes:
         if len(scenes) > 1:
             builder.begin_world()
-        copies.append(_add_scene(builder, scene, settings))
+        copies.append(add(scene))
         if len(scenes) > 1:
             builder.end_world()
+    if isinstance(settings, SettingsVBD):
+        builder.color(include_bending=True)
     model = builder.finalize(device=settings.device)
     driven = [
         copy.rigid.bodies[body.name]
@@ -69,13 +91,139 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Loop
         for body in scene.bodies
         if body.motion is Motion.KINEMATIC
     ]
-    loop = LoopMuJoCo(model, driven=driven, settings=settings)
+    pins = [pin for copy in copies for part in _distinct(copy.parts) for pin in part.pins]
+    loop = _loop(model, scenes[0], settings, driven=driven, pins=pins)
     loop.record()
     return loop, copies
 
 
-def _add_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsNewton) -> Copy:
-    rigid = add_bodies(builder, scene, config=shape_config())
+def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
+    has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)
+    fits = {
+        SettingsMuJoCoWarp: not scene.deformables,
+        SettingsVBD: bool(scene.deformables),
+        SettingsMPM: bool(scene.deformables) and not has_cloth,
+    }
+    if not fits[type(settings)]:
+        kinds = sorted({type(body).__name__ for body in scene.deformables}) or ["rigid bodies alone"]
+        raise ParameterError(
+            f"Newton preset {settings.preset!r} is for {settings.solver}, which does not take {', '.join(kinds)} here"
+        )
+
+
+def _scene_adder(builder: newton.ModelBuilder, scene: Scene, settings: SettingsNewton) -> Callable[[Scene], Copy]:
+    """What puts one copy of a scene into a builder; prepares the builder for it."""
     if isinstance(settings, SettingsMuJoCoWarp):
-        add_contacts(builder, scene, rigid, settings)
+        SolverMuJoCo.register_custom_attributes(builder)
+        return lambda copy: _add_rigid_scene(builder, copy, settings)
+    if isinstance(settings, SettingsMPM):
+        SolverImplicitMPM.register_custom_attributes(builder)
+        spacing_m = _voxel_m(scene, settings) / settings.points_per_voxel_edge
+        return lambda copy: _add_mpm_scene(builder, copy, settings, spacing_m)
+    assert isinstance(settings, SettingsVBD)
+    return lambda copy: _add_vbd_scene(builder, copy, settings)
+
+
+def _add_rigid_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMuJoCoWarp) -> Copy:
+    rigid = add_bodies(builder, scene, config=shape_config(), has_prisms=True)
+    add_contacts(builder, scene, rigid, settings)
     return Copy(rigid=rigid)
+
+
+def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsVBD) -> Copy:
+    rigid = add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0))
+    copy = Copy(rigid=rigid)
+    for body in scene.deformables:
+        if isinstance(body, Cloth):
+            copy.parts[body.name] = add_cloth(
+                builder,
+                body,
+                glued=glue_of(scene, body.name),
+                bodies=rigid.bodies,
+                cell_m=settings.cloth_cell_m,
+                stretch_damping_n_s_per_m=settings.stretch_damping_n_s_per_m,
+                bend_damping_n_s=settings.bend_damping_n_s,
+            )
+    for row in bonded_rows(scene):
+        soft = add_soft(
+            builder,
+            row,
+            glued={body.name: glue_of(scene, body.name) for body in row},
+            indices=rigid.bodies,
+            cell_m=settings.soft_cell_m,
+            damping_s=settings.soft_damping_s,
+            contact_radius_m=settings.soft_contact_radius_m,
+        )
+        for name in soft.names:
+            copy.parts[name], copy.rows[name] = soft, soft.block_nodes(name)
+    apply_contacts(surface_contacts(scene), builder, rigid.shapes)
+    keep_apart(builder, scene, rigid)
+    return copy
+
+
+def _add_mpm_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMPM, spacing_m: float) -> Copy:
+    rigid = add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0))
+    copy = Copy(rigid=rigid)
+    for row in bonded_rows(scene):
+        soft = add_soft_mpm(
+            builder,
+            row,
+            glued={body.name: glue_of(scene, body.name) for body in row},
+            indices=rigid.bodies,
+            spacing_m=spacing_m,
+            damping_s=settings.soft_damping_s,
+        )
+        for name in soft.names:
+            copy.parts[name], copy.rows[name] = soft, soft.block_nodes(name)
+    apply_contacts(surface_contacts(scene), builder, rigid.shapes)
+    return copy
+
+
+def _voxel_m(scene: Scene, settings: SettingsMPM) -> float:
+    """Edge of a voxel that suits the grips of the first row [m]; one grid serves all."""
+    row = bonded_rows(scene)[0]
+    return fitted_voxel_m(
+        row,
+        glued={body.name: glue_of(scene, body.name) for body in row},
+        voxel_m=settings.voxel_m,
+        points_per_voxel_edge=settings.points_per_voxel_edge,
+    )
+
+
+def _distinct(parts: dict[str, Part]) -> Iterator[Part]:
+    return iter({id(part): part for part in parts.values()}.values())
+
+
+def _loop(
+    model: newton.Model, scene: Scene, settings: SettingsNewton, *, driven: Sequence[int], pins: Sequence[Pin]
+) -> Loop:
+    if isinstance(settings, SettingsMuJoCoWarp):
+        return LoopMuJoCo(model, driven=driven, settings=settings)
+    given: dict[str, Any] = {"driven": driven, "pins": pins, "timestep_s": settings.timestep_s}
+    if isinstance(settings, SettingsMPM):
+        return LoopMPM(
+            model,
+            voxel_m=_voxel_m(scene, settings),
+            iterations=settings.iterations,
+            tolerance=settings.tolerance,
+            integration_scheme=settings.integration_scheme,
+            **given,
+        )
+    assert isinstance(settings, SettingsVBD)
+    cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
+    return LoopVBD(
+        model,
+        iterations=settings.iterations,
+        predict=settings.starts_from_acceleration,
+        contacts=surface_contacts(scene),
+        contact_stiffness_n_per_m=max(
+            (settings.contact_per_stretch * cloth.stretch_stiffness_n_per_m for cloth in cloths),
+            default=settings.soft_contact_stiffness_n_per_m,
+        ),
+        contact_damping_n_s_per_m=settings.contact_damping_n_s_per_m,
+        contact_gap_m=settings.contact_gap_m,
+        full_surface=settings.full_surface,
+        friction_speed_m_per_s=settings.friction_speed_m_per_s,
+        self_contact=SelfContact(thickness_m=settings.self_contact_thickness_m, reach_m=settings.self_contact_reach_m),
+        **given,
+    )

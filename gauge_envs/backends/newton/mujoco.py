@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Any
 
 import newton
@@ -20,7 +19,7 @@ from newton.solvers import SolverMuJoCo
 from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstants, carried_constants, pair_constants
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.loop import Loop
-from gauge_envs.backends.newton.rigid import RigidIndex
+from gauge_envs.backends.newton.rigid import RigidIndex, keep_apart
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.scene import Scene
 
@@ -61,14 +60,7 @@ def add_contacts(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, 
     for name, constants in carried_constants(pairs).items():
         for shape in index.shapes[name]:
             _carry(builder, shape, constants, newton_material=settings.newton_material)
-    for first, second in combinations(scene.bodies, 2):
-        if frozenset((first.name, second.name)) not in pairs:
-            for one in index.shapes[first.name]:
-                for other in index.shapes[second.name]:
-                    builder.add_shape_collision_filter_pair(one, other)
-    for body in scene.bodies:
-        for one, other in combinations(index.shapes[body.name], 2):
-            builder.add_shape_collision_filter_pair(one, other)
+    keep_apart(builder, scene, index)
 
 
 def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, *, newton_material: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import combinations, product
 
 import newton
 import numpy as np
@@ -14,7 +15,7 @@ from gauge_envs.backends.newton.loop import warp_transform
 from gauge_envs.meshes import prism
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Shape, Sphere
 
-__all__ = ["RigidIndex", "add_bodies", "mass_properties"]
+__all__ = ["RigidIndex", "add_bodies", "keep_apart", "mass_properties"]
 
 WORLD = -1
 """Newton's index of the world, as of a body."""
@@ -33,13 +34,21 @@ class RigidIndex:
     shapes: dict[str, list[int]] = field(default_factory=dict)
 
 
-def add_bodies(builder: newton.ModelBuilder, scene: Scene, *, config: newton.ModelBuilder.ShapeConfig) -> RigidIndex:
+def add_bodies(
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    *,
+    config: newton.ModelBuilder.ShapeConfig,
+    has_prisms: bool = False,
+) -> RigidIndex:
     """Add the rigid bodies of a scene, with hinges as joints and driven bodies as kinematic ones.
 
     Args:
         builder: Model in the making.
         scene: Its scene.
         config: Contact constants of every shape; its density must be 0, as masses are set here.
+        has_prisms: Whether prisms stand for cylinders, which carry boxes better; particles meet cylinders three times
+            faster.
     """
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     index = RigidIndex()
@@ -49,7 +58,7 @@ def add_bodies(builder: newton.ModelBuilder, scene: Scene, *, config: newton.Mod
         else:
             place, frame = _add_body(builder, body, hinges.get(body.name)), wp.transform_identity()
         index.bodies[body.name] = place
-        index.shapes[body.name] = _add_shapes(builder, place, frame, body, config)
+        index.shapes[body.name] = _add_shapes(builder, place, frame, body, config, has_prisms=has_prisms)
     return index
 
 
@@ -87,6 +96,8 @@ def _add_shapes(
     frame: wp.transform,
     body: RigidBody,
     config: newton.ModelBuilder.ShapeConfig,
+    *,
+    has_prisms: bool,
 ) -> list[int]:
     given = {"body": place, "xform": frame, "cfg": config}
     shape = body.shape
@@ -95,6 +106,9 @@ def _add_shapes(
         return [builder.add_shape_box(hx=x, hy=y, hz=z, label=body.name, **given)]
     if isinstance(shape, Sphere):
         return [builder.add_shape_sphere(radius=shape.radius_m, label=body.name, **given)]
+    if isinstance(shape, Cylinder) and not has_prisms:
+        radius, half = shape.radius_m, 0.5 * shape.length_m
+        return [builder.add_shape_cylinder(radius=radius, half_height=half, label=body.name, **given)]
     if isinstance(shape, Cylinder | ConvexUnion):
         solid = prism(shape) if isinstance(shape, Cylinder) else shape
         return [
@@ -135,3 +149,15 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], 
             inertia += density * (piece.moment_inertia + steiner)
         return centre, inertia
     return np.zeros(3), np.zeros((3, 3))
+
+
+def keep_apart(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex) -> None:
+    """Let shapes collide only where a contact of the scene says so."""
+    pairs = {frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)}
+    for body in scene.bodies:
+        for one, other in combinations(index.shapes[body.name], 2):
+            builder.add_shape_collision_filter_pair(one, other)
+    for first, second in combinations(index.shapes, 2):
+        if frozenset((first, second)) not in pairs:
+            for one, other in product(index.shapes[first], index.shapes[second]):
+                builder.add_shape_collision_filter_pair(one, other)

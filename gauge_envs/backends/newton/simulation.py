@@ -48,7 +48,7 @@ class _WorldNewton(World):
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Nodes of a deformable body now [m], shape [node_count, 3]."""
-        return self._copy.parts[name].nodes(self._loop.now)
+        return self._copy.nodes(name, self._loop.now)
 
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
         """Reader of material points, where the part has one; see `World.track`."""

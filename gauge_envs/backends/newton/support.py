@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gauge_envs.backends.glue import bonded_rows, glue_of
 from gauge_envs.backends.newton.contacts import undoable_contacts
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp, settings_for
-from gauge_envs.scene import Scene, Tether
+from gauge_envs.backends.newton.surface import undoable_surface_contacts
+from gauge_envs.backends.rows import Row
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Cloth, Hinge, Motion, Rod, Rope, Scene, Tether
 
 __all__ = ["undoable"]
 
@@ -17,7 +21,38 @@ def undoable(scene: Scene) -> Iterator[str]:
         if isinstance(joint, Tether):
             yield f"{joint.body!r} hangs on a string: Newton's MuJoCo solver has no distance joints"
     for body in scene.deformables:
-        yield f"{body.name!r} is a deformable body"
-    settings = settings_for(scene)
-    if isinstance(settings, SettingsMuJoCoWarp):
-        yield from undoable_contacts(scene, settings)
+        if isinstance(body, Rope | Rod):
+            yield f"{body.name!r} is a {type(body).__name__.lower()}, which this backend does not build yet"
+    if not scene.deformables:
+        settings = settings_for(scene)
+        if isinstance(settings, SettingsMuJoCoWarp):
+            yield from undoable_contacts(scene, settings)
+        return
+    yield from undoable_surface_contacts(scene)
+    yield from _undoable_solids(scene)
+
+
+def _undoable_solids(scene: Scene) -> Iterator[str]:
+    """What vertex block descent lacks for rigid bodies beside cloth and foam, and glue that it cannot do."""
+    rigid = {body.name: body for body in scene.bodies}
+    soft = {body.name: body for body in scene.deformables}
+    for joint in scene.joints:
+        if isinstance(joint, Hinge):
+            yield f"{joint.body!r} turns on a hinge beside deformable bodies, which this backend does not build yet"
+    for contact in scene.contacts:
+        for first, second in scene.colliding_pairs(contact):
+            if contact.restitution > 0.0 and contact.mode == "impact" and not {first, second} & set(soft):
+                yield f"{first!r} rebounds from {second!r}: Newton's vertex block descent has no restitution"
+    for attachment in scene.attachments:
+        glued, to = soft.get(attachment.deformable), rigid.get(attachment.to)
+        if glued is None or (to is None and attachment.to not in soft):
+            yield f"{attachment.deformable!r} is glued to {attachment.to!r}, and one of them is not in the scene"
+        elif to is not None and to.motion is Motion.DYNAMIC and isinstance(glued, Cloth):
+            yield f"{glued.name!r} is glued to {to.name!r}, which moves under forces"
+        elif attachment.region.axis == "z" and isinstance(glued, Cloth):
+            yield f"cloth {glued.name!r} is glued to {attachment.to!r} by its face, not by an edge"
+    for row in bonded_rows(scene):
+        try:
+            Row.of(row, {body.name: glue_of(scene, body.name) for body in row})
+        except UnsupportedSceneError as error:
+            yield str(error)

@@ -1,0 +1,122 @@
+"""Cloth in Newton: a triangle mesh with a stable Neo-Hookean membrane and dihedral hinges, for vertex block descent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import newton
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from gauge_envs.backends.glue import Glue
+from gauge_envs.backends.newton.vbd import Pin
+from gauge_envs.backends.sheet import Sheet, held_vertices
+from gauge_envs.materials import Fabric, newton_edge_ke, newton_vbd
+from gauge_envs.scene import Cloth, Motion
+
+__all__ = ["ClothPart", "add_cloth"]
+
+
+class ClothPart:
+    """A cloth among the particles of a model.
+
+    Attributes:
+        name: Name of the cloth.
+        rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3]; y of the cloth runs fastest.
+        triangles: Vertex indices within the cloth, shape [triangle_count, 3].
+        particles: Its particles in the model.
+        pins: Vertices that moving bodies hold, for `LoopVBD`.
+    """
+
+    def __init__(
+        self,
+        cloth: Cloth,
+        *,
+        rest_m: NDArray[np.float64],
+        triangles: NDArray[np.intp],
+        start: int,
+        pins: Sequence[Pin],
+    ) -> None:
+        self.name = cloth.name
+        self.rest_m = rest_m
+        self.triangles = triangles
+        self.particles = slice(start, start + len(rest_m))
+        self.pins = tuple(pins)
+
+    def nodes(self, state: newton.State) -> NDArray[np.float64]:
+        """World positions of the vertices in a state [m], shape [vertex_count, 3]; kept in single precision."""
+        return state.particle_q.numpy()[self.particles].astype(np.float64)
+
+    def track(self, points_m: ArrayLike) -> None:
+        """None: interpolation between the nodes finds material points."""
+        return None
+
+
+def add_cloth(
+    builder: newton.ModelBuilder,
+    cloth: Cloth,
+    *,
+    glued: Sequence[Glue] = (),
+    bodies: Mapping[str, int] | None = None,
+    cell_m: float,
+    stretch_damping_n_s_per_m: float = 0.0,
+    bend_damping_n_s: float = 0.0,
+    contact_radius_m: float | None = None,
+) -> ClothPart:
+    """Add a cloth to a model in the making; what it collides with is up to `SurfaceContacts`.
+
+    Its constants are those of `materials.newton_vbd`. Glued vertices have no mass and are put where the body is, so
+    they are exact to single precision: 0.06 micrometres within 1 m of the origin.
+
+    Args:
+        builder: Model in the making; it has the rigid bodies already.
+        cloth: The cloth.
+        glued: Regions that are pinned or driven; a vertex in two of them belongs to the first.
+        bodies: Index of each rigid body, by its name; of those that are glued and move.
+        cell_m: Wanted edge length of the cells [m]; the nearest one that divides a side is used.
+        stretch_damping_n_s_per_m: Newton's `tri_kd`: viscosity of the membrane, on the rate of Green's strain doubled.
+        bend_damping_n_s: Newton's `edge_kd`: torque of a hinge per rate of its angle and per length.
+        contact_radius_m: Distance from its mid-plane at which the cloth touches rigid shapes [m]; half its thickness
+            when left out.
+
+    Raises:
+        UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
+    """
+    sheet = Sheet(cloth, cell_m)
+    rest = cloth.pose.to_world(np.column_stack([sheet.plane_m, np.zeros(len(sheet.plane_m))]))
+    held = held_vertices(sheet, cloth, glued)
+    constants = newton_vbd(Fabric.of(cloth)).constants
+    start = len(builder.particle_q)
+    builder.add_cloth_mesh(
+        pos=wp.vec3(0.0, 0.0, 0.0),
+        rot=wp.quat_identity(),
+        scale=1.0,
+        vel=wp.vec3(0.0, 0.0, 0.0),
+        vertices=[wp.vec3(*point) for point in rest],
+        indices=sheet.triangles.ravel().tolist(),
+        density=cloth.areal_density_kg_per_m2,
+        tri_ke=constants["tri_ke"],
+        tri_ka=constants["tri_ka"],
+        tri_kd=stretch_damping_n_s_per_m,
+        edge_ke=newton_edge_ke(
+            bend_stiffness_n_m_per_rad=constants["edge_ke_times_mean_edge_length"],
+            mean_edge_length_m=sheet.mean_edge_length_m(),
+        ),
+        edge_kd=bend_damping_n_s,
+        particle_radius=0.5 * cloth.thickness_m if contact_radius_m is None else contact_radius_m,
+        label=cloth.name,
+    )
+    masses = cloth.areal_density_kg_per_m2 * sheet.vertex_areas_m2()
+    masses[list(held)] = 0.0
+    builder.particle_mass[start : start + len(rest)] = masses.tolist()
+    pins = [
+        Pin(
+            particle=start + index,
+            body=(bodies or {})[glue.body],
+            place_m=tuple(glue.pose.to_body(rest[index]).tolist()),
+        )
+        for index, glue in held.items()
+        if glue.motion is Motion.KINEMATIC
+    ]
+    return ClothPart(cloth, rest_m=rest, triangles=sheet.triangles, start=start, pins=pins)

@@ -1,0 +1,32 @@
+"""How long a step of vertex block descent may be. Needs no engine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gauge_envs.backends.sheet import Sheet
+from gauge_envs.materials import Fabric, newton_vbd
+from gauge_envs.scene import Cloth
+
+__all__ = ["ITERATIONS_PER_RATIO", "longest_timestep_s"]
+
+ITERATIONS_PER_RATIO = 0.33
+"""Iterations in a step, over the ratio of elastic to inertial stiffness, from which the last acceleration may be used.
+
+Measured on falling sheets of all six fabrics: energy rises by less than 0.2 % of the fall above 0.24, by more than 1 %
+below 0.23, and without bound below 0.15.
+"""
+
+
+def longest_timestep_s(cloth: Cloth, *, cell_m: float, iterations: int) -> float:
+    """Longest step with which so many iterations are enough for `LoopVBD(predict=True)` [s].
+
+    On a square grid the shape functions' squared gradients around a vertex, times area, add up to 4. Hinges are left
+    out: at 25 mm they add 0.1 %.
+    """
+    constants = newton_vbd(Fabric.of(cloth)).constants
+    modulus = constants["tri_ka"] + 2.0 * constants["tri_ke"]
+    along_x, along_y = Sheet(cloth, cell_m).cell_m
+    gradients = 2.0 * (along_x / along_y + along_y / along_x)
+    mass = cloth.areal_density_kg_per_m2 * along_x * along_y
+    return float(np.sqrt(iterations / ITERATIONS_PER_RATIO * mass / (gradients * modulus)))

@@ -1,0 +1,510 @@
+"""Cloth in Newton's vertex block descent against closed forms: stretch, shear, bending, friction, energy, edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+from scipy.interpolate import griddata
+
+from gauge_envs import experiment
+from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Attachment,
+    Box,
+    Cloth,
+    Contact,
+    Motion,
+    Pose,
+    Region,
+    RigidBody,
+    Scene,
+    Sphere,
+)
+
+newton = pytest.importorskip("newton")
+
+from gauge_envs.backends.glue import Glue, glue_of  # noqa: E402
+from gauge_envs.backends.newton.cloth import ClothPart, add_cloth  # noqa: E402
+from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies  # noqa: E402
+from gauge_envs.backends.newton.settings import SettingsVBD  # noqa: E402
+from gauge_envs.backends.newton.stability import longest_timestep_s  # noqa: E402
+from gauge_envs.backends.newton.surface import surface_contacts  # noqa: E402
+from gauge_envs.backends.newton.vbd import LoopVBD, SelfContact, apply_contacts, stiffness_ratio  # noqa: E402
+
+FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
+CELL_M = 0.025
+ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
+HANGING = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0))
+"""Warp downward."""
+
+RATES = dict.fromkeys(FABRICS, 1440) | {"nylon": 2880}
+"""Steps per second that three iterations are enough for."""
+
+
+def fabric(name: str, size_m: tuple[float, float], pose: Pose = ORIGIN) -> Cloth:
+    cloth = experiment(f"TextileFlinging-{name}").scene.deformables[0]
+    assert isinstance(cloth, Cloth)
+    return replace(cloth, size_m=size_m, pose=pose)
+
+
+def weight_n_per_m2(cloth: Cloth) -> float:
+    return cloth.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
+
+
+def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> Glue:
+    region = Region(axis=axis, side=side, depth_m=depth_m)  # type: ignore[arg-type]
+    return Glue(region=region, body="frame", motion=Motion.FIXED, pose=ORIGIN)
+
+
+class Rig:
+    """A cloth alone in a model."""
+
+    def __init__(
+        self,
+        cloth: Cloth,
+        glued: Sequence[Glue] = (),
+        *,
+        gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_PER_S2),
+        rate_hz: int = 1440,
+        iterations: int = 3,
+        cell_m: float = CELL_M,
+    ) -> None:
+        builder = newton.ModelBuilder(gravity=gravity_m_per_s2)
+        self.part: ClothPart = add_cloth(builder, cloth, glued=glued, cell_m=cell_m)
+        builder.color(include_bending=True)
+        self.model = builder.finalize(device="cpu")
+        self.loop = LoopVBD(self.model, driven=[], timestep_s=1 / rate_hz, iterations=iterations, predict=True)
+        self.loop.record()
+
+    @property
+    def moved_m(self) -> np.ndarray:
+        return self.part.nodes(self.loop.now) - self.part.rest_m
+
+    def settle(self, seconds: float) -> Rig:
+        """Come to rest: velocities are taken away again and again."""
+        for _ in range(round(10 * seconds)):
+            self.loop.advance(0.1)
+            for state in self.loop._states:
+                state.particle_qd.zero_()
+            self.loop.solver._last_qd.zero_()
+        self.loop.advance(0.1)
+        return self
+
+
+class Bench:
+    """A scene with cloth, driven as an environment does, or several copies of it in worlds of their own."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        rate_hz: int = 1440,
+        iterations: int = 3,
+        full_surface: bool = False,
+        worlds: int = 1,
+    ) -> None:
+        builder = newton.ModelBuilder(gravity=(0.0, 0.0, -scene.gravity_m_per_s2))
+        contacts = surface_contacts(scene)
+        self.scene = scene
+        self.indices: list[RigidIndex] = []
+        self.parts: list[dict[str, ClothPart]] = []
+        for _ in range(worlds):
+            builder.begin_world()
+            index = add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0))
+            parts = {}
+            for cloth in scene.deformables:
+                assert isinstance(cloth, Cloth)
+                glued = glue_of(scene, cloth.name)
+                parts[cloth.name] = add_cloth(builder, cloth, glued=glued, bodies=index.bodies, cell_m=CELL_M)
+            apply_contacts(contacts, builder, index.shapes)
+            builder.end_world()
+            self.indices.append(index)
+            self.parts.append(parts)
+        builder.color(include_bending=True)
+        self.loop = LoopVBD(
+            builder.finalize(device="cpu"),
+            driven=[index.bodies[driver.body] for index in self.indices for driver in scene.drivers],
+            pins=[pin for parts in self.parts for part in parts.values() for pin in part.pins],
+            timestep_s=1 / rate_hz,
+            iterations=iterations,
+            predict=True,
+            contacts=contacts,
+            contact_stiffness_n_per_m=max(
+                SettingsVBD.model_fields["contact_per_stretch"].default * cloth.stretch_stiffness_n_per_m
+                for cloth in scene.deformables
+                if isinstance(cloth, Cloth)
+            ),
+            full_surface=full_surface,
+            self_contact=SelfContact(thickness_m=0.002, reach_m=0.008),
+        )
+        self.loop.record()
+        self.paths = [DriverPath(driver, scene, frame_count=200) for driver in scene.drivers]
+        self.sample = 0
+
+    def nodes(self, name: str = "textile", world: int = 0) -> np.ndarray:
+        return self.parts[world][name].nodes(self.loop.now)
+
+    def step(self) -> None:
+        for path in self.paths:
+            for index in self.indices:
+                self.loop.drive(index.bodies[path.body], *path.interval(self.sample, np.zeros(path.motion_count)))
+        self.loop.advance(SAMPLE_INTERVAL_S)
+        self.sample += 1
+
+    def play(self, seconds: float, name: str = "textile") -> np.ndarray:
+        for _ in range(round(seconds / SAMPLE_INTERVAL_S)):
+            self.step()
+        return self.nodes(name)
+
+    def reset(self) -> None:
+        self.loop.reset()
+        self.sample = 0
+        for path in self.paths:
+            path.reset()
+
+
+def strains(part: ClothPart, nodes_m: np.ndarray) -> np.ndarray:
+    """Strain of each edge of the mesh along warp and weft."""
+    edges = np.unique(np.sort(part.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    rest = np.linalg.norm(part.rest_m[edges[:, 1]] - part.rest_m[edges[:, 0]], axis=1)
+    edges, rest = edges[rest < 1.2 * rest.min()], rest[rest < 1.2 * rest.min()]
+    return np.linalg.norm(nodes_m[edges[:, 1]] - nodes_m[edges[:, 0]], axis=1) / rest - 1.0
+
+
+# --- elasticity ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FABRICS)
+def test_a_hanging_strip_stretches_under_its_weight(name: str) -> None:
+    """Its end sinks by weight times length squared over twice the stiffness, with the iterations that a run has."""
+    length_m = 0.4
+    cloth = fabric(name, (length_m, 0.05), HANGING)
+    rig = Rig(cloth, [pinned("x")], rate_hz=RATES[name])
+    rig.loop.advance(1.0)
+    low = np.isclose(rig.part.rest_m[:, 2], -0.5 * length_m)
+    expected = weight_n_per_m2(cloth) * length_m**2 / (2.0 * cloth.stretch_stiffness_n_per_m)
+    assert -rig.moved_m[low, 2].mean() == pytest.approx(expected, rel=0.02)
+    # Nothing breaks the symmetry of a flat sheet, so what leaves its plane would be a mistake.
+    assert np.abs(rig.moved_m[:, 0]).max() < 1e-6
+
+
+@pytest.mark.parametrize("softness", [1.0, 0.1])
+def test_a_sheet_between_two_walls_shears_under_its_weight(softness: float) -> None:
+    """Gravity in its plane: a parabola with weight times span squared over 8 K_sh in the middle.
+
+    Uniform is the fabric whose measured shear stiffness Newton's isotropic membrane can have. Bending in the plane adds
+    a quarter of K_sh / K_s times (span / height) squared, 0.6 %.
+    """
+    span_m, height_m = 0.1, 0.4
+    cloth = fabric("uniform", (span_m, height_m))
+    assert 2.0 < cloth.stretch_stiffness_n_per_m / cloth.shear_stiffness_n_per_m < 4.0
+    cloth = replace(
+        cloth,
+        stretch_stiffness_n_per_m=softness * cloth.stretch_stiffness_n_per_m,
+        shear_stiffness_n_per_m=softness * cloth.shear_stiffness_n_per_m,
+    )
+    walls = [pinned("x"), pinned("x", "high")]
+    rig = Rig(cloth, walls, gravity_m_per_s2=(0.0, -GRAVITY_M_PER_S2, 0.0))
+    rig.loop.advance(0.5)
+    middle = np.isclose(rig.part.rest_m[:, 0], 0.0) & (np.abs(rig.part.rest_m[:, 1]) < 0.06)
+    expected = weight_n_per_m2(cloth) * span_m**2 / (8.0 * cloth.shear_stiffness_n_per_m)
+    assert -rig.moved_m[middle, 1].mean() == pytest.approx(expected, rel=0.01)
+
+
+def heavy_elastica_sag_m(load_per_bending: float, length_m: float, bare_m: float) -> float:
+    """How far the tip of a clamped strip sinks; it has no weight within `bare_m` of the clamp."""
+
+    def slope(s: np.ndarray, state: np.ndarray, share: float) -> np.ndarray:
+        beyond = length_m - np.maximum(s, bare_m)
+        return np.vstack([state[1], -share * load_per_bending * beyond * np.cos(state[0]), np.sin(state[0])])
+
+    s, state = np.linspace(0.0, length_m, 200), np.zeros((3, 200))
+    for share in np.linspace(0.1, 1.0, 10):
+        solution = solve_bvp(
+            lambda s, state, share=share: slope(s, state, share),
+            lambda start, end: np.array([start[0], end[1], start[2]]),
+            s,
+            state,
+            tol=1e-7,
+            max_nodes=20000,
+        )
+        assert solution.success
+        s, state = solution.x, solution.y
+    return float(state[2, -1])
+
+
+@pytest.mark.parametrize(("axis", "tolerance"), [("x", 0.01), pytest.param("y", 0.035, marks=pytest.mark.slow)])
+def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None:
+    """A strip clamped at one end, by more than half its length.
+
+    Newton's hinges are as stiff as they are long, so a square grid with diagonals bends along its lines with the cell
+    over the mean edge length, 0.88, of what its constant says. Along the weft, folds lack every other hinge at the rim.
+    """
+    free_m = 0.3
+    size = (free_m + CELL_M, 0.2)
+    cloth = fabric("satin", size if axis == "x" else size[::-1])
+    intended = weight_n_per_m2(cloth) * free_m**3 / 5.0
+    cloth = replace(cloth, bend_stiffness_n_m_per_rad=intended)
+    rig = Rig(cloth, [pinned(axis, depth_m=CELL_M)], rate_hz=360, iterations=40).settle(1.5)
+    tip = np.isclose(rig.part.rest_m[:, "xy".index(axis)], 0.5 * size[0])
+    # Interior edges: two legs and a diagonal a cell. The rim's legs bring the mean of this mesh from 0.879 to 0.885.
+    bending = 0.885 * intended
+    expected = heavy_elastica_sag_m(weight_n_per_m2(cloth) / bending, free_m + 0.5 * CELL_M, 0.5 * CELL_M)
+    assert expected > 0.5 * free_m
+    assert -rig.moved_m[tip, 2].mean() == pytest.approx(expected, rel=tolerance)
+
+
+def test_a_sheet_falls_freely() -> None:
+    rig = Rig(fabric("satin", (0.1, 0.1)))
+    rig.loop.advance(0.5)
+    # Implicit Euler falls by half a step's way more.
+    expected = 0.5 * GRAVITY_M_PER_S2 * 0.5 * (0.5 + 1 / 1440)
+    # Single precision rounds positions by a tenth of the way that the last step's acceleration makes.
+    np.testing.assert_allclose(rig.moved_m[:, 2], -expected, rtol=2e-3)
+    np.testing.assert_allclose(rig.moved_m[:, :2], 0.0, atol=2e-5)
+
+
+def energy_j(rig: Rig) -> float:
+    """Kinetic, potential and elastic energy, from the laws that Newton's documentation states."""
+    model, state = rig.model, rig.loop.now
+    x, v = (array.numpy().astype(float) for array in (state.particle_q, state.particle_qd))
+    masses = model.particle_mass.numpy().astype(float)
+    corners = x[model.tri_indices.numpy()]
+    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=-1)
+    gradient = sides @ model.tri_poses.numpy().astype(float)
+    mu, lame = model.tri_materials.numpy()[:, :2].astype(float).T
+    lame = lame + mu
+    area_ratio = np.linalg.norm(np.cross(gradient[..., 0], gradient[..., 1]), axis=1)
+    stretch = 0.5 * mu * (np.square(gradient).sum(axis=(1, 2)) - 2.0)
+    spread = 0.5 * lame * ((area_ratio - 1.0 - mu / lame) ** 2 - (mu / lame) ** 2)
+    edges = model.edge_indices.numpy()
+    inner = (edges[:, :2] >= 0).all(axis=1)
+    a, b, c, d = x[edges[inner]].transpose(1, 0, 2)
+    first, second = np.cross(c - a, d - a), np.cross(d - b, c - b)
+    along = (d - c) / np.linalg.norm(d - c, axis=1, keepdims=True)
+    angle = np.arctan2((np.cross(first, second) * along).sum(axis=1), (first * second).sum(axis=1))
+    hinges = model.edge_bending_properties.numpy()[inner, 0] * model.edge_rest_length.numpy()[inner]
+    return float(
+        (0.5 * masses * np.square(v).sum(axis=1) + GRAVITY_M_PER_S2 * masses * x[:, 2]).sum()
+        + (model.tri_areas.numpy() * (stretch + spread)).sum()
+        + (0.5 * hinges * angle**2).sum()
+    )
+
+
+@pytest.mark.parametrize("name", ["rayon", pytest.param("nylon", marks=pytest.mark.slow)])
+def test_a_falling_sheet_gains_no_energy(name: str) -> None:
+    """Held at one edge it drops, swings through and snaps; the stiffest fabrics for their mass are the ones at risk."""
+    cloth = fabric(name, (0.4, 0.2))
+    rig = Rig(cloth, [pinned("x")], rate_hz=RATES[name])
+    energies = [energy_j(rig)]
+    for _ in range(90):
+        rig.loop.advance(1 / 90)
+        energies.append(energy_j(rig))
+    scale = cloth.mass_kg * 0.5 * GRAVITY_M_PER_S2 * 0.2
+    rises = np.array(energies) - np.minimum.accumulate(energies)
+    assert rises.max() < 0.002 * scale
+    assert np.abs(strains(rig.part, rig.part.nodes(rig.loop.now))).max() < 0.05
+
+
+def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
+    cloth = fabric("nylon", (0.2, 0.2))
+    with pytest.raises(ParameterError, match="take 11"):
+        Rig(cloth, rate_hz=1440, iterations=3)
+    rig = Rig(cloth, rate_hz=2880, iterations=3)
+    assert 1 / 2880 < longest_timestep_s(cloth, cell_m=CELL_M, iterations=3) < 1 / 2700
+    # Four vertices' worth of legs and diagonals, with the P wave modulus 1.14 K that a ratio K / K_sh of 2.7 gives.
+    shear = cloth.stretch_stiffness_n_per_m / 2.7
+    modulus = shear * (2.0 + 2.0 * 0.7 / 1.3)
+    expected = 4.0 * modulus / (cloth.areal_density_kg_per_m2 * CELL_M**2 * 2880**2)
+    assert stiffness_ratio(rig.model, 1 / 2880) == pytest.approx(expected, rel=0.02)
+
+
+# --- held edges ------------------------------------------------------------------------------------------------------
+
+
+def test_a_flung_cloth_stays_on_its_rod() -> None:
+    bench = Bench(experiment("TextileFlinging-satin").scene)
+    part, start = bench.parts[0]["textile"], bench.scene.body("rod").pose
+    held = np.isclose(part.rest_m[:, 2], part.rest_m[:, 2].max())
+    arms = start.to_body(part.rest_m[held])
+    worst = strain = 0.0
+    for sample in range(90):
+        bench.step()
+        rod, velocity, _ = bench.paths[0].interval(sample + 1, np.zeros(1))
+        worst = max(worst, float(np.abs(bench.nodes()[held] - rod.to_world(arms)).max()))
+        strain = max(strain, float(strains(part, bench.nodes()).max()))
+    assert worst < 2e-7
+    assert 0.001 < strain < 0.01
+    # The rod itself is where it was driven to, with its velocity.
+    state = bench.loop.now
+    np.testing.assert_allclose(state.body_q.numpy()[0, :3], rod.position_m, atol=2e-7)
+    np.testing.assert_allclose(state.body_qd.numpy()[0], velocity, atol=1e-5)
+
+
+def test_reset_and_restore_repeat_bit_for_bit() -> None:
+    bench = Bench(experiment("TextileFlinging-satin").scene)
+    first = bench.play(0.1)
+    state, later = bench.loop.state(), bench.play(0.1)
+    bench.reset()
+    assert np.array_equal(bench.nodes(), bench.parts[0]["textile"].rest_m.astype(np.float32))
+    assert np.array_equal(bench.play(0.1), first)
+    bench.play(0.1)
+    bench.loop.restore(state)
+    bench.sample = 18
+    assert np.array_equal(bench.play(0.1), later)
+
+
+def test_two_worlds_are_alike_and_do_not_touch() -> None:
+    alone = Bench(experiment("TextileFlinging-satin").scene).play(0.1)
+    both = Bench(experiment("TextileFlinging-satin").scene, worlds=2)
+    both.play(0.1)
+    np.testing.assert_allclose(both.nodes(world=0), alone, atol=1e-6)
+    assert np.array_equal(both.nodes(world=0), both.nodes(world=1))
+
+
+def test_a_face_or_a_dynamic_body_cannot_be_glued() -> None:
+    for glue in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
+        with pytest.raises(UnsupportedSceneError, match="'frame'"):
+            add_cloth(newton.ModelBuilder(), fabric("satin", (0.1, 0.1)), glued=[glue], cell_m=CELL_M)
+
+
+# --- contact ---------------------------------------------------------------------------------------------------------
+
+
+def body(name: str, shape: Box | Sphere, pose: Pose, motion: Motion = Motion.FIXED) -> RigidBody:
+    return RigidBody(name=name, shape=shape, motion=motion, pose=pose, mass_kg=1.0)
+
+
+def touching(first: str, second: str, friction: float = 0.0) -> Contact:
+    return Contact(first=(first,), second=(second,), friction=friction, restitution=0.0)
+
+
+def sheet(name: str, size_m: tuple[float, float], pose: Pose, as_name: str = "textile") -> Cloth:
+    return replace(fabric(name, size_m, pose), name=as_name)
+
+
+def on_a_slope(friction: float, angle_deg: float) -> Scene:
+    tilt = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, angle_deg, 0.0))
+    above = 0.01 + 0.5 * fabric("oxford", (0.1, 0.1)).thickness_m
+    place = tilt.to_world(np.array([-0.2, 0.0, above]))
+    pose = Pose(position_m=tuple(place.tolist()), quaternion=tilt.quaternion)
+    return Scene(
+        bodies=(body("board", Box(size_m=(2.0, 0.5, 0.02)), tilt),),
+        deformables=(sheet("oxford", (0.2, 0.2), pose),),
+        contacts=(touching("textile", "board", friction),),
+        duration_s=1.0,
+    )
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.45])
+def test_cloth_slides_down_a_slope_as_coulomb_says(friction: float) -> None:
+    scene = on_a_slope(friction, 30.0)
+    bench = Bench(scene)
+    start = bench.nodes()
+    board = scene.body("board").pose
+    way = (board.to_body(bench.play(0.4)) - board.to_body(start)).mean(axis=0)
+    expected = 0.5 * GRAVITY_M_PER_S2 * (np.sin(np.pi / 6) - friction * np.cos(np.pi / 6)) * 0.4 * (0.4 + 1 / 1440)
+    assert way[0] == pytest.approx(expected, rel=0.02)
+    assert abs(way[2]) < 1e-4
+
+
+def test_cloth_stays_on_a_slope_that_holds_it() -> None:
+    scene = on_a_slope(0.8, 30.0)
+    bench = Bench(scene)
+    start = bench.play(0.1)
+    assert np.abs(bench.play(0.3) - start).max() < 1e-4
+
+
+def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
+    scene = on_a_slope(0.3, 0.0)
+    other = body("other", Box(size_m=(0.1, 0.1, 0.1)), Pose(position_m=(0.3, 0.0, 0.06)))
+    scene = replace(scene, bodies=(*scene.bodies, other), contacts=(touching("textile", "other", 0.3),))
+    bench = Bench(scene)
+    bench.play(0.2)
+    assert bench.nodes()[:, 2].max() < -0.15
+
+
+def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
+    ball = body("ball", Sphere(radius_m=0.008), Pose(position_m=(0.0125, 0.006, -0.0085)))
+    scene = Scene(
+        bodies=(ball, body("frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0)))),
+        deformables=(sheet("satin", (0.2, 0.2), ORIGIN),),
+        attachments=tuple(
+            Attachment(deformable="textile", region=Region(axis=axis, side=side), to="frame")  # type: ignore[arg-type]
+            for axis in "xy"
+            for side in ("low", "high")
+        ),
+        contacts=(touching("textile", "ball"),),
+        duration_s=1.0,
+    )
+
+    def sag_m(one: Scene, full_surface: bool) -> float:
+        bench = Bench(one, full_surface=full_surface)
+        bench.play(0.3)
+        return float(-bench.nodes()[:, 2].min())
+
+    free = sag_m(replace(scene, contacts=()), full_surface=False)
+    assert free > 0.004
+    assert sag_m(scene, full_surface=True) < 0.8 * free
+    # With vertices alone the ball pokes through.
+    assert sag_m(scene, full_surface=False) == pytest.approx(free, rel=1e-6)
+
+
+def test_cloth_rests_on_cloth() -> None:
+    """A sheet falls on a taut one; both are of particles, which meet where the scene lists them with each other."""
+    corners = body("frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0)))
+    scene = Scene(
+        bodies=(corners,),
+        deformables=(
+            sheet("uniform", (0.3, 0.3), ORIGIN, "taut"),
+            sheet("uniform", (0.15, 0.15), Pose(position_m=(0.004, 0.003, 0.02)), "loose"),
+        ),
+        attachments=tuple(
+            Attachment(deformable="taut", region=Region(axis=axis, side=side), to="frame")  # type: ignore[arg-type]
+            for axis in "xy"
+            for side in ("low", "high")
+        ),
+        contacts=tuple(touching(a, b, 0.3) for a, b in (("taut", "loose"), ("taut", "taut"), ("loose", "loose"))),
+        duration_s=1.0,
+    )
+    bench = Bench(scene)
+    bench.play(0.3, "loose")
+    taut, loose = bench.nodes("taut"), bench.nodes("loose")
+    gaps = loose[:, 2] - griddata(taut[:, :2], taut[:, 2], loose[:, :2])
+    assert gaps.min() > 0.0005
+    assert gaps.max() < 0.003
+    through = replace(scene, contacts=())
+    fallen = Bench(through)
+    fallen.play(0.2, "loose")
+    assert fallen.nodes("loose")[:, 2].max() < -0.1
+
+
+def test_every_pair_gets_its_own_friction() -> None:
+    scene = experiment("TableclothPulling-metal").scene
+    contacts = surface_contacts(scene)
+    sides = contacts.shape_friction | {"textile": contacts.friction}
+    for contact in scene.contacts:
+        for first in contact.first:
+            for second in contact.second:
+                assert np.sqrt(sides[first] * sides[second]) == pytest.approx(contact.friction, rel=1e-6)
+    assert contacts.touched == {"cube", "table"}
+    assert not contacts.itself
+
+
+def test_frictions_that_no_coefficients_give_are_declined() -> None:
+    scene = on_a_slope(0.3, 0.0)
+    scene = replace(
+        scene,
+        deformables=(*scene.deformables, sheet("satin", (0.1, 0.1), ORIGIN, "other")),
+        contacts=(touching("textile", "board", 0.3), touching("other", "board", 0.5)),
+    )
+    with pytest.raises(UnsupportedSceneError, match="two coefficients"):
+        surface_contacts(scene)
+    with pytest.raises(UnsupportedSceneError, match="other would touch board as well"):
+        surface_contacts(replace(scene, contacts=scene.contacts[:1]))
