@@ -218,20 +218,11 @@ def plot(
 ) -> None:
     """Plot results over the real band, one PNG an experiment; several results of one experiment share it."""
     from gauge_envs.figures import save_figures
-    from gauge_envs.result import load_result
 
-    files = [file for source in sources or [Path("results")] for file in _result_files(source)]
-    results: list[Result] = []
-    damaged = 0
-    for file in files:
-        try:
-            results.append(load_result(file))
-        except ResultFileError as error:
-            damaged += 1
-            _stderr().print(f"[yellow]skipped:[/] {_plain(str(error))}", soft_wrap=True)
+    results, skipped = _loaded(sources)
     for path in save_figures(results, out):
         typer.echo(path)
-    if damaged:
+    if skipped:
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -255,18 +246,11 @@ def compare(
     from gauge_envs.comparison import check_metrics
     from gauge_envs.comparison import compare as compare_results
     from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view
-    from gauge_envs.result import load_result
 
     if json_lines and markdown:
         raise ParameterError("--json and --markdown exclude each other")
     chosen = check_metrics(metrics or [])
-    files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))
-    results: list[Result] = []
-    for file in files:
-        try:
-            results.append(load_result(file))
-        except ResultFileError as error:
-            _stderr().print(f"[yellow]skipped:[/] {_plain(str(error))}", soft_wrap=True)
+    results, skipped = _loaded(sources)
     comparison = compare_results(results)
     if json_lines:
         _print_lines(comparison_rows(comparison, chosen))
@@ -279,7 +263,7 @@ def compare(
 
         for path in save_comparison(results, out, metric=chosen[0]):
             _stderr().print(_plain(str(path)), soft_wrap=True)
-    if len(results) < len(files):
+    if skipped:
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -434,6 +418,20 @@ def _parameters(text: str | None) -> Parameters | None:
 
 def _settings(changes: Sequence[str]) -> dict[str, Any] | None:
     return dict(map(_assigned, changes)) or None
+
+
+def _loaded(sources: Sequence[Path] | None) -> tuple[list[Result], int]:
+    """Results of files and folders, each file once, and how many were skipped because they are damaged."""
+    from gauge_envs.result import load_result
+
+    files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))
+    results: list[Result] = []
+    for file in files:
+        try:
+            results.append(load_result(file))
+        except ResultFileError as error:
+            _stderr().print(f"[yellow]skipped:[/] {_plain(str(error))}", soft_wrap=True)
+    return results, len(files) - len(results)
 
 
 def _jitter(position_mm: float | None, angle_deg: float | None) -> Jitter | None:
