@@ -190,9 +190,10 @@ def run_repeats(
         raise ParameterError(f"repeats is {repeats}, expected 1 or more")
     jitter = jitter or Jitter()
     resolved, engine = experiment(variant, parameters), find_backend(backend)
-    check_support(resolved, backend)
     band = reference_band(resolved)
     runs = [replace(resolved, scene=jittered(resolved.scene, jitter, seed=seed + k)) for k in range(repeats)]
+    for run in runs:
+        check_support(run, backend)
     worlds = engine.build_worlds([run.scene for run in runs], settings)
     try:
         start = time.perf_counter()

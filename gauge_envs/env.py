@@ -129,6 +129,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
 
         Raises:
             ParameterError: There is no such option, or nothing in the scene can be jittered.
+            UnsupportedSceneError: The backend cannot build the scene from that start.
         """
         super().reset(seed=seed)
         self.seed_used = 0 if seed is None else seed
@@ -137,9 +138,11 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             scene = self.experiment.scene
             if jitter is not None:
                 scene = jittered(scene, jitter, seed=self.seed_used)
+            resolved = replace(self.experiment, scene=scene)
+            check_support(resolved, self.backend_name)
             self._close_renderer()
             self.simulation.close()
-            self._build(replace(self.experiment, scene=scene))
+            self._build(resolved)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)
         self._over = False

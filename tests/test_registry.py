@@ -1,0 +1,83 @@
+"""Finding backends, and what happens when one of somebody else's cannot be loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from gauge_envs.backends import Backend, Support, backend, backend_names, registry
+from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
+from gauge_envs.report import backend_rows, list_rows
+from gauge_envs.scene import Scene
+from gauge_envs.task import find_variant
+
+
+class EntryPoint:
+    """Stands for an installed package's entry point."""
+
+    value = "somebody:Backend"
+
+    def __init__(self, name: str, load: Callable[[], Any]) -> None:
+        self.name = name
+        self.load = load
+
+
+class BackendNothing(Backend):
+    name = "nothing"
+
+    def versions(self) -> dict[str, str]:
+        return {"nothing": "1.0"}
+
+    def supports(self, scene: Scene) -> Support:
+        return Support(("it does nothing",))
+
+    def build(self, scene: Scene, settings: Any = None) -> Any:
+        raise AssertionError("supports declines every scene")
+
+
+def broken() -> Any:
+    raise OSError("libengine.so: cannot open shared object file")
+
+
+def missing() -> Any:
+    raise MissingExtraError("backend 'other'", "fast", ModuleNotFoundError(name="other_engine"), package="somebody")
+
+
+@pytest.fixture
+def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    points = [
+        EntryPoint("nothing", lambda: BackendNothing),
+        EntryPoint("broken", broken),
+        EntryPoint("other", missing),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    backend.cache_clear()
+    yield
+    backend.cache_clear()
+
+
+@pytest.mark.usefixtures("installed")
+def test_names_are_listed_without_loading_anything() -> None:
+    assert backend_names() == ("broken", "nothing", "other")
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_backend_that_cannot_be_loaded_says_which_and_why() -> None:
+    with pytest.raises(BackendError, match=r"'broken' \(somebody:Backend\): OSError: libengine\.so"):
+        backend("broken")
+    with pytest.raises(MissingExtraError, match=r"pip install 'somebody\[fast\]'"):
+        backend("other")
+    with pytest.raises(UnknownNameError, match="nothing"):
+        backend("nothin")
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_others_stay_usable() -> None:
+    rows = {row["name"]: row for row in backend_rows()}
+    assert rows["nothing"]["versions"] == {"nothing": "1.0"}
+    assert "libengine.so" in rows["broken"]["error"] and "somebody[fast]" in rows["other"]["error"]
+    lacks = list_rows([find_variant("SlopeSlider-2-wood")])[0]["backends"]
+    assert lacks["nothing"] == ["it does nothing"]
+    assert "libengine.so" in lacks["broken"][0]
