@@ -21,7 +21,7 @@ from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, Episode, re
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, TrajectoryFileError, UnsupportedSceneError
 from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.jitter import Jitter, jittered
-from gauge_envs.observer import MarkerProxy
+from gauge_envs.observer import checked_proxy
 from gauge_envs.reference import band_grade
 from gauge_envs.result import (
     Outcome,
@@ -55,6 +55,7 @@ def run_episode(
     backend: str = "mujoco",
     parameters: Parameters = "calibrated",
     settings: Mapping[str, Any] | None = None,
+    marker_proxy: str = "node",
     seed: int = 0,
 ) -> Result:
     """Run one episode with zero actions, which replays the recorded motion, and score it.
@@ -64,6 +65,7 @@ def run_episode(
         backend: Name of an installed physics engine.
         parameters: Name of a parameter set, or overrides keyed `body.constant`.
         settings: Numerical settings of the backend that replace its defaults.
+        marker_proxy: What stands for a marker on a deformable body, `node` or `material`; see `GaugeEnv`.
         seed: Seed of the reset, 0 or more.
 
     Raises:
@@ -74,7 +76,12 @@ def run_episode(
     _check_seed(seed)
     name = variant.name if isinstance(variant, Variant) else find_variant(variant).name
     env = gymnasium.make(
-        f"GAUGE/{name}", backend=backend, parameters=parameters, settings=settings, disable_env_checker=True
+        f"GAUGE/{name}",
+        backend=backend,
+        parameters=parameters,
+        settings=settings,
+        marker_proxy=marker_proxy,
+        disable_env_checker=True,
     )
     try:
         space = env.action_space
@@ -149,6 +156,7 @@ def _result_of(
         versions={**engine_versions, **versions()},
         seed=seed,
         jitter=asdict(jitter) if jitter else {},
+        marker_proxy=episode.marker_proxy.value,
         driver_provenance=resolved.driver_provenance,
         trajectory=_recorded(resolved, recorded.times_s, recorded.samples),
     )
@@ -161,6 +169,7 @@ def run_repeats(
     backend: str = "mujoco",
     parameters: Parameters = "calibrated",
     settings: Mapping[str, Any] | None = None,
+    marker_proxy: str = "node",
     seed: int = 0,
     jitter: Jitter | None = None,
 ) -> list[Result]:
@@ -174,6 +183,7 @@ def run_repeats(
         backend: Name of an installed physics engine.
         parameters: Name of a parameter set, or overrides keyed `body.constant`.
         settings: Numerical settings of the backend that replace its defaults.
+        marker_proxy: As in `run_episode`.
         seed: Seed of the first; each next one has one more.
         jitter: How far the starts scatter; the default `Jitter` when left out.
 
@@ -188,6 +198,7 @@ def run_repeats(
     _check_seed(seed)
     if repeats < 1:
         raise ParameterError(f"repeats is {repeats}, expected 1 or more")
+    proxy = checked_proxy(marker_proxy)
     jitter = jitter or Jitter()
     resolved, engine = experiment(variant, parameters), find_backend(backend)
     band = reference_band(resolved)
@@ -199,8 +210,7 @@ def run_repeats(
         start = time.perf_counter()
         worlds.reset(seed)
         episodes = [
-            Episode(run, world, band=band, marker_proxy=MarkerProxy.NODE)
-            for run, world in zip(runs, worlds.worlds, strict=True)
+            Episode(run, world, band=band, marker_proxy=proxy) for run, world in zip(runs, worlds.worlds, strict=True)
         ]
         faults = run_together(episodes, worlds)
         share_s = (time.perf_counter() - start) / repeats
@@ -341,6 +351,7 @@ def run_many(
     backends: Sequence[str] = ("mujoco",),
     parameters: Parameters = "calibrated",
     settings: Mapping[str, Any] | None = None,
+    marker_proxy: str = "node",
     seed: int = 0,
     repeats: int = 1,
     jitter: Jitter | None = None,
@@ -357,6 +368,7 @@ def run_many(
         backends: Names of installed physics engines.
         parameters: As in `run_episode`.
         settings: As in `run_episode`.
+        marker_proxy: As in `run_episode`.
         seed: As in `run_episode`.
         repeats: How often each runs, from starts that scatter; 1 runs the calibrated start, unless jitter is given.
         jitter: How far starts scatter; the default `Jitter` where repeats ask for it.
@@ -384,7 +396,7 @@ def run_many(
         for name in backends:
             for variant in chosen:
                 empty = [
-                    _empty_result(variant, name, parameters, settings, seed + number, jitter)
+                    _empty_result(variant, name, parameters, settings, marker_proxy, seed + number, jitter)
                     for number in range(repeats)
                 ]
                 files = [None if out is None else out / result_file_name(one) for one in empty]
@@ -418,6 +430,7 @@ def _attempt(variant: Variant, parameters: Parameters, empty: Sequence[Result], 
         "backend": first.backend,
         "parameters": parameters,
         "settings": first.settings_given or None,
+        "marker_proxy": first.marker_proxy,
         "seed": first.seed,
     }
     try:
@@ -438,6 +451,7 @@ def _empty_result(
     backend: str,
     parameters: Parameters,
     settings: Mapping[str, Any] | None,
+    marker_proxy: str,
     seed: int,
     jitter: Jitter | None,
 ) -> Result:
@@ -452,6 +466,7 @@ def _empty_result(
         settings_given=json_ready(settings or {}),
         seed=seed,
         jitter=asdict(jitter) if jitter else {},
+        marker_proxy=marker_proxy,
         error="not run",
     )
 
@@ -481,7 +496,7 @@ def _earlier(file: Path, wanted: Result, notify: Notify) -> Result | None:
         file.replace(aside)
         notify(f"{error}; moved to {aside.name} and run again")
         return None
-    for key in ("id", "backend", "parameters", "settings_given", "seed", "jitter", "task_sha256"):
+    for key in ("id", "backend", "parameters", "settings_given", "seed", "jitter", "marker_proxy", "task_sha256"):
         if getattr(found, key) != getattr(wanted, key):
             notify(f"{file}: {key} differs from what is asked for; run again")
             return None

@@ -1,7 +1,8 @@
 """Engines side by side: results grouped by configuration, their scores, and how far apart their trajectories are.
 
 A configuration is what was under test: the engine and its versions, the parameters of the scene, the settings that were
-given and the jitter of the start. Results that differ in nothing but their seed are repeats of one configuration.
+given, the jitter of the start and what stands for a marker. Results that differ in nothing but their seed are repeats
+of one configuration.
 """
 
 from __future__ import annotations
@@ -100,6 +101,7 @@ class Configuration:
         parameters: Name of the parameter set, or the overrides.
         settings_given: Numerical settings that replace the engine's defaults.
         jitter: Standard deviations that the start was jittered by; empty for none.
+        marker_proxy: What stood for a marker on a deformable body.
         engine_versions: Versions of the engine's packages.
     """
 
@@ -107,6 +109,7 @@ class Configuration:
     parameters: str | Mapping[str, Any]
     settings_given: Mapping[str, Any] = field(default_factory=dict)
     jitter: Mapping[str, float] = field(default_factory=dict)
+    marker_proxy: str = "node"
     engine_versions: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -118,6 +121,7 @@ class Configuration:
             parameters=result.parameters,
             settings_given=result.settings_given,
             jitter=result.jitter,
+            marker_proxy=result.marker_proxy,
             engine_versions={name: text for name, text in result.versions.items() if name not in common},
         )
 
@@ -142,19 +146,18 @@ def group_by_configuration(results: Iterable[Result]) -> list[tuple[Configuratio
 
 def _order(one: Configuration) -> tuple[str, bool, int, str]:
     changes = (one.settings_given, one.jitter, one.engine_versions)
-    changed = len(one.settings_given) + len(one.jitter)
+    changed = len(one.settings_given) + len(one.jitter) + (one.marker_proxy != "node")
     return (
         one.backend or "",
         one.parameters != "calibrated",
         changed,
-        json.dumps((one.parameters, *changes), sort_keys=True),
+        json.dumps((one.parameters, one.marker_proxy, *changes), sort_keys=True),
     )
 
 
 def _same(one: Configuration, other: Configuration, *, ran: bool) -> bool:
-    alike = all(
-        getattr(one, key) == getattr(other, key) for key in ("backend", "parameters", "settings_given", "jitter")
-    )
+    keys = ("backend", "parameters", "settings_given", "jitter", "marker_proxy")
+    alike = all(getattr(one, key) == getattr(other, key) for key in keys)
     return alike and (not ran or one.engine_versions == other.engine_versions)
 
 

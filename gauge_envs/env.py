@@ -17,7 +17,7 @@ from gauge_envs.episode import Episode, Observation, Trajectory, reference_band
 from gauge_envs.errors import EpisodeError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.jitter import Jitter, jittered
-from gauge_envs.observer import MarkerProxy
+from gauge_envs.observer import checked_proxy
 from gauge_envs.task_format import FRAME_RATE_HZ
 
 __all__ = ["GaugeEnv", "check_support"]
@@ -93,9 +93,6 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
-        if marker_proxy not in list(MarkerProxy):
-            known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
-            raise ParameterError(f"marker_proxy {marker_proxy!r}: choose {known}")
         self.experiment = experiment(variant, parameters)
         self.backend_name = backend
         self.render_mode = render_mode
@@ -103,7 +100,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self.seed_used: int | None = None
         self.jitter: Jitter | None = None
         self._settings = settings
-        self._marker_proxy = MarkerProxy(marker_proxy)
+        self._marker_proxy = checked_proxy(marker_proxy)
         self._picture_size = (width, height)
         self._renderer: Any = None
         self._over = False

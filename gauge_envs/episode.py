@@ -101,6 +101,7 @@ class Episode:
     Attributes:
         experiment: The experiment.
         band: What the reward is measured against.
+        marker_proxy: What stands for a marker on a deformable body.
         frame: Number of the current frame; None before `begin`.
         action_space: As the environment's.
         observation_space: As the environment's.
@@ -111,6 +112,7 @@ class Episode:
         scene = resolved.scene
         self.experiment = resolved
         self.band = band
+        self.marker_proxy = marker_proxy
         self.frame: int | None = None
         self._world = world
         self._drivers = [DriverPath(driver, scene, resolved.frame_count) for driver in scene.drivers]

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
 from gauge_envs.backends.base import Simulation, World
-from gauge_envs.errors import ShapeError
+from gauge_envs.errors import ParameterError, ShapeError
 from gauge_envs.observables import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
 from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
 from gauge_envs.task_format import Observable
 
-__all__ = ["MarkerProxy", "Observer", "ObserverMarkers", "ObserverPositions"]
+__all__ = ["MarkerProxy", "Observer", "ObserverMarkers", "ObserverPositions", "checked_proxy"]
 
 MARKER_REACH_M = 0.01
 """A marker further than this from its proxy is refused (paper, simulation and track: below 1 cm)."""
@@ -33,6 +33,18 @@ class MarkerProxy(StrEnum):
     """The nearest node, each taken once (Hungarian assignment): what the paper does."""
     MATERIAL = "material"
     """The marker's own material point, interpolated between the nodes of the element that holds it."""
+
+
+def checked_proxy(name: str) -> MarkerProxy:
+    """The proxy of that name.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    if name not in list(MarkerProxy):
+        known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
+        raise ParameterError(f"marker_proxy {name!r}: choose {known}")
+    return MarkerProxy(name)
 
 
 class Observer(Protocol):

@@ -106,6 +106,7 @@ class Result:
         jitter: How far the start was moved at random, as standard deviations; empty where it was not.
         score: Distance to reality; metrics are None where they do not apply.
         task_sha256: Hash of the task file that the episode was built from.
+        marker_proxy: What stood for a marker on a deformable body: `node` or `material`.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
         created: When, ISO 8601, UTC.
         error: Why it was declined or failed.
@@ -128,6 +129,7 @@ class Result:
     versions: dict[str, str] = field(default_factory=versions)
     seed: int | None = None
     jitter: dict[str, float] = field(default_factory=dict)
+    marker_proxy: str = "node"
     driver_provenance: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     error: str | None = None
@@ -168,6 +170,8 @@ def result_file_name(result: Result) -> str:
         parts.append(f"settings-{_digest(result.settings_given)}")
     if result.jitter:
         parts.append(f"jitter-{_digest(result.jitter)}")
+    if result.marker_proxy != "node":
+        parts.append(result.marker_proxy)
     if result.seed:
         parts.append(f"seed-{result.seed}")
     return ".".join([*parts, "json"])
@@ -207,8 +211,9 @@ def load_result(file: Path) -> Result:
         content = json.loads(file.read_bytes())
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        # Files from before there was jitter lack the key, and had none.
+        # Older files lack these keys, and stand for the defaults.
         content.setdefault("jitter", {})
+        content.setdefault("marker_proxy", "node")
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")

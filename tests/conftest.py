@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import gauge_envs
+from gauge_envs import env, report
 from gauge_envs.backends import Support
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.episode import Trajectory
@@ -29,12 +30,14 @@ RIGID = tuple(v.name for v in gauge_envs.variants() if v.family in RIGID_FAMILIE
 
 @pytest.fixture
 def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes the MuJoCo backend decline deformable bodies, as an engine that knows only rigid ones does."""
+    """Leaves the MuJoCo backend alone, declining deformable bodies as an engine that knows only rigid ones does."""
 
     def supports(self: BackendMuJoCo, scene: Scene) -> Support:
         return Support(tuple(f"{body.name!r} is a deformable body" for body in scene.deformables))
 
     monkeypatch.setattr(BackendMuJoCo, "supports", supports)
+    for module in (env, report):
+        monkeypatch.setattr(module, "backend_names", lambda: ("mujoco",))
 
 
 @pytest.fixture
