@@ -122,6 +122,10 @@ def run(
         list[str] | None, typer.Option("--set", help="Numerical setting of the backend, as timestep_s=0.0005.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0)] = 0,
+    marker_proxy: Annotated[
+        str,
+        typer.Option(help="What stands for a marker on a deformable body: node, the nearest, or material, its own."),
+    ] = "node",
     repeats: Annotated[
         int, typer.Option(min=1, help="Runs of each, at once, from starts that scatter as real ones do.")
     ] = 1,
@@ -141,6 +145,7 @@ def run(
     pattern or --all adds may be declined.
     """
     from gauge_envs.benchmark import check_request, run_many
+    from gauge_envs.observer import checked_proxy
     from gauge_envs.report import summary_view
     from gauge_envs.result import Outcome
 
@@ -160,6 +165,7 @@ def run(
         backends=engines,
         parameters=values,
         settings=settings,
+        marker_proxy=checked_proxy(marker_proxy).value,
         seed=seed,
         repeats=repeats,
         jitter=_jitter(jitter_mm, jitter_deg),

@@ -494,6 +494,7 @@ def _parts(configuration: Configuration, *, digits: int = 4) -> list[tuple[str, 
         ("parameters", named if isinstance(named, str) else ",".join(told(named))),
         *(("setting", text) for text in told(configuration.settings_given)),
         *([("jitter", f"jitter {' '.join(told(configuration.jitter))}")] if configuration.jitter else []),
+        *([("markers", f"markers by {configuration.marker_proxy}")] if configuration.marker_proxy != "node" else []),
     ]
 
 
