@@ -32,7 +32,9 @@ class _WorldNewton(World):
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body; see `World.drive`."""
-        self._loop.drive(self._copy.rigid.bodies[body], pose, velocity, acceleration)
+        x, y, z = (np.asarray(pose.position_m) - self._copy.origin_m).tolist()
+        near = Pose(position_m=(x, y, z), quaternion=pose.quaternion)
+        self._loop.drive(self._copy.rigid.bodies[body], near, velocity, acceleration)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Poses and velocities, shape [len(names), 13]; kept in single precision. See `World.body_states`."""
@@ -44,6 +46,7 @@ class _WorldNewton(World):
         if moving:
             rows, bodies = map(list, zip(*moving, strict=True))
             states[rows] = self._loop.body_states(bodies)
+            states[rows, :3] += self._copy.origin_m
         return states
 
     def nodes(self, name: str) -> NDArray[np.float64]:
@@ -52,8 +55,9 @@ class _WorldNewton(World):
 
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
         """Reader of material points, where the part has one; see `World.track`."""
-        read = self._copy.parts[name].track(points_m)
-        return None if read is None else lambda: read(self._loop.now)
+        origin_m = self._copy.origin_m
+        read = self._copy.parts[name].track(points_m - np.asarray(origin_m))
+        return None if read is None else lambda: read(self._loop.now) + origin_m
 
 
 class SimulationNewton(_WorldNewton, Simulation):

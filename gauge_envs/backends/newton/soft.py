@@ -28,7 +28,7 @@ from gauge_envs.backends.newton.vbd import Pin
 from gauge_envs.backends.rows import TOLERANCE_M, Block, Row
 from gauge_envs.scene import Box, Motion, SoftBody
 
-__all__ = ["CELL_M", "CONTACT_RADIUS_M", "RIGID_RATIO", "SoftPart", "add_soft", "lame_constants"]
+__all__ = ["CELL_M", "CONTACT_RADIUS_M", "RIGID_RATIO", "SoftPart", "add_block_shapes", "add_soft", "lame_constants"]
 
 CELL_M = 0.0125
 """Largest edge of a cell: a quarter of the width of the benchmark's foam."""
@@ -103,6 +103,15 @@ class SoftPart:
         """Rows of `nodes` that belong to a body; those on a bonded face belong to both, shape [block_node_count]."""
         return self._rows[name]
 
+    def block_particles(self, name: str) -> NDArray[np.intp]:
+        """Particles in the model that belong to a body, those on a bonded face to both; a rigid block has no others."""
+        rows = self._rows[name]
+        return self.particles.start + rows[rows < self.particles.stop - self.particles.start]
+
+    def rigid_sizes_m(self) -> dict[str, NDArray[np.float64]]:
+        """Edges of each rigid block along x, y and z [m], shape [3]."""
+        return {solid.block.body.name: solid.block.high_m - solid.block.low_m for solid in self._solids}
+
     def track(self, points_m: ArrayLike) -> Callable[[newton.State], NDArray[np.float64]]:
         """Reader of arbitrary material points, exact for the elements: linear in each tetrahedron.
 
@@ -143,7 +152,8 @@ def add_soft(
     """Add a soft body, or a row of soft bodies bonded face to face.
 
     Nodes in a grip have no mass and are put where the grip is, so they are exact to single precision. What the others
-    collide with is up to `SurfaceContacts`; rigid blocks collide with nothing. Call `builder.color` before finalizing.
+    collide with is up to `SurfaceContacts`; rigid blocks collide with nothing before `add_block_shapes`. Call
+    `builder.color` before finalizing.
 
     Args:
         builder: Model in the making; it has the rigid bodies already.
@@ -180,6 +190,27 @@ def add_soft(
         builder.add_triangle(*corners, tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0)
     rigid = {block.body.name: _add_rigid(builder, block, row.axis, start, mesh.points_m) for block in stiff}
     return SoftPart(row, mesh, start=start, pins=pins, rigid=rigid, cell_m=cell_m)
+
+
+def add_block_shapes(
+    builder: newton.ModelBuilder, part: SoftPart, *, contact_radius_m: float = CONTACT_RADIUS_M
+) -> dict[str, list[int]]:
+    """Give the rigid blocks of a row shapes to collide with; they have none otherwise.
+
+    Args:
+        builder: Model in the making.
+        part: The row.
+        contact_radius_m: Thickness of the layer around a block that collides, as that around the nodes [m].
+
+    Returns:
+        Indices of the shapes in the model, by name of the block.
+    """
+    config = newton.ModelBuilder.ShapeConfig(density=0.0, margin=contact_radius_m)
+    shapes = {}
+    for name, size_m in part.rigid_sizes_m().items():
+        x, y, z = (0.5 * size_m).tolist()
+        shapes[name] = [builder.add_shape_box(part.rigid[name], hx=x, hy=y, hz=z, label=name, cfg=config)]
+    return shapes
 
 
 def _add_particles(

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gauge_envs.backends.glue import bonded_rows, glue_of
+from gauge_envs.backends.lines import glued_ends
 from gauge_envs.backends.newton.contacts import undoable_contacts
-from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp, settings_for
+from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp, SettingsVBD, settings_for
 from gauge_envs.backends.newton.surface import undoable_surface_contacts
 from gauge_envs.backends.rows import Row
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, Hinge, Motion, Rod, Rope, Scene, Tether
+from gauge_envs.scene import Cloth, ContactMode, Hinge, Motion, Rod, Rope, Scene, Tether
 
 __all__ = ["undoable"]
 
@@ -20,16 +21,36 @@ def undoable(scene: Scene) -> Iterator[str]:
     for joint in scene.joints:
         if isinstance(joint, Tether):
             yield f"{joint.body!r} hangs on a string: Newton's MuJoCo solver has no distance joints"
-    for body in scene.deformables:
-        if isinstance(body, Rope | Rod):
-            yield f"{body.name!r} is a {type(body).__name__.lower()}, which this backend does not build yet"
     if not scene.deformables:
         settings = settings_for(scene)
         if isinstance(settings, SettingsMuJoCoWarp):
             yield from undoable_contacts(scene, settings)
         return
-    yield from undoable_surface_contacts(scene)
+    settings = settings_for(scene)
+    per_body = isinstance(settings, SettingsVBD) and not settings.full_surface
+    yield from undoable_surface_contacts(scene, per_body=per_body)
+    yield from _undoable_lines(scene)
     yield from _undoable_solids(scene)
+
+
+def _undoable_lines(scene: Scene) -> Iterator[str]:
+    lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
+    others = [body.name for body in scene.deformables if not isinstance(body, Rope | Rod)]
+    names = {line.name for line in lines}
+    if lines and others:
+        yield f"{lines[0].name!r} is beside {others[0]!r}: this backend builds ropes and rods among rigid bodies alone"
+    for attachment in scene.attachments:
+        if {attachment.deformable, attachment.to} & names and attachment.to not in {body.name for body in scene.bodies}:
+            yield f"{attachment.deformable!r} is glued to {attachment.to!r}, which is no rigid body"
+    for contact in scene.contacts:
+        touching = names & {*contact.first, *contact.second}
+        if touching and contact.restitution > 0.0 and contact.mode is ContactMode.IMPACT:
+            yield f"{min(touching)!r} rebounds: Newton's vertex block descent has no restitution"
+    for line in lines:
+        try:
+            glued_ends(line, glue_of(scene, line.name))
+        except UnsupportedSceneError as error:
+            yield str(error)
 
 
 def _undoable_solids(scene: Scene) -> Iterator[str]:

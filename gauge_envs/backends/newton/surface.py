@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, Scene, SoftBody
+from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
 __all__ = ["SurfaceContacts", "surface_contacts", "undoable_surface_contacts"]
 
@@ -27,41 +27,51 @@ class SurfaceContacts:
 
     Attributes:
         friction: Coefficient of all particles.
-        shape_friction: Coefficient of the shapes of each rigid body, by its name.
+        shape_friction: Coefficient of the shapes of each rigid body, by its name; of the stiff blocks of soft bodies,
+            which are rigid here, too.
         touched: Rigid bodies that particles collide with.
+        passed: For each of these, the bodies made of particles that pass through it.
         itself: Whether particles collide with each other's surface.
     """
 
     friction: float = 0.0
     shape_friction: dict[str, float] = field(default_factory=dict)
     touched: frozenset[str] = frozenset()
+    passed: dict[str, frozenset[str]] = field(default_factory=dict)
     itself: bool = False
 
 
-def surface_contacts(scene: Scene) -> SurfaceContacts:
-    """Coefficients of friction for a scene, such that each pair gets its own.
+def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts:
+    """Coefficients of friction for a scene, such that each pair gets its own, and what collides with what.
+
+    Args:
+        scene: The scene.
+        per_body: Whether each body made of particles can have its own rigid bodies to collide with; so it is where
+            vertices alone collide.
 
     Raises:
         UnsupportedSceneError: No coefficients give every pair its friction, or some of several bodies that are made of
             particles would touch what they pass through.
     """
-    problems = list(undoable_surface_contacts(scene))
+    problems = list(undoable_surface_contacts(scene, per_body=per_body))
     if problems:
         raise UnsupportedSceneError("; ".join(problems))
     pairs = _pairs(scene)
     solved = _side_frictions(pairs)
-    # A seam would be in contact all along, and what a body is glued to is part of it.
-    seams = {a.to for a in scene.attachments}
+    friction = solved.pop(PARTICLES, 0.0)
+    soft, met = _soft_bodies(scene), _met(scene)
+    touching = {name: met[name] for name in sorted(met.keys() - soft)}
     return SurfaceContacts(
-        friction=solved.pop(PARTICLES, 0.0),
-        shape_friction=solved,
-        touched=frozenset({name for pair in pairs if PARTICLES in pair for name in pair} - seams - {PARTICLES}),
+        friction=friction,
+        shape_friction=solved | dict.fromkeys(sorted(soft), friction),
+        touched=frozenset(touching),
+        passed={name: soft - by for name, by in touching.items() if by != soft},
         itself=(PARTICLES, PARTICLES) in pairs,
     )
 
 
-def undoable_surface_contacts(scene: Scene) -> Iterator[str]:
-    """What of a scene's contacts Newton's VBD cannot do, a sentence each."""
+def undoable_surface_contacts(scene: Scene, *, per_body: bool = False) -> Iterator[str]:
+    """What of a scene's contacts Newton's VBD cannot do, a sentence each; arguments as of `surface_contacts`."""
     try:
         pairs = _pairs(scene)
     except UnsupportedSceneError as error:
@@ -76,35 +86,50 @@ def undoable_surface_contacts(scene: Scene) -> Iterator[str]:
                 f"{friction:g}: Newton takes the geometric mean of one coefficient a body, and no such coefficients "
                 "give every pair its own"
             )
-    yield from _partial_contacts(scene)
+    yield from _partial_contacts(scene, per_body=per_body)
 
 
-def _partial_contacts(scene: Scene) -> Iterator[str]:
-    """Bodies made of particles touch a shape, or each other, all or not at all."""
-    soft = frozenset(body.name for body in scene.deformables if isinstance(body, Cloth | SoftBody))
-    met: dict[str, set[str]] = {}
-    for contact in scene.contacts:
-        for first, second in ((contact.first, contact.second), (contact.second, contact.first)):
-            for name in set(first) & soft:
-                for other in second:
-                    met.setdefault(other, set()).add(name)
+def _partial_contacts(scene: Scene, *, per_body: bool) -> Iterator[str]:
+    """Bodies made of particles touch each other all or not at all, and a shape too where edges and faces collide."""
+    soft, met = _soft_bodies(scene), _met(scene)
     among = {name: touching for name, touching in met.items() if name in soft}
     if among and (set(among) != soft or any(touching != soft for touching in among.values())):
         yield f"of {', '.join(sorted(soft))}, some touch each other or themselves and some do not"
     for name, touching in met.items():
-        if name not in soft and touching != soft:
+        if not per_body and name not in soft and touching != soft:
             yield f"{', '.join(sorted(soft - touching))} would touch {name} as well as {', '.join(sorted(touching))}"
+
+
+def _soft_bodies(scene: Scene) -> frozenset[str]:
+    return frozenset(body.name for body in scene.deformables if isinstance(body, Cloth | SoftBody))
+
+
+def _met(scene: Scene) -> dict[str, frozenset[str]]:
+    """Bodies made of particles that touch each body.
+
+    A rigid body that one is glued to is left out: it is part of it, and the seam would be in contact all along.
+    """
+    soft = _soft_bodies(scene)
+    seams = {(a.deformable, a.to) for a in scene.attachments if a.to not in soft}
+    met: dict[str, frozenset[str]] = {}
+    for contact in scene.contacts:
+        for group, others in ((contact.first, contact.second), (contact.second, contact.first)):
+            for name in others:
+                touching = {one for one in group if one in soft and (one, name) not in seams}
+                met[name] = met.get(name, frozenset()) | touching
+    return {name: touching for name, touching in met.items() if touching}
 
 
 def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
     """Friction of each pair of bodies that VBD resolves, those made of particles as one."""
-    soft = {body.name for body in scene.deformables if isinstance(body, Cloth | SoftBody)}
-    moving = soft | {body.name for body in scene.dynamic_bodies}
+    soft = _soft_bodies(scene)
+    lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
+    moving = soft | lines | {body.name for body in scene.dynamic_bodies}
     found: dict[tuple[str, str], float] = {}
     for contact in scene.contacts:
         for first in contact.first:
             for second in contact.second:
-                if not {first, second} & moving or (first == second and first not in soft):
+                if not {first, second} & moving or (first == second and first not in soft | lines):
                     continue
                 low, high = sorted(PARTICLES if name in soft else name for name in (first, second))
                 if found.setdefault((low, high), contact.friction) != contact.friction:

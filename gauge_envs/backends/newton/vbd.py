@@ -23,13 +23,7 @@ from gauge_envs.backends.newton.stability import ITERATIONS_PER_RATIO
 from gauge_envs.backends.newton.surface import SurfaceContacts
 from gauge_envs.errors import ParameterError
 
-__all__ = [
-    "LoopVBD",
-    "Pin",
-    "SelfContact",
-    "apply_contacts",
-    "stiffness_ratio",
-]
+__all__ = ["LoopVBD", "Pin", "SelfContact", "apply_contacts", "passing_pairs", "stiffness_ratio"]
 
 SPEED_HEADROOM = 1.5
 """Factor on the fastest particle's speed within which no particle is at the end of an interval, beside free fall."""
@@ -66,6 +60,28 @@ def apply_contacts(
             builder.shape_flags[shape] = flags | flag if name in contacts.touched else flags
 
 
+def passing_pairs(
+    contacts: SurfaceContacts, particles: Mapping[str, NDArray[np.intp]], shapes: Mapping[str, Sequence[int]]
+) -> NDArray[np.intp]:
+    """Particles and shapes that pass through each other although others of either do not.
+
+    Args:
+        contacts: What collides.
+        particles: Indices in the model of each body's particles, by its name; one on a bonded face is of both bodies,
+            and collides with what either does.
+        shapes: Indices of the shapes of each rigid body, by its name.
+
+    Returns:
+        Index of a particle and of a shape, shape [pair_count, 2].
+    """
+    pairs = [np.zeros((0, 2), dtype=np.intp)]
+    for rigid, through in contacts.passed.items():
+        held = [indices for name, indices in particles.items() if name not in through]
+        free = np.setdiff1d(np.concatenate([particles[name] for name in through]), np.concatenate(held))
+        pairs.extend(np.column_stack([free, np.full_like(free, shape)]) for shape in shapes[rigid])
+    return np.concatenate(pairs)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SelfContact:
     """How surfaces made of particles keep apart.
@@ -97,6 +113,10 @@ class _Solver(newton.solvers.SolverVBD):
 
     def __init__(self, model: newton.Model, *, iterations: int, predict: bool, **given: Any) -> None:
         super().__init__(model, iterations=iterations, **given)
+        # Adds up each particle's contacts by themselves. Otherwise, unless the mode is deterministic, the order depends
+        # on the number of worlds, and what rests on cloth makes much of a rounding. The mode itself would do, but its
+        # kernels take seconds to load on a CPU, whose one thread always does the same.
+        self._particle_contact_use_gather = True
         self._predicts = predict
         self._last_qd = wp.zeros(model.particle_count, dtype=wp.vec3, device=model.device)
 
@@ -187,6 +207,8 @@ class LoopVBD(Loop):
         contact_gap_m: Distance from a shape at which a particle's contact is found; more than it goes in a step.
         full_surface: Whether edges and faces of a mesh collide with shapes, and not its vertices alone: for bodies
             narrower than the mesh. Several contacts then share a load, and friction takes ten iterations to come right.
+        passing: Particles and shapes that do not collide, from `passing_pairs`, shape [pair_count, 2]. The model needs
+            a particle that is not active, which stands for each of these in the solver's list of pairs.
         friction_speed_m_per_s: Speed of sliding from which friction is that of Coulomb; below, it falls to zero.
         self_contact: How surfaces keep apart; None lets them pass through each other, whatever `contacts` say.
 
@@ -208,6 +230,7 @@ class LoopVBD(Loop):
         contact_damping_n_s_per_m: float = 0.0,
         contact_gap_m: float = 0.002,
         full_surface: bool = False,
+        passing: NDArray[np.intp] | None = None,
         friction_speed_m_per_s: float = 1e-4,
         self_contact: SelfContact | None = None,
     ) -> None:
@@ -226,6 +249,9 @@ class LoopVBD(Loop):
             self._pipeline = newton.CollisionPipeline(
                 model, soft_contact_gap=contact_gap_m, enable_rigid_soft_full_surface_contact=full_surface
             )
+            if passing is not None and len(passing):
+                assert not full_surface
+                _let_pass(self._pipeline, passing)
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         self._self_contact = self_contact if contacts.itself else None
         solver = _Solver(
@@ -306,6 +332,16 @@ def _check_iterations(model: newton.Model, *, timestep_s: float, iterations: int
             f"{iterations} iterations of vertex block descent at 1/{1.0 / timestep_s:.6g} s are too few for this "
             f"stiffness and mesh: take {ceil(needed)}, or 1/{ceil(sqrt(needed / iterations) / timestep_s)} s"
         )
+
+
+def _let_pass(pipeline: newton.CollisionPipeline, passing: NDArray[np.intp]) -> None:
+    """Take pairs of a particle and a shape out of those that Newton looks at."""
+    # The number of pairs is fixed when the pipeline is made, but a particle that is not active touches nothing.
+    model = pipeline.model
+    idle = int(np.flatnonzero((model.particle_flags.numpy() & int(newton.ParticleFlags.ACTIVE)) == 0)[0])
+    pairs = pipeline.soft_rigid_contact_pairs.numpy()
+    pairs[np.isin(pairs @ (model.shape_count, 1), passing @ (model.shape_count, 1)), 0] = idle
+    pipeline.soft_rigid_contact_pairs.assign(pairs)
 
 
 def _has_dynamic_bodies(model: newton.Model) -> bool:

@@ -1,0 +1,343 @@
+"""Ropes and rods in Newton: a chain of rigid segments for vertex block descent.
+
+Each segment is a body with the mass and inertia of its piece of the line. Newton's rod joints hold the ends of
+neighbours together; a rod's also resist bending by E I over a segment's length, and twist by G J over it. At a clamp
+a joint stands for half a segment and is twice as stiff. A load at the free end of n segments then deflects it as
+theory says, but for 1 part in 2 n^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import pi
+
+import newton
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.glue import Glue
+from gauge_envs.backends.lines import LINE_AXIS, glued_ends, points_on_axis
+from gauge_envs.backends.newton.loop import warp_transform
+from gauge_envs.backends.newton.rigid import WORLD, mass_properties
+from gauge_envs.backends.newton.vbd import Pin
+from gauge_envs.errors import ShapeError
+from gauge_envs.scene import Cylinder, Pose, Rod, Rope
+
+__all__ = ["LinePart", "add_line"]
+
+TURN_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
+"""Turns z, along which Newton's capsules and rod joints lie, to a line's own axis."""
+
+CLEAR_RADII = 2.5
+"""Segments whose ends are nearer than this along the line touch by their shape alone, so they never collide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Anchor:
+    """A point of a body: of a segment, or of what an end is glued to.
+
+    Attributes:
+        body: Index of the body; -1 for the world.
+        place_m: Where it is in the body's frame [m].
+        start: Rotation of the body at the start.
+    """
+
+    body: int
+    place_m: tuple[float, float, float]
+    start: Rotation
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Section:
+    """What a line's section resists.
+
+    Attributes:
+        stretch_n: Force per strain, E A, or as much of it as can be had [N].
+        bend_n_m2: Moment per curvature, E I [N m^2].
+        twist_n_m2: Torque per twist, G J [N m^2].
+        damping_s: Time by which the rates of curvature and twist are multiplied.
+    """
+
+    stretch_n: float
+    bend_n_m2: float
+    twist_n_m2: float
+    damping_s: float
+
+    @classmethod
+    def of(cls, line: Rope | Rod, *, largest_stretch_n: float, damping_s: float) -> _Section:
+        """Section of a rod, or of a rope: inextensible and perfectly flexible."""
+        if isinstance(line, Rope):
+            return cls(stretch_n=largest_stretch_n, bend_n_m2=0.0, twist_n_m2=0.0, damping_s=0.0)
+        area, inertia = pi * line.radius_m**2, pi / 4.0 * line.radius_m**4
+        return cls(
+            stretch_n=min(line.young_modulus_pa * area, largest_stretch_n),
+            bend_n_m2=line.young_modulus_pa * inertia,
+            # J is twice I, and G is E / (2 + 2 nu).
+            twist_n_m2=line.young_modulus_pa * inertia / (1.0 + line.poisson_ratio),
+            damping_s=damping_s,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinePart:
+    """A rope or a rod among the bodies of a model.
+
+    Attributes:
+        name: Name of the line.
+        rest_m: World positions of the nodes at the start, along the line's axis [m], shape [node_count, 3].
+        anchors: The two points whose middle each node is: ends of neighbours, or one point twice.
+        keeps_direction: Whether it keeps its direction in what holds its ends, as a rod does.
+        segments: Bodies of the segments, along the line's axis.
+        shapes: Their capsules.
+        pins: None, as no particles are held.
+    """
+
+    name: str
+    rest_m: NDArray[np.float64]
+    anchors: tuple[tuple[_Anchor, _Anchor], ...]
+    keeps_direction: bool
+    segments: tuple[int, ...]
+    shapes: tuple[int, ...]
+    pins: tuple[Pin, ...] = ()
+
+    def nodes(self, state: newton.State) -> NDArray[np.float64]:
+        """World positions of the nodes in a state [m], shape [node_count, 3]; kept in single precision."""
+        return self._nodes(_poses(state))
+
+    def track(self, points_m: ArrayLike) -> Callable[[newton.State], NDArray[np.float64]]:
+        """Reader of points in or on the line, which keep their place along it and turn with it.
+
+        Args:
+            points_m: World positions at the start [m], shape [point_count, 3].
+
+        Returns:
+            Function of a state that returns where the points are in it [m], shape [point_count, 3].
+
+        Raises:
+            ShapeError: A point lies beyond an end.
+        """
+        points = np.asarray(points_m, dtype=np.float64)
+        span = self.rest_m[-1] - self.rest_m[0]
+        axis = span / np.linalg.norm(span)
+        places = (self.rest_m - self.rest_m[0]) @ axis
+        along = (points - self.rest_m[0]) @ axis
+        if not np.all((along > -1e-5) & (along < places[-1] + 1e-5)):
+            raise ShapeError(f"a point lies beyond an end of {self.name!r}")
+        low = np.clip(np.searchsorted(places, along) - 1, 0, len(places) - 2)
+        share = ((along - places[low]) / (places[low + 1] - places[low]))[:, None]
+        offsets = points - self.rest_m[0] - along[:, None] * axis
+
+        def read(state: newton.State) -> NDArray[np.float64]:
+            poses = _poses(state)
+            nodes, turns = self._nodes(poses), self._turns(poses)
+            centres = (1.0 - share) * nodes[low] + share * nodes[low + 1]
+            turn = (1.0 - share) * turns[low] + share * turns[low + 1]
+            return np.asarray(centres + Rotation.from_quat(turn).apply(offsets))
+
+        return read
+
+    def _nodes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        bodies = np.array([[anchor.body for anchor in pair] for pair in self.anchors]).ravel()
+        places = np.array([[anchor.place_m for anchor in pair] for pair in self.anchors]).reshape(-1, 3)
+        ends = poses[bodies, :3] + Rotation.from_quat(poses[bodies, 3:]).apply(places)
+        return np.asarray(ends.reshape(-1, 2, 3).mean(axis=1))
+
+    def _turns(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rotation of the line at each node since the start, as unit quaternions, shape [node_count, 4]."""
+        # What holds an end of a rope turns by itself; the second of a pair is always a segment, but for a grip's tip.
+        anchors = [anchor for pair in self.anchors for anchor in (pair if self.keeps_direction else (pair[1], pair[1]))]
+        now = Rotation.from_quat(poses[[anchor.body for anchor in anchors], 3:])
+        turns = (now * Rotation.concatenate([anchor.start for anchor in anchors]).inv()).as_quat()
+        # A quaternion and its negative are one rotation; along the line the nearer one is taken, so that means exist.
+        signs = np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0.0, -1.0, 1.0)
+        turns[1:] *= np.cumprod(signs)[:, None]
+        means = turns.reshape(-1, 2, 4).mean(axis=1)
+        return np.asarray(means / np.linalg.norm(means, axis=1, keepdims=True))
+
+
+def add_line(
+    builder: newton.ModelBuilder,
+    line: Rope | Rod,
+    *,
+    glued: Sequence[Glue] = (),
+    bodies: Mapping[str, int],
+    segments: int,
+    joint_stiffness_n_per_m: float,
+    damping_s: float = 0.0,
+    touches_itself: bool = False,
+) -> LinePart:
+    """Add a rope or a rod to a model in the making; it collides with every shape that it is not kept apart from.
+
+    What is in a grip is part of the body that holds it, and its mass is left out.
+
+    Args:
+        builder: Model in the making; it has the rigid bodies already.
+        line: The line. A rope's Young's modulus is not used, since a rope is inextensible.
+        glued: What its ends are glued to. There a rod keeps its direction, and a rope its place alone.
+        bodies: Index of each rigid body, by its name; -1 for fixed ones.
+        segments: Number of segments of what is outside of grips.
+        joint_stiffness_n_per_m: Springs that hold the ends of neighbours together; of a softer rod, E A over
+            the length of a segment.
+        damping_s: Viscosity of a rod in bending and twist, as the time by which it multiplies the rate of curvature.
+        touches_itself: Whether segments collide with those that are not near them along the line.
+
+    Raises:
+        UnsupportedSceneError: Something else than an end is glued, a length of a rope, or all of a rod.
+    """
+    ends = glued_ends(line, glued)
+    low_m, high_m = _free_places_m(line, ends)
+    length_m = (high_m - low_m) / segments
+    nodes_m = points_on_axis(line, low_m + length_m * np.arange(segments + 1))
+    turn = line.pose.rotation * TURN_TO_AXIS[LINE_AXIS[type(line)]]
+    fixed = {0 if side == "low" else segments - 1 for side, glue in ends.items() if bodies[glue.body] == WORLD}
+    links = [
+        _add_segment(builder, line, 0.5 * (nodes_m[i] + nodes_m[i + 1]), turn, length_m, on_world=i in fixed)
+        for i in range(segments)
+    ]
+    shapes = _add_capsules(builder, line, links, length_m=length_m, ends=ends)
+    _keep_near_apart(builder, shapes, length_m, clear_m=CLEAR_RADII * line.radius_m, all_of_it=not touches_itself)
+
+    half = 0.5 * length_m
+    low = [_Anchor(body=link, place_m=(0.0, 0.0, -half), start=turn) for link in links]
+    high = [_Anchor(body=link, place_m=(0.0, 0.0, half), start=turn) for link in links]
+    first = _held(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
+    last = _held(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
+    # What holds an end comes first in its pair, since Newton wants the world as parent.
+    anchors = list(zip([first, *high[:-1], last], [*low, high[-1]], strict=True))
+    section = _Section.of(line, largest_stretch_n=joint_stiffness_n_per_m * length_m, damping_s=damping_s)
+    for index, (parent, child) in enumerate(anchors):
+        if parent is not child:
+            stands_for_m = length_m if 0 < index < segments else half
+            _add_joint(builder, parent, child, turn, section, stands_for_m=stands_for_m, label=line.name)
+    tips = {side: _gripped_tip(line, side, ends, bodies) for side in ("low", "high")}
+    return LinePart(
+        name=line.name,
+        rest_m=np.vstack([tips["low"][0], nodes_m, tips["high"][0]]),
+        anchors=(*tips["low"][1], *anchors, *tips["high"][1]),
+        keeps_direction=isinstance(line, Rod),
+        segments=tuple(links),
+        shapes=shapes,
+    )
+
+
+def _free_places_m(line: Rope | Rod, ends: Mapping[str, Glue]) -> tuple[float, float]:
+    """Where what is outside of grips begins and ends, from the middle of the line [m]."""
+    low, high = (ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high"))
+    return low - 0.5 * line.length_m, 0.5 * line.length_m - high
+
+
+def _gripped_tip(
+    line: Rope | Rod, side: str, ends: Mapping[str, Glue], bodies: Mapping[str, int]
+) -> tuple[NDArray[np.float64], list[tuple[_Anchor, _Anchor]]]:
+    """Node at an end that lies in a grip, if one does: its place [m], shape [0 or 1, 3], and its anchors."""
+    if side not in ends or ends[side].region.depth_m == 0.0:
+        return np.zeros((0, 3)), []
+    place_m = points_on_axis(line, np.array([-0.5 if side == "low" else 0.5]) * line.length_m)
+    tip = _held(ends[side], bodies, place_m[0])
+    return place_m, [(tip, tip)]
+
+
+def _poses(state: newton.State) -> NDArray[np.float64]:
+    """Poses of all bodies, and last of the world, so that its index -1 finds it, shape [body_count + 1, 7]."""
+    return np.vstack([state.body_q.numpy().astype(np.float64), [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]])
+
+
+def _held(glue: Glue, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
+    """Point of the body that an end is glued to."""
+    index = bodies[glue.body]
+    if index == WORLD:
+        return _Anchor(body=index, place_m=_vector(point_m), start=Rotation.identity())
+    return _Anchor(body=index, place_m=_vector(glue.pose.to_body(point_m)), start=glue.pose.rotation)
+
+
+def _vector(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _add_segment(
+    builder: newton.ModelBuilder,
+    line: Rope | Rod,
+    centre_m: NDArray[np.float64],
+    turn: Rotation,
+    length_m: float,
+    *,
+    on_world: bool,
+) -> int:
+    mass = line.mass_kg * length_m / line.length_m
+    _, inertia = mass_properties(Cylinder(radius_m=line.radius_m, length_m=length_m), mass)
+    w, x, y, z = turn.as_quat(scalar_first=True).tolist()
+    # Newton gives a body a free joint to the world, which is not for one that a rod joint ties to it.
+    add = builder.add_link if on_world else builder.add_body
+    return add(
+        xform=warp_transform(Pose(position_m=_vector(centre_m), quaternion=(w, x, y, z))),
+        mass=mass,
+        inertia=wp.mat33(inertia),
+        lock_inertia=True,
+        label=line.name,
+    )
+
+
+def _add_capsules(
+    builder: newton.ModelBuilder, line: Rope | Rod, links: Sequence[int], *, length_m: float, ends: Mapping[str, Glue]
+) -> tuple[int, ...]:
+    """Capsules of the segments; where the line ends freely, the round end lies within it."""
+    shapes = []
+    for index, link in enumerate(links):
+        low = line.radius_m if index == 0 and "low" not in ends else 0.0
+        high = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
+        shapes.append(
+            builder.add_shape_capsule(
+                link,
+                xform=wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low - high)), wp.quat_identity()),
+                radius=line.radius_m,
+                half_height=max(0.5 * (length_m - low - high), 0.0),
+                cfg=newton.ModelBuilder.ShapeConfig(density=0.0),
+                label=line.name,
+            )
+        )
+    return tuple(shapes)
+
+
+def _keep_near_apart(
+    builder: newton.ModelBuilder, shapes: Sequence[int], length_m: float, *, clear_m: float, all_of_it: bool
+) -> None:
+    for one, other in combinations(range(len(shapes)), 2):
+        if all_of_it or (other - one - 1) * length_m < clear_m:
+            builder.add_shape_collision_filter_pair(shapes[one], shapes[other])
+
+
+def _add_joint(
+    builder: newton.ModelBuilder,
+    parent: _Anchor,
+    child: _Anchor,
+    turn: Rotation,
+    section: _Section,
+    *,
+    stands_for_m: float,
+    label: str,
+) -> None:
+    """Join two anchors that are at one place, as a length of the line would."""
+    frames = [
+        wp.transform(wp.vec3(*anchor.place_m), wp.quat(*(anchor.start.inv() * turn).as_quat().tolist()))
+        for anchor in (parent, child)
+    ]
+    joint = builder.add_joint_rod(
+        parent.body,
+        child.body,
+        parent_xform=frames[0],
+        child_xform=frames[1],
+        rest_rotation=wp.quat_identity(),
+        stretch_stiffness=section.stretch_n / stands_for_m,
+        bend_stiffness=section.bend_n_m2 / stands_for_m,
+        bend_damping=section.damping_s * section.bend_n_m2 / stands_for_m,
+        twist_stiffness=section.twist_n_m2 / stands_for_m,
+        twist_damping=section.damping_s * section.twist_n_m2 / stands_for_m,
+        label=label,
+    )
+    if parent.body == WORLD:
+        builder.add_articulation([joint], label=label)

@@ -1,0 +1,370 @@
+"""Deformable scenes on Newton through the public contract: what it takes, courses, presets, repeats, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from ctypes.util import find_library
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gauge_envs import Jitter, experiment, variants
+from gauge_envs.backends import backend
+from gauge_envs.backends.base import Simulation, World
+from gauge_envs.benchmark import run_episode
+from gauge_envs.env import GaugeEnv
+from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.jitter import jittered
+from gauge_envs.scene import Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene, SoftBody
+
+pytest.importorskip("newton")
+
+needs_opengl = pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library")
+
+GRAVITY_M_PER_S2 = 9.80665
+
+
+def run(
+    name: str, frames: int, *, engine: str = "newton", settings: Mapping[str, Any] | None = None, proxy: str = "node"
+) -> GaugeEnv:
+    """Environment some frames after its start, with the recorded motion."""
+    env = gymnasium.make(f"GAUGE/{name}", backend=engine, settings=settings, marker_proxy=proxy)
+    env.reset(seed=0)
+    zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    for _ in range(frames):
+        *_, terminated, _, info = env.step(zero)
+        assert not terminated, info
+    return env.unwrapped
+
+
+def markers_mm(env: GaugeEnv) -> NDArray[np.float64]:
+    """Marker paths, shape [frame_count, marker_count, 3]."""
+    return 1e3 * env.trajectory().markers_m
+
+
+def distance_mm(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Root mean square distance of markers in each frame, shape [frame_count]."""
+    return np.sqrt(np.square(one - other).sum(axis=-1).mean(axis=-1))
+
+
+class Player:
+    """Drives worlds of a scene along their recorded motions."""
+
+    def __init__(self, scene: Scene, seconds: float) -> None:
+        self._paths = [DriverPath(driver, scene, round(30 * seconds) + 2) for driver in scene.drivers]
+        self.sample = 0
+
+    def drive(self, world: World) -> None:
+        for path in self._paths:
+            world.drive(path.body, *path.interval(self.sample, np.zeros(path.motion_count)))
+
+    def play(self, simulation: Simulation, frames: int) -> None:
+        for _ in range(frames * SAMPLES_PER_FRAME):
+            self.drive(simulation)
+            simulation.advance(SAMPLE_INTERVAL_S)
+            self.sample += 1
+
+
+def everything(world: World, scene: Scene) -> NDArray[np.float64]:
+    """All nodes and states of bodies of a world, one after another."""
+    nodes = [world.nodes(body.name).ravel() for body in scene.deformables]
+    return np.concatenate([*nodes, world.body_states([body.name for body in scene.bodies]).ravel()])
+
+
+# --- what is taken and what is declined ------------------------------------------------------------------------------
+
+DECLINED = {
+    "RopeWinding": "no restitution",
+    "WallBreaking": "hangs on a string",
+}
+"""Families that Newton declines, and what the reason says."""
+
+
+@pytest.mark.parametrize("family", sorted({variant.family for variant in variants()}))
+def test_families_that_newton_takes_and_declines(family: str) -> None:
+    for variant in variants():
+        if variant.family == family:
+            support = backend("newton").supports(experiment(variant.name).scene)
+            assert bool(support) == (family not in DECLINED), support.missing
+            assert DECLINED.get(family, "") in "; ".join(support.missing)
+
+
+def test_a_declined_experiment_names_a_backend_that_can() -> None:
+    with pytest.raises(UnsupportedSceneError, match=r"no restitution.*backend='mujoco' can"):
+        gymnasium.make("GAUGE/RopeWinding-rubber", backend="newton")
+
+
+# --- courses ---------------------------------------------------------------------------------------------------------
+
+
+def test_stretched_foam_goes_as_in_mujoco() -> None:
+    """Both solve the same elasticity, on cells of their own: where 1.5 mm are moved they differ by 0.01 mm."""
+    ours, theirs = (run("FoamStretching-soft", 8, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    paths = markers_mm(ours)
+    assert distance_mm(paths, paths[:1])[-1] > 1.0
+    assert distance_mm(paths, markers_mm(theirs)).max() < 0.05
+
+
+@pytest.mark.slow
+def test_a_result_says_what_it_was_made_with() -> None:
+    result = run_episode("FoamStretching-soft", backend="newton")
+    assert result.outcome == "finished"
+    assert (result.settings["preset"], result.settings["solver"]) == ("soft", "SolverVBD")
+    assert result.versions["newton"] and result.versions["warp-lang"]
+    nylon = run_episode("TextileBending-nylon", backend="newton")
+    assert nylon.outcome == "finished"
+    assert nylon.settings["timestep_s"] == 1 / 2880
+    assert nylon.settings_given == {}
+
+
+def strains(env: GaugeEnv) -> NDArray[np.float64]:
+    """Strains of the edges of a cloth's cells."""
+    cloth = env.experiment.scene.deformables[0]
+    assert isinstance(cloth, Cloth)
+    counts = [round(size / env.simulation.settings["cloth_cell_m"]) for size in cloth.size_m]
+    nodes = env.simulation.nodes(cloth.name).reshape(counts[0] + 1, counts[1] + 1, 3)
+    along = [
+        np.linalg.norm(np.diff(nodes, axis=axis), axis=-1).ravel() * counts[axis] / cloth.size_m[axis]
+        for axis in (0, 1)
+    ]
+    return np.concatenate(along) - 1.0
+
+
+def test_a_flung_cloth_keeps_to_its_rod_and_goes_as_in_mujoco() -> None:
+    """The meshes are alike and the membranes' small-strain limits too; the rest is a step that is 3 times as short."""
+    ours, theirs = (run("TextileFlinging-satin", 15, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    scene = ours.experiment.scene
+    nodes = ours.simulation.nodes("textile")
+    assert np.isfinite(nodes).all()
+    [position] = ours.simulation.body_states(["rod"])[:, :3]
+    start = np.asarray(scene.body("rod").pose.position_m)
+    assert np.linalg.norm(position - start) > 0.05
+    edge = ours.episode.rest_nodes_m["textile"]
+    on_rod = np.abs(edge[:, 2] - start[2]) < 1e-6
+    assert on_rod.sum() == 17
+    assert 1e3 * np.abs(nodes[on_rod] - edge[on_rod] - (position - start)).max() < 1e-4
+    assert 0.003 < strains(ours).max() < 0.03
+    paths, other = markers_mm(ours), markers_mm(theirs)
+    assert distance_mm(paths, paths[:1])[-1] > 100.0
+    assert distance_mm(paths, other).max() < 0.5
+
+
+@pytest.mark.parametrize("proxy", ["node", "material"])
+@pytest.mark.parametrize("name", ["FoamStretching-soft", "TextileStretching-satin"])
+def test_markers_start_where_they_are_glued(name: str, proxy: str) -> None:
+    env = run(name, 1, proxy=proxy)
+    published = 1e3 * np.array(env.experiment.scene.markers.positions_m)
+    start, after = markers_mm(env)
+    reach_mm = 1e-3 if proxy == "material" else 1e3 * np.sqrt(3.0) * 0.5 * 0.025
+    assert np.linalg.norm(start - published, axis=1).max() < reach_mm
+    moved = np.linalg.norm(after - start, axis=1)
+    assert 0.0 < moved.max() < 5.0
+
+
+# --- beams of foam and rubber ----------------------------------------------------------------------------------------
+
+
+def test_a_beam_of_foam_and_rubber_drops_as_in_mujoco() -> None:
+    """Rubber, a hundred times as stiff as the foam, is rigid here and elastic there."""
+    ours, theirs = (run("CantileverBeam-soft", 4, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    assert ours.simulation.settings["preset"] == "soft_row"
+    assert ours.simulation.settings["soft_rigid_ratio"] == 50.0
+    paths = markers_mm(ours)
+    assert distance_mm(paths, paths[:1])[-1] > 30.0
+    assert distance_mm(paths, markers_mm(theirs)).max() < 0.5
+
+
+def falling(name: str, x_m: float, young_pa: float = 1e5) -> SoftBody:
+    return SoftBody(
+        name=name,
+        shape=Box(size_m=(0.05, 0.05, 0.05)),
+        pose=Pose(position_m=(x_m, 0.0, 0.03)),
+        mass_kg=0.01,
+        young_modulus_pa=young_pa,
+        poisson_ratio=0.3,
+    )
+
+
+def on_a_slab(*bodies: SoftBody, touching: Sequence[str], attachments: Sequence[Attachment] = ()) -> Scene:
+    """Blocks 5 mm above a slab that some of them touch."""
+    slab = RigidBody(
+        name="slab",
+        shape=Box(size_m=(1.0, 1.0, 0.1)),
+        motion=Motion.FIXED,
+        pose=Pose(position_m=(0.0, 0.0, -0.05)),
+        mass_kg=1.0,
+    )
+    return Scene(
+        bodies=(slab,),
+        deformables=bodies,
+        attachments=tuple(attachments),
+        contacts=(Contact(first=tuple(touching), second=("slab",), friction=0.3, restitution=0.0),),
+        duration_s=1.0,
+    )
+
+
+@pytest.mark.parametrize("worlds", [1, 2])
+def test_each_body_collides_with_what_its_contacts_say(worlds: int) -> None:
+    scene = on_a_slab(falling("held", 0.0), falling("passing", 0.2), touching=["held"])
+    copies = backend("newton").build_worlds([scene] * worlds, {"preset": "soft_row", "soft_cell_m": 0.025})
+    seconds = 0.2
+    copies.advance(seconds)
+    for world in copies.worlds:
+        assert world.nodes("held")[:, 2].min() == pytest.approx(0.0, abs=2e-3)
+        fall = 0.03 - world.nodes("passing")[:, 2].mean()
+        # An implicit Euler step falls half a step further each time.
+        assert fall == pytest.approx(0.5 * GRAVITY_M_PER_S2 * seconds * (seconds + 1 / 3600), rel=1e-4)
+
+
+def test_partial_contacts_are_declined_where_faces_collide() -> None:
+    scene = on_a_slab(falling("held", 0.0), falling("passing", 0.2), touching=["held"])
+    with pytest.raises(UnsupportedSceneError, match="passing would touch slab as well as held"):
+        backend("newton").build(scene, {"preset": "soft"})
+    assert "passing would touch slab" in "; ".join(backend("newton").supports(scene).missing)
+
+
+def test_blocks_of_a_row_collide_on_their_own() -> None:
+    """A light foam block bonded to a heavy rigid one: whichever may touch the slab holds its end up."""
+    foam, rubber = replace(falling("foam", 0.0), mass_kg=0.002), replace(falling("rubber", 0.05, 1e7), mass_kg=0.02)
+    bond = Attachment(deformable="rubber", region=Region(axis="x", side="low"), to="foam")
+    lowest_mm = {}
+    for touching in ("foam", "rubber", "nothing"):
+        scene = on_a_slab(foam, rubber, touching=[touching], attachments=[bond])
+        simulation = backend("newton").build(scene, {"soft_cell_m": 0.025})
+        assert simulation.settings["preset"] == "soft_row"
+        simulation.advance(0.1)
+        lowest_mm[touching] = [1e3 * float(simulation.nodes(name)[:, 2].min()) for name in ("foam", "rubber")]
+    # Both rest on the millimetre that keeps nodes off what they touch.
+    assert lowest_mm["rubber"] == pytest.approx([1.0, 1.0], abs=0.1)
+    # The heavy end tips over the edge of the light one, through the slab.
+    assert lowest_mm["foam"][0] == pytest.approx(1.0, abs=0.2)
+    assert lowest_mm["foam"][1] < -20.0
+    assert lowest_mm["nothing"] == pytest.approx([5.0 - 0.5e3 * GRAVITY_M_PER_S2 * 0.1**2] * 2, abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_beam_of_foam_and_rubber_swings_at_mujocos_rate() -> None:
+    ours, theirs = (run("CantileverBeam-soft", 89, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    rates_hz = []
+    for env in (ours, theirs):
+        height = markers_mm(env)[:, 15, 2]
+        crossings = np.flatnonzero(np.diff(np.sign(height - 160.0)))
+        times = crossings + (160.0 - height[crossings]) / (height[crossings + 1] - height[crossings])
+        rates_hz.append(30.0 * (len(times) - 1) / (2.0 * (times[-1] - times[0])))
+    assert rates_hz[1] == pytest.approx(2.49, abs=0.01)
+    assert rates_hz[0] == pytest.approx(rates_hz[1], rel=0.02)
+
+
+# --- presets ---------------------------------------------------------------------------------------------------------
+
+
+def test_material_points_stretch_as_tetrahedra_do() -> None:
+    points = run("FoamStretching-soft", 2, settings={"preset": "mpm"}, proxy="material")
+    tetrahedra = run("FoamStretching-soft", 2, proxy="material")
+    assert points.simulation.settings["solver"] == "SolverImplicitMPM"
+    paths = markers_mm(points)
+    assert distance_mm(paths, paths[:1])[-1] > 0.3
+    assert distance_mm(paths, markers_mm(tetrahedra)).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [
+        ("TextileFlinging-satin", "mpm"),
+        ("FoamStretching-soft", "rigid"),
+        ("SlopeSlider-2-wood", "cloth"),
+        ("SlopeSlider-2-wood", "mpm"),
+    ],
+)
+def test_a_preset_for_other_bodies_is_refused(name: str, preset: str) -> None:
+    with pytest.raises(ParameterError, match=f"'{preset}'"):
+        gymnasium.make(f"GAUGE/{name}", backend="newton", settings={"preset": preset})
+
+
+def test_stiff_fabric_gets_half_the_step_and_says_so() -> None:
+    steps = {name: run(f"TextileFlinging-{name}", 0).simulation.settings["timestep_s"] for name in ("satin", "nylon")}
+    assert steps == {"satin": 1 / 1440, "nylon": 1 / 2880}
+
+
+def test_a_step_that_is_too_long_for_its_start_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"3 iterations .* at 1/180 s are too few"):
+        gymnasium.make("GAUGE/TextileFlinging-satin", backend="newton", settings={"timestep_s": 1 / 180})
+
+
+# --- repeats ---------------------------------------------------------------------------------------------------------
+
+REPEATED = [
+    ("TextileFlinging-satin", None),
+    ("RotatingBall-satin", None),
+    ("FoamStretching-soft", None),
+    ("FoamBending-soft", None),
+    ("FoamStretching-soft", {"preset": "mpm"}),
+]
+
+
+@pytest.mark.parametrize(("name", "settings"), REPEATED)
+def test_reset_and_restore_repeat_bit_for_bit(name: str, settings: Mapping[str, Any] | None) -> None:
+    scene = experiment(name).scene
+    simulation = backend("newton").build(scene, settings)
+    start = everything(simulation, scene)
+    simulation.reset(0)
+    assert (everything(simulation, scene) == start).all()
+    player = Player(scene, 0.2)
+    player.play(simulation, 1)
+    kept, sample = simulation.state(), player.sample
+    player.play(simulation, 1)
+    end = everything(simulation, scene)
+    assert np.abs(end - start).max() > 1e-6
+    simulation.restore(kept)
+    player.sample = sample
+    player.play(simulation, 1)
+    assert (everything(simulation, scene) == end).all()
+    simulation.reset(1)
+    assert (everything(simulation, scene) == start).all()
+    player.sample = 0
+    player.play(simulation, 2)
+    assert (everything(simulation, scene) == end).all()
+
+
+@pytest.mark.parametrize(
+    "name", ["TableclothPulling-metal", pytest.param("RotatingBall-satin", marks=pytest.mark.slow)]
+)
+def test_worlds_equal_their_single_runs(name: str) -> None:
+    scenes = [jittered(experiment(name).scene, Jitter(), seed=seed) for seed in (0, 1)]
+    worlds = backend("newton").build_worlds(scenes)
+    worlds.reset(0)
+    players = [Player(scene, 0.2) for scene in scenes]
+    for _ in range(2 * SAMPLES_PER_FRAME):
+        for player, world in zip(players, worlds.worlds, strict=True):
+            player.drive(world)
+            player.sample += 1
+        worlds.advance(SAMPLE_INTERVAL_S)
+    together = [everything(world, scene) for world, scene in zip(worlds.worlds, scenes, strict=True)]
+    assert np.abs(together[0] - together[1]).max() > 1e-4
+    for scene, both in zip(scenes, together, strict=True):
+        simulation = backend("newton").build(scene)
+        simulation.reset(0)
+        Player(scene, 0.2).play(simulation, 2)
+        assert (both == everything(simulation, scene)).all()
+
+
+# --- pictures --------------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_pictures_show_the_cloth_where_newton_has_it() -> None:
+    env = gymnasium.make(
+        "GAUGE/TextileFlinging-satin", backend="newton", render_mode="rgb_array", width=160, height=120
+    )
+    env.reset(seed=0)
+    first = env.render()
+    assert first.shape == (120, 160, 3)
+    for _ in range(10):
+        env.step(np.zeros(env.action_space.shape))
+    assert (np.abs(env.render().astype(int) - first).max(axis=-1) > 40).sum() > 50
+    env.close()
