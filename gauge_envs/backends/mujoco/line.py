@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.glue import Glue
+from gauge_envs.backends.lines import glued_ends, points_on_axis
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
-from gauge_envs.errors import ShapeError, UnsupportedSceneError
+from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 
 __all__ = ["LinePart", "add_rod", "add_rope"]
@@ -33,8 +34,6 @@ CONTACT_SOLREF = (2e-3, 1.0)
 CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Contacts. MuJoCo softens contacts in proportion to the lightness of what touches: with its default
 impedance two balls of 0.3 kg pull a rope of 5 g right through the beam that it hangs on."""
-
-LINE_AXIS = {Rope: "x", Rod: "z"}
 
 
 class LinePart(FlexPart):
@@ -115,11 +114,9 @@ def add_rope(spec: mujoco.MjSpec, rope: Rope, *, glued: Sequence[Glue]) -> LineP
     Raises:
         UnsupportedSceneError: Something else than its very end is glued.
     """
-    ends = _glued_ends(rope, glued)
-    if any(glue.region.depth_m > 0.0 for glue in ends.values()):
-        raise UnsupportedSceneError(f"rope {rope.name!r} is glued over a length, not at its end")
+    ends = glued_ends(rope, glued)
     count = max(2, round(rope.length_m / ROPE_SEGMENT_M))
-    rest_m = _on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
+    rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
     held = {0 if side == "low" else count: glue for side, glue in ends.items()}
     return LinePart(flex, rest_m, [], _hold(spec, flex, rest_m, held))
@@ -140,13 +137,13 @@ def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: 
     Raises:
         UnsupportedSceneError: Something else than an end is glued.
     """
-    ends = _glued_ends(rod, glued)
+    ends = glued_ends(rod, glued)
     low, high = -0.5 * rod.length_m, 0.5 * rod.length_m
     low += ends["low"].region.depth_m if "low" in ends else 0.0
     high -= ends["high"].region.depth_m if "high" in ends else 0.0
     segment = (high - low) / (ROD_SEGMENTS - 0.5 * len(ends))
     start = low - 0.5 * segment if "low" in ends else low
-    rest_m = _on_axis(rod, start + segment * np.arange(ROD_SEGMENTS + 1))
+    rest_m = points_on_axis(rod, start + segment * np.arange(ROD_SEGMENTS + 1))
     flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * ROD_SEGMENTS / rod.length_m)
     flex.young, flex.damping = rod.young_modulus_pa, damping_s
     held: dict[int, Glue] = {}
@@ -172,22 +169,6 @@ def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: 
         )
         geoms.append(geom)
     return LinePart(flex, rest_m, geoms, points)
-
-
-def _on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> NDArray[np.float64]:
-    """World positions of places along a line's own axis [m], shape [place_count, 3]."""
-    points = np.zeros((len(places_m), 3))
-    points[:, "xyz".index(LINE_AXIS[type(line)])] = places_m
-    return line.pose.to_world(points)
-
-
-def _glued_ends(line: Rope | Rod, glued: Sequence[Glue]) -> dict[str, Glue]:
-    ends: dict[str, Glue] = {}
-    for glue in glued:
-        if glue.region.axis != LINE_AXIS[type(line)] or glue.region.side in ends:
-            raise UnsupportedSceneError(f"{line.name!r} is glued elsewhere than at its two ends")
-        ends[glue.region.side] = glue
-    return ends
 
 
 def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64], mass_kg: float) -> mujoco.MjsFlex:
