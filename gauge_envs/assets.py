@@ -17,6 +17,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from gauge_envs.driver import DriverSource
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiment import experiment
 from gauge_envs.meshes import hull_faces
@@ -60,7 +61,7 @@ def assets_folder() -> Path:
 
 def asset_texts() -> Iterator[tuple[str, str]]:
     """Path below the assets folder and text of every generated file, in alphabetical order of folders."""
-    resolved = [experiment(variant) for variant in variants()]
+    resolved = [experiment(variant, drivers=DriverSource.BUNDLED) for variant in variants()]
     for one in resolved:
         yield f"mjcf/{one.variant.name}.xml", mjcf_text(one)
     for name, solid in solid_shapes().items():
@@ -149,7 +150,7 @@ def solid_shapes() -> dict[str, Solid]:
     """Every distinct solid of the scenes, by name: primitives by their dimensions, polyhedra by their body's name."""
     users: dict[Shape, dict[str, str]] = {}
     for variant in variants():
-        resolved = experiment(variant)
+        resolved = experiment(variant, drivers=DriverSource.BUNDLED)
         scene, listed = resolved.scene, resolved.spec.names
         for name, shape in [
             *((body.name, body.shape) for body in scene.bodies if not isinstance(body.shape, Plane)),

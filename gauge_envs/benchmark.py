@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends import backend as find_backend
 from gauge_envs.backends.base import Worlds
+from gauge_envs.dataset.store import chosen_drivers, dataset_record
 from gauge_envs.env import GaugeEnv, check_support
 from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, Episode, reference_band, score_episode
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, TrajectoryFileError, UnsupportedSceneError
@@ -158,6 +159,7 @@ def _result_of(
         jitter=asdict(jitter) if jitter else {},
         marker_proxy=episode.marker_proxy.value,
         driver_provenance=resolved.driver_provenance,
+        dataset=dataset_record(resolved.variant.name, resolved.drivers),
         trajectory=_recorded(resolved, recorded.times_s, recorded.samples),
     )
 
@@ -256,7 +258,9 @@ def run_together(episodes: Sequence[Episode], worlds: Worlds) -> list[str | None
     return faults
 
 
-def score_file(file: Path, *, variant: str | None = None, parameters: Parameters | None = None) -> tuple[Result, int]:
+def score_file(
+    file: Path, *, variant: str | None = None, parameters: Parameters | None = None, use_withheld: bool = False
+) -> tuple[Result, int]:
     """Score a trajectory that a user brought from their own simulator (formats: `gauge_envs.trajectory_file`).
 
     Args:
@@ -264,6 +268,7 @@ def score_file(file: Path, *, variant: str | None = None, parameters: Parameters
         variant: Name or id of the experiment; None takes the id that a JSON file states.
         parameters: Parameters of the scene, for bands that follow from it; None takes what the file states, else
             `calibrated`.
+        use_withheld: Score on a band too that is withheld by default.
 
     Returns:
         The result, and the number of frames that had to be interpolated.
@@ -284,7 +289,8 @@ def score_file(file: Path, *, variant: str | None = None, parameters: Parameters
         parameters = stated_parameters if isinstance(stated_parameters, str | dict) else "calibrated"
     resolved = experiment(chosen, parameters)
     trajectory = read_trajectory(file, resolved)
-    score = score_trajectory(resolved, reference_band(resolved), times_s=trajectory.times_s, values=trajectory.values)
+    band = reference_band(resolved, use_withheld=use_withheld)
+    score = score_trajectory(resolved, band, times_s=trajectory.times_s, values=trajectory.values)
     result = Result(
         id=chosen.id,
         outcome=Outcome.FINISHED,
@@ -294,6 +300,7 @@ def score_file(file: Path, *, variant: str | None = None, parameters: Parameters
         frames=resolved.frame_count,
         sim_s=float(trajectory.times_s[-1]),
         driver_provenance=resolved.driver_provenance,
+        dataset=dataset_record(resolved.variant.name, resolved.drivers),
         trajectory=_recorded(resolved, trajectory.times_s, trajectory.values),
     )
     return result, trajectory.interpolated_frames
@@ -374,8 +381,8 @@ def run_many(
         jitter: How far starts scatter; the default `Jitter` where repeats ask for it.
         out: Folder for the result files, created if need be; None writes none.
         resume: Take results that `out` has already, where they are of the same experiment, backend, parameters,
-            settings, seed, jitter, task file and versions of engine and gauge-envs. A damaged one is moved aside, to
-            `*.damaged`, and run again.
+            settings, seed, jitter, task file, imported trials and versions of engine and gauge-envs. A damaged one is
+            moved aside, to `*.damaged`, and run again.
         notify: Takes one sentence for each file that `resume` could not take.
 
     Returns:
@@ -467,6 +474,7 @@ def _empty_result(
         seed=seed,
         jitter=asdict(jitter) if jitter else {},
         marker_proxy=marker_proxy,
+        dataset=dataset_record(variant.name, chosen_drivers()),
         error="not run",
     )
 
@@ -496,7 +504,8 @@ def _earlier(file: Path, wanted: Result, notify: Notify) -> Result | None:
         file.replace(aside)
         notify(f"{error}; moved to {aside.name} and run again")
         return None
-    for key in ("id", "backend", "parameters", "settings_given", "seed", "jitter", "marker_proxy", "task_sha256"):
+    same = ("id", "backend", "parameters", "settings_given", "seed", "jitter", "marker_proxy", "task_sha256", "dataset")
+    for key in same:
         if getattr(found, key) != getattr(wanted, key):
             notify(f"{file}: {key} differs from what is asked for; run again")
             return None

@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,7 @@ import typer
 import typer.core
 from rich.console import Console
 
+from gauge_envs.driver import DriverSource
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnknownNameError
 from gauge_envs.experiment import Parameters
 from gauge_envs.jitter import Jitter
@@ -63,6 +65,9 @@ backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=Tru
 app.add_typer(backend_app, name="backend")
 assets_app = typer.Typer(help="Scenes as USD, MJCF and OBJ for other tools.", no_args_is_help=True)
 app.add_typer(assets_app, name="assets")
+
+data_app = typer.Typer(help="The dataset of real trials: bands and drivers from motion capture.", no_args_is_help=True)
+app.add_typer(data_app, name="data")
 
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, one object a line.")]
 ParametersOption = Annotated[
@@ -197,6 +202,9 @@ def score(
     file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
     name: Annotated[str | None, typer.Option("--id", help="Experiment; a JSON file may state it itself.")] = None,
     parameters: ParametersOption = None,
+    use_withheld: Annotated[
+        bool, typer.Option("--use-withheld", help="Score on a band that is withheld; gauge show tells why it is.")
+    ] = False,
     json_lines: Json = False,
 ) -> None:
     """Score a trajectory from your own simulator: g(t) in the observable's unit (mm for positions), no engine needed.
@@ -206,7 +214,7 @@ def score(
     from gauge_envs.benchmark import score_file
     from gauge_envs.report import summary_view
 
-    result, interpolated = score_file(file, variant=name, parameters=_parameters(parameters))
+    result, interpolated = score_file(file, variant=name, parameters=_parameters(parameters), use_withheld=use_withheld)
     if interpolated:
         _stderr().print(f"[yellow]note:[/] {_count(interpolated, 'frame')} lay between samples: interpolated linearly")
     if json_lines:
@@ -269,6 +277,65 @@ def compare(
 
         for path in save_comparison(results, out, metric=chosen[0]):
             _stderr().print(_plain(str(path)), soft_wrap=True)
+    if skipped:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def diagnose(
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option("--id", help="Files are trajectories of this experiment, as for gauge score.")
+    ] = None,
+    order: Annotated[
+        str, typer.Option(help="Parts in the order in which they are added to the fit.")
+    ] = "release,offset,rate",
+    measured_only: Annotated[bool, typer.Option("--measured-only", help="Leave out extrapolated frames.")] = False,
+    use_withheld: Annotated[
+        bool, typer.Option("--use-withheld", help="Also on a band that is withheld; gauge show tells why it is.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for a picture; none is drawn without it.")] = None,
+    json_lines: Json = False,
+) -> None:
+    """Split the error of episodes: release time, constant offset, rate or scale of the motion, and the rest.
+
+    Results without a reference, or that did not run to their end, are told and left out; exit code 2 where none is
+    left, 1 when a damaged file was skipped.
+    """
+    from gauge_envs.benchmark import score_file
+    from gauge_envs.diagnosis import Diagnosis, DiagnosisError, stage_order
+    from gauge_envs.diagnosis import diagnose as diagnose_result
+    from gauge_envs.report import diagnosis_rows, diagnosis_view
+
+    stages = stage_order(part.strip() for part in order.split(","))
+    if name is None:
+        results, skipped = _loaded(sources)
+    else:
+        if not sources:
+            raise ParameterError("--id says what trajectory files are of: give the files")
+        results, skipped = [score_file(file, variant=name, use_withheld=use_withheld)[0] for file in sources], 0
+    pairs: list[tuple[Result, Diagnosis]] = []
+    reasons: list[str] = []
+    for result in results:
+        try:
+            diagnosis = diagnose_result(result, order=stages, measured_only=measured_only, use_withheld=use_withheld)
+            pairs.append((result, diagnosis))
+        except DiagnosisError as error:
+            reasons.append(str(error))
+    if results and not pairs:
+        raise DiagnosisError("; ".join(dict.fromkeys(reasons)))
+    for reason in dict.fromkeys(reasons):
+        _stderr().print(f"[yellow]left out:[/] {_plain(reason)}", soft_wrap=True)
+    if json_lines:
+        _print_lines(diagnosis_rows(pairs))
+    else:
+        _stdout().print(diagnosis_view(pairs))
+    if out is not None:
+        from gauge_envs.figures import save_diagnoses
+
+        _stderr().print(_plain(str(save_diagnoses(pairs, out))), soft_wrap=True)
     if skipped:
         raise typer.Exit(EXIT_FAILED)
 
@@ -370,6 +437,100 @@ def assets_list(json_lines: Json = False) -> None:
     for row in rows:
         table.add_row(row["file"], f"{row['bytes'] / 1024:.1f}", row["of"])
     _stdout().print(table)
+
+
+@data_app.command("download")
+def data_download(
+    patterns: Annotated[
+        list[str] | None,
+        typer.Option("--pattern", help="Files in the dataset, as 'data/rigid/slope slider/*'; repeatable; all trials."),
+    ] = None,
+    revision: Annotated[
+        str | None, typer.Option(help="Commit, branch or tag; by default the one that the bundled facts are from.")
+    ] = None,
+    folder: Annotated[Path | None, typer.Option("--to", help="Folder; by default below the user's data.")] = None,
+) -> None:
+    """Download the GAUGE dataset (10 GB in all); an interrupted download goes on where it stopped."""
+    from gauge_envs.dataset.download import DATASET, PINNED_REVISION, TRIAL_FILES, download_dataset, resolved_revision
+
+    commit = resolved_revision(revision or PINNED_REVISION)
+    _stderr().print(f"{DATASET}, revision {revision or PINNED_REVISION} is {commit}", soft_wrap=True)
+    path, _ = download_dataset(folder, patterns=patterns or [TRIAL_FILES], revision=commit)
+    typer.echo(path)
+    _stderr().print(_plain(f"gauge data import '{path}' makes bands and drivers of it"), soft_wrap=True)
+
+
+@data_app.command("import")
+def data_import(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset, which holds 'data'.")],
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="Id or pattern of the experiments; repeatable; all by default.")
+    ] = None,
+    json_lines: Json = False,
+) -> None:
+    """Make bands and drivers of real trials, beside the published baselines; offline.
+
+    A damaged file is reported and left out, the others are used. Exit code 1 when any was left out.
+    """
+    from gauge_envs.dataset.importer import import_trials
+    from gauge_envs.dataset.layout import find_trials
+    from gauge_envs.dataset.views import import_view
+
+    layout = find_trials(folder, only=only or ["*"])
+    stderr = _stderr()
+    imports, findings = [], list(layout.findings)
+    with _progress(stderr) as progress:
+        bar = progress.add_task("trials", total=layout.count)
+
+        def advance(path: Path) -> None:
+            progress.update(bar, advance=1, description=_plain(layout.relative(path)))
+
+        for one in import_trials(layout, advance=advance):
+            imports.append(one)
+            findings += one.findings
+            if json_lines:
+                _print_lines([one.to_dict()])
+    for finding in findings:
+        label = "[red]left out:[/]" if finding.left_out else "[yellow]note:[/]"
+        stderr.print(f"{label} {_plain(str(finding))}", soft_wrap=True)
+    if json_lines:
+        _print_lines([{"finding": asdict(finding)} for finding in findings])
+    else:
+        _stdout().print(import_view(imports))
+    trials = sum(one.used for one in imports)
+    kept = sum(one.record is not None for one in imports)
+    stderr.print(f"{_count(trials, 'trial')} of {_count(kept, 'experiment')} imported")
+    if any(finding.left_out for finding in findings):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@data_app.command("status")
+def data_status(
+    pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
+    json_lines: Json = False,
+) -> None:
+    """Show what each experiment is scored against and driven by, and its baselines beside the published ones."""
+    from gauge_envs.dataset.status import status_rows
+    from gauge_envs.dataset.views import status_table
+
+    rows = status_rows(_matching(pattern))
+    if json_lines:
+        _print_lines(rows)
+    else:
+        _stdout().print(status_table(rows))
+
+
+@data_app.command("use")
+def data_use(
+    drivers: Annotated[
+        DriverSource, typer.Option(help="imported: as the real trials show; bundled: as the task files state.")
+    ],
+) -> None:
+    """Choose the motion of driven bodies after an import; results record it, gauge show tells which is in use."""
+    from gauge_envs.dataset.store import choose_drivers
+
+    choose_drivers(drivers)
+    typer.echo(f"drivers: {drivers.value}")
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------

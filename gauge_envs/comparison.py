@@ -538,6 +538,9 @@ def _mismatches(results: Sequence[Result]) -> list[str]:
         grades = sorted({one.score.grade for one in results if one.id == name})
         if len(grades) > 1:
             notes.append(f"{name.removeprefix('GAUGE/')}: scored against references of grade {' and '.join(grades)}")
+        imports = {tuple(sorted(one.dataset.items())) for one in results if one.id == name}
+        if len(imports) > 1:
+            notes.append(f"{name.removeprefix('GAUGE/')}: real trials or drivers are of different imports, or bundled")
     return notes
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Literal
 
 import numpy as np
@@ -12,7 +13,25 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Pose, RigidBody, Vector
 
-__all__ = ["CosineProfile", "Driver", "DriverMotion", "Profile", "SampledProfile", "TrapezoidProfile", "mean_velocity"]
+__all__ = [
+    "CosineProfile",
+    "Driver",
+    "DriverMotion",
+    "DriverSource",
+    "Profile",
+    "SampledProfile",
+    "TrapezoidProfile",
+    "mean_velocity",
+]
+
+
+class DriverSource(StrEnum):
+    """Which motion a driven body follows, where there are two to choose from."""
+
+    IMPORTED = "imported"
+    """The mean motion of the real trials of an imported dataset, where it has the variant; else as bundled."""
+    BUNDLED = "bundled"
+    """The motion that the task file states."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -54,6 +54,9 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         settings: Numerical settings of the backend that replace its defaults.
         marker_proxy: What stands for a marker on a deformable body: `node`, the nearest node, as in the paper; or
             `material`, its own material point between the nodes.
+        drivers: `imported` drives bodies as imported trials show, `bundled` as the task file states; None takes what
+            `gauge data use` chose, `imported` unless it was asked otherwise.
+        use_withheld: Score on a band too that is withheld by default; `gauge show` tells why it is.
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
@@ -87,16 +90,18 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         parameters: Parameters = "calibrated",
         settings: Mapping[str, Any] | None = None,
         marker_proxy: str = "node",
+        use_withheld: bool = False,
+        drivers: str | None = None,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
-        self.experiment = experiment(variant, parameters)
+        self.experiment = experiment(variant, parameters, drivers=drivers)
         self.backend_name = backend
         self.render_mode = render_mode
-        self.band = reference_band(self.experiment)
+        self.band = reference_band(self.experiment, use_withheld=use_withheld)
         self.seed_used: int | None = None
         self.jitter: Jitter | None = None
         self._settings = settings

@@ -66,11 +66,17 @@ class Trajectory:
     markers_m: NDArray[np.float64]
 
 
-def reference_band(resolved: Experiment) -> Band | None:
-    """The best reference there is for an experiment: real trials, else a law, else none."""
-    bundled = load_band(resolved.variant.name)
-    if bundled is not None:
-        return bundled
+def reference_band(resolved: Experiment, *, use_withheld: bool = False) -> Band | None:
+    """The best reference there is for an experiment: real trials, else a recording, else a law, else none.
+
+    Args:
+        resolved: The experiment.
+        use_withheld: Take a band too that is withheld by default, as it may be of another material or covers too
+            little; `Band.withheld` gives the reason.
+    """
+    band = load_band(resolved.variant.name)
+    if band is not None and (use_withheld or band.withheld is None):
+        return band
     law = law_for(resolved.variant.name)
     if law is None:
         return None

@@ -9,6 +9,7 @@ from pathlib import Path
 __all__ = [
     "ActionError",
     "BackendError",
+    "DatasetError",
     "EpisodeError",
     "GaugeError",
     "MissingExtraError",
@@ -37,6 +38,10 @@ class ActionError(GaugeError, ValueError):
 
 class BackendError(GaugeError, RuntimeError):
     """A backend cannot be loaded, or does not keep the contract."""
+
+
+class DatasetError(GaugeError, OSError):
+    """The dataset of real trials cannot be downloaded, read or stored; the message names the place and the cause."""
 
 
 class EpisodeError(GaugeError, RuntimeError):

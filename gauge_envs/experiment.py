@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from gauge_envs.driver import Driver
+from gauge_envs.dataset.store import chosen_drivers, recorded_drivers
+from gauge_envs.driver import Driver, DriverSource
 from gauge_envs.errors import ParameterError, TaskFileError
 from gauge_envs.scene import (
     Attachment,
@@ -51,6 +52,7 @@ class Experiment:
         parameters: Name of the parameter set, or `custom`.
         overrides: What differs from the calibrated constants, keyed `body.constant`.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
+        drivers: Whether any driven motion is that of imported trials, or all are bundled.
     """
 
     variant: Variant
@@ -61,28 +63,32 @@ class Experiment:
     parameters: str
     overrides: Mapping[str, Any]
     driver_provenance: str | None
+    drivers: DriverSource = DriverSource.BUNDLED
 
 
-def experiment(name: str | Variant, parameters: Parameters = "calibrated") -> Experiment:
+def experiment(name: str | Variant, parameters: Parameters = "calibrated", *, drivers: str | None = None) -> Experiment:
     """Resolve one variant.
 
     Args:
         name: Variant, its name, or its Gymnasium id.
         parameters: `calibrated`, another parameter set of the task file, or overrides keyed `body.constant`, where a
             constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`.
+        drivers: `imported` drives bodies as imported trials show, where there are some; `bundled` as the task file
+            states. None takes what `gauge data use` chose, `imported` unless it was asked otherwise.
 
     Raises:
         UnknownNameError: No such variant.
-        ParameterError: No such parameter set, body or constant, or a value out of range.
+        ParameterError: No such parameter set, body, constant or kind of drivers, or a value out of range.
         TaskFileError: The task file is wrong.
+        ReferenceFileError: The imported drivers are damaged.
     """
     variant = find_variant(name) if isinstance(name, str) else name
     path, spec = task_path(variant.family), task_spec(variant.family)
     label, overrides = _overrides(spec, variant, parameters)
     builder = _SceneBuilder(path, spec, variant, overrides)
-    scene = builder.build()
+    scene, source = _driven(variant, builder.build(), drivers)
     recorded = tuple(b.name for b in scene.bodies if spec.bodies[builder.spec_name(b.name)].recorded)
-    drivers = {driver.provenance for driver in scene.drivers}
+    provenances = {driver.provenance for driver in scene.drivers}
     return Experiment(
         variant=variant,
         spec=spec,
@@ -91,8 +97,24 @@ def experiment(name: str | Variant, parameters: Parameters = "calibrated") -> Ex
         frame_count=builder.frame_count,
         parameters=label,
         overrides=overrides,
-        driver_provenance=", ".join(sorted(drivers)) or None,
+        driver_provenance=", ".join(sorted(provenances)) or None,
+        drivers=source,
     )
+
+
+def _driven(variant: Variant, scene: Scene, asked: str | None) -> tuple[Scene, DriverSource]:
+    """The scene with the drivers that were asked for, and whether any of them is imported."""
+    if asked is not None and asked not in list(DriverSource):
+        known = " or ".join(repr(source.value) for source in DriverSource)
+        raise ParameterError(f"drivers {asked!r}: choose {known}")
+    if not scene.drivers or asked == DriverSource.BUNDLED:
+        return scene, DriverSource.BUNDLED
+    if asked is None and chosen_drivers() is DriverSource.BUNDLED:
+        return scene, DriverSource.BUNDLED
+    drivers = recorded_drivers(variant.name, scene.drivers)
+    if drivers == scene.drivers:
+        return scene, DriverSource.BUNDLED
+    return replace(scene, drivers=drivers), DriverSource.IMPORTED
 
 
 def _overrides(spec: TaskSpec, variant: Variant, parameters: Parameters) -> tuple[str, dict[str, Any]]:

@@ -20,11 +20,20 @@ from gauge_envs.comparison import (
     distances_over_time,
     group_by_configuration,
 )
+from gauge_envs.diagnosis import Diagnosis, Stage
 from gauge_envs.episode import reference_band
 from gauge_envs.errors import MissingExtraError, ResultFileError, ShapeError
 from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.reference import Band, BandGrade, published_baselines
-from gauge_envs.report import ALIGNED_TITLE, ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, configuration_labels, score_text
+from gauge_envs.report import (
+    ALIGNED_TITLE,
+    ENGINE_TITLES,
+    GRADE_NOTES,
+    METRIC_TITLES,
+    configuration_labels,
+    result_label,
+    score_text,
+)
 from gauge_envs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.task_format import FRAME_RATE_HZ
 
@@ -32,7 +41,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_experiment", "draw_overview", "save_comparison", "save_figures"]
+__all__ = [
+    "draw_diagnoses",
+    "draw_experiment",
+    "draw_overview",
+    "save_comparison",
+    "save_diagnoses",
+    "save_figures",
+]
 
 OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of results: Okabe and Ito's, which colour-blind readers can tell apart."""
@@ -52,6 +68,9 @@ MOST_ALIGNED = 2
 """Curves that are drawn a second time, aligned to the release; with more, the picture would be full of them."""
 OVERVIEW = "overview"
 """Name of the picture of all experiments."""
+DIAGNOSIS = "diagnosis"
+"""Name of the picture of error budgets."""
+STAGE_COLORS = {Stage.RELEASE: OURS[0], Stage.OFFSET: OURS[5], Stage.RATE: OURS[4]}
 
 
 @dataclass(frozen=True)
@@ -152,7 +171,7 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
         raise ShapeError(f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}")
     series = _series(results, among or results)
     resolved = experiment(results[0].id, series[0].results[0].parameters)
-    band = reference_band(resolved)
+    band = reference_band(resolved, use_withheld=any(result.score.withheld for result in results))
     bars = _bar_groups(results[0].id, series)
     names = band.coordinates if band is not None else _axis_names(results[0])
     # Without a reference, how far the engines are apart is all there is to see.
@@ -226,7 +245,7 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
         axis.plot([], [], "-" if is_law else "o-", ms=3.0, color=REAL, lw=width, label=_mean_label(band))
         axis.fill_between([], [], facecolor="#c4c4c4", label="real, 1 sigma")
         axis.fill_between([], [], facecolor="#e3e3e3", label="real, 2 sigma")
-        if not band.measured.all():
+        if (~band.measured & np.isfinite(mean)).any():
             axis.fill_between([], [], facecolor="#c4c4c4", label="extrapolated, not measured", **HATCH)
     axis.set_ylabel(f"{band.coordinates[column]} [{band.unit}]")
     _tidy(axis)
@@ -234,6 +253,8 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
 
 def _mean_label(band: Band) -> str:
     count = f" ({band.trial_count} trials)" if band.trial_count else ""
+    if band.grade is BandGrade.RECORDING:
+        return "real, one trial"
     return "law" if band.grade is BandGrade.LAW else f"real, mean{count}"
 
 
@@ -520,6 +541,63 @@ def _overview_legend(figure: Figure, axis: Axes, labels: Sequence[str], rows: Se
     if any(map(_diverged, rows)):
         axis.plot([], [], "x", color=REAL, label="diverged, at the right edge", **CROSS)
     figure.legend(loc="outside lower left", ncols=4, fontsize=8, frameon=False)
+
+
+# --- error budgets ---------------------------------------------------------------------------------------------------
+
+
+def save_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]], folder: Path) -> Path:
+    """Write the picture of `draw_diagnoses`, `diagnosis.png`, and return its path.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ResultFileError: The folder cannot be written.
+    """
+    return _saved(draw_diagnoses(pairs), folder / f"{DIAGNOSIS}.png")
+
+
+def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
+    """Picture of error budgets: a bar for each result, of the shares of its squared error.
+
+    Args:
+        pairs: Results with their budgets, one or more, all with the parts in the same order.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ShapeError: There is no result.
+    """
+    if not pairs:
+        raise ShapeError("error budgets of one result or more are needed, got none")
+    figure = _figure(10.0, 0.42 * len(pairs) + 1.9)
+    axis = figure.add_subplot()
+    for place, (_, diagnosis) in enumerate(pairs):
+        left = 0.0
+        for part in diagnosis.parts:
+            label = part.stage.value if place == 0 else None
+            axis.barh(place, 100.0 * part.share, left=left, color=STAGE_COLORS[part.stage], height=0.72, label=label)
+            left += 100.0 * part.share
+        rest = "rest" if place == 0 else None
+        axis.barh(place, 100.0 * diagnosis.rest.share, left=left, color=ENGINES[1], height=0.72, label=rest)
+        axis.text(101.0, place, _error_text(diagnosis), va="center", fontsize=8, color="#404040")
+    names = [f"{diagnosis.id.removeprefix('GAUGE/')}\n{result_label(result)}" for result, diagnosis in pairs]
+    axis.set_yticks(range(len(pairs)), names, fontsize=8)
+    axis.set_ylim(len(pairs) - 0.5, -0.5)
+    axis.set_xlim(0.0, 128.0)
+    axis.set_xticks(range(0, 101, 20))
+    order = ", then ".join(part.stage.value for part in pairs[0][1].parts)
+    axis.set_xlabel(f"share of the squared error that is gone with {order} [%]; RMSE before and after", loc="left")
+    _tidy(axis)
+    axis.grid(visible=False, axis="y")
+    axis.tick_params(axis="y", length=0)
+    axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def _error_text(diagnosis: Diagnosis) -> str:
+    before, after, unit = diagnosis.rmse_normalized, diagnosis.rest.rmse_normalized, ""
+    if before is None or after is None:
+        before, after, unit = diagnosis.rmse, diagnosis.rest.rmse, f" {diagnosis.unit}"
+    return f"{score_text(before)} to {score_text(after)}{unit}"
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

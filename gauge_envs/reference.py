@@ -30,7 +30,9 @@ __all__ = [
     "Baseline",
     "Law",
     "ReferenceFileError",
+    "SigmaSource",
     "band_grade",
+    "bundled_band",
     "carried_band",
     "law_for",
     "load_band",
@@ -43,7 +45,7 @@ Value = TypeVar("Value")
 _ENGINES = ("isaacsim", "genesis", "newton")
 _BASELINE_COLUMNS = ("variant", "frames", "metric", "unit", "baseline_mean", "baseline_std", *_ENGINES)
 _METRICS = ("rmse", "dtw", "lsd", "mte", "pd", "el")
-_BAND_COLUMNS = ("frame", "time_s", "mean", "sigma", "measured", "measured_trials")
+_BAND_COLUMNS = ("frame", "time_s", "measured")
 _LAW_KEYS = ("variants", "kind", "body", "carrier", "condition", "evidence")
 _LAW_KINDS = ("carried",)
 
@@ -64,11 +66,22 @@ class BandGrade(StrEnum):
     TRIALS = "trials"
     """Mean and sigma per frame over real trials."""
     RECORDING = "recording"
-    """Mean from the published recording of one trial, sigma from the published baseline."""
+    """Mean from the published recording of one trial, sigma from the published baseline where there is one."""
     LAW = "law"
     """Mean from a closed form that holds under a stated condition, sigma from the published baseline."""
     NONE = "none"
     """No real reference: no score."""
+
+
+class SigmaSource(StrEnum):
+    """What the sigma of a band is."""
+
+    TRIALS = "trials"
+    """Standard deviation over real trials, per frame."""
+    BASELINE = "baseline"
+    """From the published baseline, which gives its time average alone: constant, the same for each coordinate."""
+    MEASUREMENT = "measurement"
+    """Uncertainty of the measurement, where no scatter of real trials is published: it is not scatter of reality."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +127,10 @@ class Band:
             extrapolated: the published baselines cover them, |z| and coverage should not.
         trial_count: Number of real trials; None where it is not known.
         source: Where the numbers are from, one sentence.
+        sigma_source: What sigma is.
+        uncertainty: 1-sigma uncertainty of the measurement of the mean, shape [T, C]; NaN where the mean is. None where
+            it is not stated. It says how well one trial was measured, sigma how far trials are apart.
+        withheld: Why nothing is scored on the band unless it is asked for; None where it is scored on.
 
     Raises:
         ShapeError: The arrays do not agree in shape, or a sigma is negative.
@@ -128,9 +145,15 @@ class Band:
     measured: NDArray[np.bool_]
     trial_count: int | None
     source: str
+    sigma_source: SigmaSource = SigmaSource.TRIALS
+    uncertainty: NDArray[np.float64] | None = None
+    withheld: str | None = None
 
     def __post_init__(self) -> None:
-        for name, dtype in (("projection", float), ("mean", float), ("sigma", float), ("measured", bool)):
+        arrays = {"projection": float, "mean": float, "sigma": float, "measured": bool, "uncertainty": float}
+        for name, dtype in arrays.items():
+            if getattr(self, name) is None:
+                continue
             values = np.array(getattr(self, name), dtype=dtype)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
@@ -143,6 +166,8 @@ class Band:
             )
         if self.measured.shape != self.mean.shape[:1]:
             raise ShapeError(f"measured has shape {self.measured.shape}; {self.mean.shape[:1]} is needed")
+        if self.uncertainty is not None and self.uncertainty.shape != self.mean.shape:
+            raise ShapeError(f"uncertainty has shape {self.uncertainty.shape}; {self.mean.shape} is needed")
         if (self.sigma < 0).any():
             raise ShapeError("sigma: a standard deviation is never negative")
 
@@ -202,7 +227,19 @@ def published_variants() -> tuple[str, ...]:
 
 
 def load_band(variant: str) -> Band | None:
-    """The bundled band of a variant, built by `scripts/build_bands.py`; None where there is none.
+    """The band of a variant: that of imported trials where there are some, else the bundled one; None without either.
+
+    Raises:
+        ReferenceFileError: A file of the band is damaged.
+    """
+    from gauge_envs.dataset.store import load_imported  # the store holds bands, so it imports this module
+
+    imported = load_imported(variant)
+    return _bundled_band(_folder("bands"), variant) if imported is None else imported.band
+
+
+def bundled_band(variant: str) -> Band | None:
+    """The band of a variant that comes with the package, whatever was imported; None where there is none.
 
     Raises:
         ReferenceFileError: A file of the band is damaged.
@@ -220,9 +257,9 @@ def law_for(variant: str) -> Law | None:
 
 
 def band_grade(variant: str) -> BandGrade:
-    """The best grade of band that a variant can be scored on without an imported dataset."""
+    """The grade of what a variant is scored on; a band that is withheld does not count."""
     band = load_band(variant)
-    if band is not None:
+    if band is not None and band.withheld is None:
         return band.grade
     return BandGrade.NONE if law_for(variant) is None else BandGrade.LAW
 
@@ -259,6 +296,7 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
     sigma_rms = math.hypot(baseline.mean, baseline.std or 0.0)
     return Band(
         grade=BandGrade.LAW,
+        sigma_source=SigmaSource.BASELINE,
         unit=baseline.unit,
         coordinates=("x", "y", "z"),
         projection=np.eye(3),
@@ -304,37 +342,103 @@ def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
 
 @cache
 def _bundled_band(folder: Path, variant: str) -> Band | None:
+    """The band that a table `<variant>.csv` and its sidecar `<variant>.toml` describe."""
     file, facts_file = folder / f"{variant}.csv", folder / f"{variant}.toml"
     if not file.is_file():
         return None
     facts = _toml(facts_file)
-    columns: dict[str, list[float]] = {name: [] for name in _BAND_COLUMNS}
-    for line, row in _rows(file, _BAND_COLUMNS):
-        if _count(file, line, "frame", row["frame"]) != len(columns["frame"]):
-            raise ReferenceFileError(file, line, f"frame {row['frame']} where {len(columns['frame'])} is next")
-        if row["measured"] not in ("0", "1"):
-            raise ReferenceFileError(file, line, f"measured is {row['measured']!r}, neither 0 nor 1")
-        if _number(file, line, "sigma", row["sigma"]) < 0:
-            raise ReferenceFileError(file, line, f"sigma is {row['sigma']}, a standard deviation is never negative")
-        for name, values in columns.items():
-            values.append(_number(file, line, name, row[name]))
-    grade = _field(facts_file, facts, "grade", str)
-    if grade not in tuple(BandGrade):
-        raise ReferenceFileError(facts_file, None, f"grade {grade!r} is none of {', '.join(BandGrade)}")
+    coordinates = _field(facts_file, facts, "coordinates", list)
+    columns = _band_columns(file, coordinates)
+    frames = _optional_field(facts_file, facts, "frames", int) or len(columns["measured"])
+    missing = frames - len(columns["measured"])
+    if missing < 0:
+        raise ReferenceFileError(facts_file, None, f"frames is {frames}, but the table has {frames - missing}")
+    padded = {name: np.pad(values, ((0, missing), (0, 0)), constant_values=np.nan) for name, values in columns.items()}
+    grade = BandGrade(_choice(facts_file, facts, "grade", BandGrade))
+    sigma_source = SigmaSource(_choice(facts_file, facts, "sigma_source", SigmaSource))
     try:
         return Band(
-            grade=BandGrade(grade),
+            grade=grade,
             unit=_field(facts_file, facts, "unit", str),
-            coordinates=(_field(facts_file, facts, "coordinate", str),),
-            projection=np.array([_field(facts_file, facts, "projection", list)]),
-            mean=np.array(columns["mean"])[:, np.newaxis],
-            sigma=np.array(columns["sigma"])[:, np.newaxis],
-            measured=np.array(columns["measured"]),
-            trial_count=_field(facts_file, facts, "trial_count", int),
+            coordinates=tuple(coordinates),
+            projection=_projection(facts_file, facts),
+            mean=padded["mean"],
+            sigma=_sigma(facts_file, facts, sigma_source, padded),
+            measured=padded["measured"][:, 0] == 1,
+            trial_count=_field(facts_file, facts, "trial_count", int) if grade is BandGrade.TRIALS else None,
             source=_field(facts_file, facts, "source", str),
+            sigma_source=sigma_source,
+            uncertainty=padded.get("uncertainty"),
+            withheld=_optional_field(facts_file, facts, "withheld", str),
         )
+    except ReferenceFileError:
+        raise
     except ValueError as error:
         raise ReferenceFileError(facts_file, None, str(error)) from None
+
+
+def _choice(file: Path, facts: Mapping[str, Any], key: str, known: type[StrEnum]) -> str:
+    value = _field(file, facts, key, str)
+    if value not in tuple(known):
+        raise ReferenceFileError(file, None, f"{key} {value!r} is none of {', '.join(known)}")
+    return value
+
+
+def _sigma(
+    file: Path, facts: Mapping[str, Any], source: SigmaSource, columns: Mapping[str, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Sigma per frame and coordinate: columns of the table, the uncertainty, or one number of the sidecar."""
+    if "sigma" in columns:
+        return columns["sigma"]
+    if source is not SigmaSource.MEASUREMENT:
+        return np.full(columns["mean"].shape, _field(file, facts, "sigma", float))
+    if "uncertainty" not in columns:
+        raise ReferenceFileError(file, None, "sigma_source is 'measurement', but the table has no uncertainty")
+    return columns["uncertainty"]
+
+
+def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Columns of a band's table: `measured`, shape [T, 1], and `mean`, `sigma`, `uncertainty`, each of shape [T, C].
+
+    A field of `mean` or `uncertainty` may be empty, which is NaN: not known. A quantity without columns is left out.
+    """
+    with file.open(encoding="utf-8", newline="") as stream:
+        header = next(csv.reader(stream), [])
+    quantities = [q for q in ("mean", "sigma", "uncertainty") if any(name.startswith(f"{q}.") for name in header)]
+    named = {q: [f"{q}.{coordinate}" for coordinate in coordinates] for q in quantities}
+    counted = ("measured_trials",) if "measured_trials" in header else ()
+    expected = [*_BAND_COLUMNS, *counted, *(name for names in named.values() for name in names)]
+    if "mean" not in named:
+        raise ReferenceFileError(file, 1, f"columns are {','.join(header)}, expected mean.{coordinates[0]} among them")
+    rows: dict[str, list[Any]] = {"measured": [], **{q: [] for q in quantities}}
+    for line, row in _rows(file, expected):
+        if _count(file, line, "frame", row["frame"]) != len(rows["measured"]):
+            raise ReferenceFileError(file, line, f"frame {row['frame']} where {len(rows['measured'])} is next")
+        if row["measured"] not in ("0", "1"):
+            raise ReferenceFileError(file, line, f"measured is {row['measured']!r}, neither 0 nor 1")
+        rows["measured"].append([float(row["measured"])])
+        for quantity, names in named.items():
+            optional = quantity != "sigma"
+            values = [
+                math.nan if optional and not row[name] else _number(file, line, name, row[name]) for name in names
+            ]
+            negative = [name for name, value in zip(names, values, strict=True) if value < 0]
+            if negative and quantity != "mean":
+                raise ReferenceFileError(
+                    file, line, f"{negative[0]} is {row[negative[0]]}, a standard deviation is never negative"
+                )
+            rows[quantity].append(values)
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def _projection(file: Path, facts: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Linear map from g(t) to the band's coordinates: `projection`, its rows; or `indices` of g(t) and its `width`."""
+    if "indices" not in facts:
+        return np.array(_field(file, facts, "projection", list), dtype=np.float64)
+    width, indices = _field(file, facts, "width", int), _field(file, facts, "indices", list)
+    if any(not isinstance(index, int) or not 0 <= index < width for index in indices):
+        raise ReferenceFileError(file, None, f"indices is {indices!r}, expected whole numbers from 0 to {width - 1}")
+    return np.eye(width)[indices]
 
 
 @cache
@@ -387,6 +491,10 @@ def _toml(file: Path) -> dict[str, Any]:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
         raise ReferenceFileError(file, None, str(error)) from None
+
+
+def _optional_field(file: Path, table: Mapping[str, Any], key: str, kind: type[Value]) -> Value | None:
+    return _field(file, table, key, kind) if key in table else None
 
 
 def _field(file: Path, table: Mapping[str, Any], key: str, kind: type[Value]) -> Value:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
@@ -24,10 +26,13 @@ from gauge_envs.comparison import (
     Metric,
     Spread,
 )
+from gauge_envs.dataset.store import DriverRecord, load_imported
+from gauge_envs.diagnosis import Diagnosis, PublishedScore, StagePart
+from gauge_envs.driver import DriverSource, Profile, SampledProfile
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.materials import MAPPINGS, Fabric, bending_length_m, shear_stiffness, uniaxial_stiffness
-from gauge_envs.reference import BandGrade, band_grade, law_for, load_band, published_baselines
+from gauge_envs.reference import BandGrade, SigmaSource, band_grade, law_for, load_band, published_baselines
 from gauge_envs.result import Outcome, Result, json_ready
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.task_format import Variant
@@ -46,6 +51,8 @@ __all__ = [
     "configuration_labels",
     "description",
     "description_view",
+    "diagnosis_rows",
+    "diagnosis_view",
     "list_rows",
     "list_table",
     "material_values",
@@ -66,9 +73,15 @@ NORMALIZED_NOTE = (
 )
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
-    BandGrade.RECORDING: "one recorded trial, scatter from the published baseline",
+    BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
     BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
+}
+
+SIGMA_NOTES = {
+    SigmaSource.TRIALS: "scatter of the trials, per frame",
+    SigmaSource.BASELINE: "from the published scatter, constant and the same for each coordinate",
+    SigmaSource.MEASUREMENT: "uncertainty of the measurement; the scatter of trials is not known",
 }
 
 
@@ -88,6 +101,7 @@ def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
                 "observable": resolved.spec.score.observable.value,
                 "frames": resolved.frame_count,
                 "grade": band_grade(variant.name).value,
+                "imported": load_imported(variant.name) is not None,
                 "backends": {name: _lacks(name, resolved) for name in backend_names()},
             }
         )
@@ -109,7 +123,8 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         table.add_column(title, no_wrap=True, justify="right" if title == "frames" else "left")
     for row in rows:
         can = [_yes_no(not row["backends"][name]) for name in names]
-        table.add_row(row["id"], row["group"], row["observable"], str(row["frames"]), row["grade"], *can)
+        grade = f"{row['grade']}, imported" if row["imported"] else row["grade"]
+        table.add_row(row["id"], row["group"], row["observable"], str(row["frames"]), grade, *can)
     return table
 
 
@@ -125,7 +140,7 @@ def description(variant: Variant) -> dict[str, Any]:
     resolved = experiment(variant)
     spec, scene = resolved.spec, resolved.scene
     subtask = spec.subtasks[variant.subtask] if variant.subtask else None
-    band = load_band(variant.name)
+    band, imported = load_band(variant.name), load_imported(variant.name)
     law = law_for(variant.name)
     return json_ready(
         {
@@ -168,7 +183,11 @@ def description(variant: Variant) -> dict[str, Any]:
                 "grade": band_grade(variant.name).value,
                 "trial_count": None if band is None else band.trial_count,
                 "source": None if band is None else band.source,
+                "imported": imported is not None,
                 "law": None if law is None else law.condition,
+                "sigma_source": None if band is None else band.sigma_source.value,
+                "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
+                "withheld": None if band is None else band.withheld,
             },
             "baselines": [dataclasses.asdict(line) for line in published_baselines(variant.name).values()],
             "backends": {name: _lacks(name, resolved) for name in backend_names()},
@@ -194,18 +213,53 @@ def _driver(resolved: Experiment, index: int) -> dict[str, Any]:
     variant, spec, driver = resolved.variant, resolved.spec, resolved.scene.drivers[index]
     own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
     stated = (own if own is not None else spec.drivers)[index]
+    motions = [motion.model_dump(exclude_none=True) for motion in stated.motions]
+    note, recorded = stated.note, _recorded_driver(resolved, driver.body)
+    in_use = recorded is not None and resolved.drivers is DriverSource.IMPORTED
+    if recorded is not None and in_use:
+        note = f"{_recorded_note(recorded)}; not in use is the bundled one: {note}"
+        for motion, used in zip(motions, driver.motions, strict=True):
+            motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
+    elif recorded is not None:
+        note = f"{note}; not in use is the imported one: gauge data use --drivers imported"
     return {
         "body": driver.body,
         "provenance": driver.provenance,
-        "note": stated.note,
-        "motions": [motion.model_dump(exclude_none=True) for motion in stated.motions],
+        "imported": in_use,
+        "note": note,
+        "motions": motions,
     }
+
+
+def _recorded_driver(resolved: Experiment, body: str) -> DriverRecord | None:
+    """The imported driver of a body, in use or not."""
+    imported = load_imported(resolved.variant.name)
+    if imported is None:
+        return None
+    return next((record for record in imported.record.drivers if record.body == body), None)
+
+
+def _sampled(profile: Profile, kind: str) -> dict[str, Any]:
+    """An imported profile as a task file would state it."""
+    assert isinstance(profile, SampledProfile)
+    values = profile.values if kind == "translate" else [math.degrees(value) for value in profile.values]
+    unit = "m" if kind == "translate" else "deg"
+    return {"kind": "sampled", "times_s": list(profile.times_s), f"values_{unit}": list(values)}
+
+
+def _recorded_note(record: DriverRecord) -> str:
+    angle = "" if record.residual_deg is None else f" and {record.residual_deg:.2g} deg"
+    return (
+        f"mean motion of the body in {record.trial_count} imported trials, from its calibrated start, which is "
+        f"{record.start_offset_mm:.2g} mm from theirs; its motions leave {record.residual_mm:.2g} mm{angle} out (rms)"
+    )
 
 
 def description_view(values: Mapping[str, Any]) -> Group:
     """The dictionary of `description`, for reading."""
     observable, reference = values["observable"], values["reference"]
     grade = BandGrade(reference["grade"])
+    withheld = reference["withheld"] is not None
     trials = f", {reference['trial_count']} trials" if reference["trial_count"] else ""
     parts: list[Any] = [
         Text(f"{values['id']}  {values['title']}", style="bold"),
@@ -217,8 +271,9 @@ def description_view(values: Mapping[str, Any]) -> Group:
                 "sources": "; ".join(f"{key}: {text}" for key, text in values["source"].items()),
                 "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
                 "g(t)": f"{observable['kind']} [{observable['unit']}]: {_shortened(observable['coordinates'])}",
-                "grade": f"{grade.value}{trials} ({GRADE_NOTES[grade]})",
+                "grade": f"{grade.value}{trials} ({GRADE_NOTES[grade]})" + (", recording withheld" * withheld),
                 "reference": reference["source"] or reference["law"] or "none",
+                **_band_facts(values),
                 **{f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()},
             }
         ),
@@ -290,6 +345,19 @@ def description_view(values: Mapping[str, Any]) -> Group:
         Text(NORMALIZED_NOTE, style="dim"),
     ]
     return Group(*parts)
+
+
+def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """What there is to say of a band that does not cover everything, or that is not used."""
+    reference = values["reference"]
+    facts = {}
+    if reference["known_frames"] is not None and reference["known_frames"] < values["frames"]:
+        facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
+    if reference["sigma_source"] is not None:
+        facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
+    if reference["withheld"] is not None:
+        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"
+    return facts
 
 
 def _heading(text: str) -> Text:
@@ -382,6 +450,11 @@ def summary_view(results: Sequence[Result]) -> Group:
         )
         grades = sorted({result.score.grade for result in ran})
         parts += [Text(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}.", style="dim") for grade in grades]
+        parts += [
+            Text(f"{result.id.removeprefix('GAUGE/')} is scored on a band that is withheld: {result.score.withheld}.")
+            for result in ran
+            if result.score.withheld
+        ]
     for outcome, style in ((Outcome.DIVERGED, "red"), (Outcome.FAILED, "red"), (Outcome.DECLINED, "yellow")):
         # One line for each reason: a backend declines many experiments for the same one.
         reasons: dict[str, list[str]] = {}
@@ -792,6 +865,125 @@ def _summary_section(comparison: Comparison, labels: Sequence[str]) -> _Section:
     )
     titles = ("configuration", "ran", "scored", "diverged", "not run", "geometric mean", COST_TITLE, "in common")
     return _Section("Summary", titles, rows, 1, notes)
+
+
+# --- diagnosis -------------------------------------------------------------------------------------------------------
+
+MOST_AXES = 6
+
+DIAGNOSIS_LEGEND = (
+    "Parts are added from the top down, each fitted together with those above it: what they take off the squared error "
+    "(share) and off the normalized RMSE adds up to the whole. Alone: share taken off as the only change; last: after "
+    "both others. Normalized: over the published mean RMSE of the real trials."
+)
+
+
+def diagnosis_rows(pairs: Iterable[tuple[Result, Diagnosis]]) -> list[dict[str, Any]]:
+    """One JSON-ready object a result: what it is of, and its error budget."""
+    keys = ("backend", "parameters", "settings_given", "seed", "jitter")
+    return [
+        json_ready({key: getattr(result, key) for key in keys} | {"label": result_label(result)}) | diagnosis.to_dict()
+        for result, diagnosis in pairs
+    ]
+
+
+def diagnosis_view(pairs: Sequence[tuple[Result, Diagnosis]]) -> Group:
+    """Error budgets for reading: a table and findings for each result, then what the columns mean."""
+    parts: list[Any] = []
+    for result, diagnosis in pairs:
+        parts.append(_heading(f"{diagnosis.id.removeprefix('GAUGE/')}  {result_label(result)}"))
+        parts.append(_budget_table(diagnosis))
+        axes = _axis_table(diagnosis)
+        parts += [] if axes is None else [axes]
+        parts += [Text(f"- {line}") for line in diagnosis.findings()]
+        parts += [Text(line, style="dim") for line in _budget_notes(diagnosis)]
+    if pairs:
+        parts += [Text(""), Text(DIAGNOSIS_LEGEND, style="dim")]
+        parts += [Text(f"Published engines: {pairs[0][1].published_note}", style="dim")]
+    return Group(*parts)
+
+
+def _budget_table(diagnosis: Diagnosis) -> Table:
+    table = Table(box=None, header_style="dim", pad_edge=False)
+    for title in ("part", f"RMSE left [{diagnosis.unit}]", "normalized", "taken off", "share", "alone", "last"):
+        table.add_column(escape(title), justify="left" if title == "part" else "right", no_wrap=True)
+    table.add_column("fitted together", overflow="fold")
+    whole = diagnosis.rmse_normalized
+    table.add_row("as it is", _quantity(diagnosis.rmse), score_text(whole), "", "", "", "", "")
+    for part in diagnosis.parts:
+        before, after = part.rmse_before_normalized, part.rmse_after_normalized
+        off = "-" if before is None or after is None else score_text(before - after)
+        shares = (_share(part.share), _share(part.alone_share), _share(part.last_share))
+        cells = (off, *shares, _changes(part)) if part.missing is None else ("-", "-", "-", "-", "does not apply")
+        table.add_row(part.stage.value, _quantity(part.rmse_after), score_text(after), *map(escape, cells))
+    rest = diagnosis.rest
+    left = "-" if rest.rmse_normalized is None else score_text(rest.rmse_normalized)
+    table.add_row("rest", "", "", left, _share(rest.share), "", "", "")
+    return table
+
+
+def _axis_table(diagnosis: Diagnosis) -> Table | None:
+    """Shares of the whole squared error by axis; None where there is one coordinate only, or too many to tell."""
+    axes = diagnosis.axes()
+    if len(diagnosis.coordinates) == 1 or len(axes) > MOST_AXES or diagnosis.mean_square == 0.0:
+        return None
+    columns = {"all": diagnosis.by_coordinate}
+    columns |= {part.stage.value: part.by_coordinate for part in diagnosis.parts if part.missing is None}
+    columns["rest"] = diagnosis.rest.by_coordinate
+    table = Table(box=None, header_style="dim", pad_edge=False)
+    table.add_column("share along")
+    for title in columns:
+        table.add_column(title, justify="right", no_wrap=True)
+    for axis, indices in axes.items():
+        sums = (sum(values[index] for index in indices) for values in columns.values())
+        table.add_row(escape(axis), *(_share(value / diagnosis.mean_square) for value in sums))
+    return table
+
+
+def _changes(part: StagePart) -> str:
+    """All changes in force after a part; offsets of many coordinates by their root mean square."""
+    told = []
+    offsets = [change for change in part.changes if change.quantity == "offset"]
+    for change in part.changes:
+        unit = "" if change.unit == "1" else f" {change.unit}"
+        mark = " (limit)" if change.at_bound else ""
+        if change.quantity == "release_time":
+            told.append(f"release {change.fitted:+.3f}{unit}{mark}")
+        elif change.quantity != "offset":
+            told.append(f"{change.quantity} {change.simulated:.4g} -> {change.fitted:.4g}{unit}{mark}")
+        elif len(offsets) <= 3:
+            told.append(f"{change.coordinate} {change.fitted:+.3g}{unit}")
+        elif change is offsets[0]:
+            rms = (sum(one.fitted**2 for one in offsets) / len(offsets)) ** 0.5
+            told.append(f"{len(offsets)} offsets, rms {_quantity(rms)}{unit}")
+    return ", ".join(told)
+
+
+def _share(share: float) -> str:
+    return f"{100.0 * share + 0.0:.1f} %"
+
+
+def _budget_notes(diagnosis: Diagnosis) -> list[str]:
+    grade = BandGrade(diagnosis.grade)
+    lines = [f"Grade {grade.value}: {GRADE_NOTES[grade]}. Motion: {diagnosis.kind.value.replace('_', ' ')}."]
+    if diagnosis.extrapolated_frames:
+        lines.append(
+            f"{diagnosis.extrapolated_frames} of {diagnosis.frames} frames are extrapolated, not measured; "
+            f"{_share(diagnosis.extrapolated_share)} of the squared error lies in them."
+        )
+    lines += [f"Note: {note}." for note in diagnosis.notes]
+    engines = [
+        f"{ENGINE_TITLES[name]} {told}" for name, one in diagnosis.published.items() if (told := _published_text(one))
+    ]
+    if engines:
+        own = "" if diagnosis.dtw_over_rmse is None else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
+        lines.append(f"Published{own}: {'; '.join(engines)}.")
+    return lines
+
+
+def _published_text(one: PublishedScore) -> str:
+    told = {"RMSE": one.rmse_normalized, "DTW/RMSE": one.dtw_over_rmse, "period over the real one": one.period_ratio}
+    return ", ".join(f"{title} {value:.2f}" for title, value in told.items() if value is not None)
 
 
 # --- backends --------------------------------------------------------------------------------------------------------

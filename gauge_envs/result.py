@@ -108,6 +108,8 @@ class Result:
         task_sha256: Hash of the task file that the episode was built from.
         marker_proxy: What stood for a marker on a deformable body: `node` or `material`.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
+        dataset: Import of real trials that score or drivers rest on: `revision`, `sha256` over its trials, `drivers`
+            (`imported`, `bundled` or `none recorded`); empty where nothing was imported.
         created: When, ISO 8601, UTC.
         error: Why it was declined or failed.
         trajectory: What it did; None when it did not run.
@@ -131,6 +133,7 @@ class Result:
     jitter: dict[str, float] = field(default_factory=dict)
     marker_proxy: str = "node"
     driver_provenance: str | None = None
+    dataset: dict[str, str] = field(default_factory=dict)
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     error: str | None = None
     trajectory: RecordedTrajectory | None = None
@@ -214,6 +217,7 @@ def load_result(file: Path) -> Result:
         # Older files lack these keys, and stand for the defaults.
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", "node")
+        content.setdefault("dataset", {})
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")

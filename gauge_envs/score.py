@@ -57,6 +57,7 @@ class Score:
         pd_s: Period [s].
         pd_normalized: Over the published mean; 1 is ideal.
         el: Energy loss, ratio; 0 is ideal.
+        withheld: Why nothing is scored on this band unless it is asked for; None where it is scored on.
     """
 
     grade: str
@@ -80,6 +81,7 @@ class Score:
     pd_s: float | None = None
     pd_normalized: float | None = None
     el: float | None = None
+    withheld: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary, every field present."""
@@ -121,7 +123,8 @@ def score_trajectory(
     # An event that never happens, or a scale that nothing was measured on, is NaN: no number, and so none reported.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     grade = band.grade if band is not None else BandGrade.NONE
-    return Score(grade=grade.value, unit=resolved.spec.score.observable.unit, **scores)
+    withheld = None if band is None else band.withheld
+    return Score(grade=grade.value, unit=resolved.spec.score.observable.unit, withheld=withheld, **scores)
 
 
 def _frames(resolved: Experiment, times_s: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,7 +154,9 @@ def _band_scores(
 ) -> dict[str, Any]:
     simulated = band.project(frames)
     rmse = trajectory_rmse(simulated, band.mean)
-    dtw = trajectory_dtw(simulated, band.mean)
+    # Warping would else hold what comes after the end of a recording against the recording's last frame.
+    known = np.isfinite(band.mean).any(axis=1)
+    dtw = trajectory_dtw(simulated[known], band.mean[known])
     # A law has no release: its mean is exact from frame 0 on, and a shift would only hide a drift.
     offset_s, aligned = None, None
     if band.grade is not BandGrade.LAW:

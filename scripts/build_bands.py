@@ -189,11 +189,11 @@ def band_csv(trials: Trials) -> str:
     """Text of a band's table."""
     mean, sigma = trials.positions_mm.mean(axis=0), trials.positions_mm.std(axis=0, ddof=1)
     counts = trials.measured.sum(axis=0)
-    lines = ["frame,time_s,mean,sigma,measured,measured_trials"]
+    lines = [f"frame,time_s,measured,measured_trials,mean.{trials.coordinate},sigma.{trials.coordinate}"]
     for frame, count in enumerate(counts):
         measured = int(2 * count >= len(trials.measured))
         time = frame / FRAME_RATE_HZ
-        lines.append(f"{frame},{time:.6f},{mean[frame]:.6f},{sigma[frame]:.6f},{measured},{count}")
+        lines.append(f"{frame},{time:.6f},{measured},{count},{mean[frame]:.6f},{sigma[frame]:.6f}")
     return "\n".join(lines) + "\n"
 
 
@@ -208,10 +208,11 @@ def band_toml(trials: Trials) -> str:
     return (
         f"{GENERATED}\n"
         'grade = "trials"\n'
+        'sigma_source = "trials"\n'
         'unit = "mm"\n'
         f"trial_count = {len(trials.positions_mm)}\n"
-        f'coordinate = "{trials.coordinate}"\n'
-        f"projection = [{direction}]  # of the body's centre, world frame\n"
+        f'coordinates = ["{trials.coordinate}"]\n'
+        f"projection = [[{direction}]]  # of the body's centre, world frame\n"
         f'source = "{DATASET}; {trials.method}"\n'
         f"{scores}"
     )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -26,6 +29,19 @@ RIGID_FAMILIES = (
     "Pendulum",
 )
 RIGID = tuple(v.name for v in gauge_envs.variants() if v.family in RIGID_FAMILIES)
+
+
+def pytest_configure() -> None:
+    """Nobody's imported data takes part: not while tests are collected, and not in the programs that they start."""
+    os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
+
+
+@pytest.fixture(autouse=True)
+def gauge_data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's data folder, empty for each test."""
+    folder = tmp_path / "gauge-data"
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
+    return folder
 
 
 @pytest.fixture

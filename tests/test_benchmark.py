@@ -92,7 +92,7 @@ def test_driven_and_undriven_experiments_take_zero_actions():
     driven = run_episode("SlopeSlider-3-metal")
     assert driven.driver_provenance == "video"
     assert driven.outcome is Outcome.FINISHED
-    assert driven.score.grade == "none"
+    assert driven.score.grade == "recording"
 
 
 def test_file_names_tell_all_requests_apart(result):

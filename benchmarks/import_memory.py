@@ -1,0 +1,114 @@
+"""Memory and throughput of `gauge data import` on many long textile trials.
+
+    python benchmarks/import_memory.py                    1600 trials of 600 frames x 63 markers, 1.8 GB on disk
+    python benchmarks/import_memory.py --trials 100
+
+The trials are synthetic and all of one variant, so that nothing is freed between variants. They are written to a
+temporary folder first; the import runs in a process of its own, whose peak resident memory is printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gauge_envs.dataset.importer import import_trials
+from gauge_envs.dataset.layout import find_trials
+from gauge_envs.experiment import experiment
+
+VARIANT = "TextileFlinging-satin"
+FOLDER = "data/textile/textile flinging/json/satin"
+TEMPLATES = 16  # writing 113 400 numbers as text takes longer than importing them
+MISSING_SHARE = 0.002  # markers out of sight, in every fourth trial
+LIMIT_BYTES = 1e9
+
+
+def write_trials(root: Path, trials: int, frames: int) -> int:
+    """Write trials that sway, with noise of 0.5 mm; no two are equal. Returns the bytes written."""
+    resolved = experiment(VARIANT, drivers="bundled")
+    markers = resolved.scene.markers
+    assert markers is not None
+    random = np.random.default_rng(0)
+    rest = 1e3 * np.asarray(markers.positions_m)
+    rod = 1e3 * np.asarray(resolved.scene.body("rod").pose.position_m)
+    depth = (rest[:, 2].max() - rest[:, 2])[:, None]
+    sway = np.sin(np.arange(frames) / 15.0)[:, None, None] * (0.3 * depth) * [0.0, 1.0, 0.0]
+    folder = root / FOLDER
+    folder.mkdir(parents=True)
+    templates = []
+    for number in range(TEMPLATES):
+        positions = np.round(rest + sway + random.normal(0.0, 0.5, (frames, len(rest), 3)), 3)
+        if number % 4 == 0:
+            positions[1:][random.random((frames - 1, len(rest))) < MISSING_SHARE] = np.nan
+        textile = {
+            str(1000 + marker): {axis: _column(positions[:, marker, k]) for k, axis in enumerate("xyz")}
+            for marker in range(len(rest))
+        }
+        body = {axis: [float(rod[k])] * frames for k, axis in enumerate("xyz")}
+        body |= {key: [float(key == "qw")] * frames for key in ("qx", "qy", "qz", "qw")}
+        content = {"FPS": 30, "translation unit": "mm", "rod": body, "textile": textile}
+        templates.append(json.dumps(content)[:-1])
+    written = 0
+    for trial in range(trials):
+        text = f'{templates[trial % TEMPLATES]}, "trial": {trial}}}'
+        written += (folder / f"trial-{trial:04d}.json").write_text(text)
+    return written
+
+
+def _column(values: np.ndarray) -> list[float | None]:
+    return [None if np.isnan(value) else float(value) for value in values]
+
+
+def measure(root: Path) -> dict[str, float]:
+    """Import a dataset and say what that took."""
+    start = time.perf_counter()
+    imports = list(import_trials(find_trials(root)))
+    wall_s = time.perf_counter() - start
+    scale = 1 if sys.platform == "darwin" else 1024
+    return {
+        "trials": sum(one.used for one in imports),
+        "left_out": sum(one.left_out for one in imports),
+        "wall_s": wall_s,
+        "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale,
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Memory and throughput of importing many long textile trials.")
+    parser.add_argument("--trials", type=int, default=1600)
+    parser.add_argument("--frames", type=int, default=600)
+    parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.measure is not None:
+        print(json.dumps(measure(options.measure)))
+        return 0
+    with tempfile.TemporaryDirectory(prefix="gauge-import-memory-") as folder:
+        root = Path(folder)
+        written = write_trials(root / "dataset", options.trials, options.frames)
+        child = subprocess.run(
+            [sys.executable, __file__, "--measure", str(root / "dataset")],
+            env=os.environ | {"GAUGE_DATA_DIR": str(root / "store")},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+    found = json.loads(child.stdout)
+    markers = len(experiment(VARIANT, drivers="bundled").scene.markers.positions_m)
+    print(f"{options.trials} trials of {options.frames} frames x {markers} markers, {written / 1e6:.0f} MB of JSON")
+    print(f"imported {found['trials']:.0f}, left out {found['left_out']:.0f}, in {found['wall_s']:.1f} s:")
+    print(f"  {found['trials'] / found['wall_s']:.1f} trials/s, {written / 1e6 / found['wall_s']:.1f} MB/s")
+    print(f"  peak memory {found['peak_bytes'] / 1e6:.0f} MB (limit {LIMIT_BYTES / 1e6:.0f} MB)")
+    return int(found["peak_bytes"] > LIMIT_BYTES or found["trials"] != options.trials)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,293 @@
+"""What a trial shows of an experiment: g(t) by the same observers as a simulation's, and its driver's coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.dataset.trial import PoseTrack, Trial, TrialError
+from gauge_envs.driver import Driver
+from gauge_envs.errors import ShapeError
+from gauge_envs.experiment import Experiment
+from gauge_envs.observer import observe_markers
+from gauge_envs.reference import published_baselines
+from gauge_envs.scene import Pose
+from gauge_envs.task_format import Observable
+
+__all__ = ["DriverTrack", "driver_tracks", "trial_trajectory"]
+
+FloatArray = NDArray[np.float64]
+
+START_RANGE_MM = 300.0
+"""A body or marker set that starts further from its calibrated start is in another frame or unit, or is another one."""
+
+SWAPPED_MARKERS_MM = 10.0
+"""Markers count as swapped when they start this far from their places and in half the distance from each other's."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriverTrack:
+    """Motion of a driven body in one trial, projected on the motions of its driver.
+
+    Attributes:
+        body: Name of the body.
+        coordinates: Coordinates relative to the trial's own start [m or rad], shape [frame_count, motion_count]; NaN
+            where the body was not captured.
+        residual_mm: Distance of the recorded origin from where the coordinates put it [mm], shape [frame_count].
+        residual_rad: Angle of the recorded rotation that the coordinates leave out [rad], shape [frame_count]; NaN
+            where the file has no orientation.
+        start_offset_mm: Distance of the trial's start from the calibrated one [mm].
+    """
+
+    body: str
+    coordinates: FloatArray
+    residual_mm: FloatArray
+    residual_rad: FloatArray
+    start_offset_mm: float
+
+
+def trial_trajectory(trial: Trial, resolved: Experiment) -> FloatArray:
+    """g(t) of a trial over the frames of an experiment.
+
+    Args:
+        trial: The trial.
+        resolved: The experiment that it is of.
+
+    Returns:
+        In the observable's unit, shape [frame_count, coordinate_count]; NaN where a sample is missing. Frames past
+        the end of a trial are missing where no frame count was published for the variant.
+
+    Raises:
+        TrialError: The trial is too short, lacks an asset or marker, or is not of this experiment.
+    """
+    if resolved.spec.score.observable is Observable.POSITION:
+        names = resolved.recorded
+        tracks = [_pose(trial, name).positions_mm for name in names]
+        for name, positions in zip(names, tracks, strict=True):
+            if len(positions) != len(tracks[0]):
+                raise TrialError(
+                    name, f"it has {len(positions)} frames", f"{len(tracks[0])} are expected, as {names[0]} has"
+                )
+            _check_start(name, positions, np.asarray(resolved.scene.body(name).pose.position_m))
+        values = np.concatenate(tracks, axis=1)
+    else:
+        values = _marker_trajectory(trial, resolved)
+    _check_length(len(values), resolved)
+    frames = np.full((resolved.frame_count, values.shape[1]), np.nan)
+    count = min(len(values), resolved.frame_count)
+    frames[:count] = values[:count]
+    if np.isnan(frames).all():
+        raise TrialError("(file)", "no frame of what is recorded was captured", "samples are expected")
+    return frames
+
+
+def driver_tracks(trial: Trial, resolved: Experiment) -> tuple[DriverTrack, ...]:
+    """Recorded motion of the driven bodies, in the order of the scene's drivers.
+
+    Raises:
+        TrialError: A driven body is missing, or its motion does not determine a driver's coordinates.
+    """
+    return tuple(
+        _driver_track(driver, _pose(trial, driver.body), resolved.scene.body(driver.body).pose, resolved.frame_count)
+        for driver in resolved.scene.drivers
+    )
+
+
+def _check_length(frame_count: int, resolved: Experiment) -> None:
+    needed = resolved.frame_count if published_baselines(resolved.variant.name) else 2
+    if frame_count < needed:
+        raise TrialError("(file)", f"it has {frame_count} frames", f"{needed} or more are needed")
+
+
+def _plain(name: str) -> str:
+    return "".join(character for character in name.lower() if character.isalnum())
+
+
+def _check_faults(trial: Trial, names: Container[str]) -> None:
+    """Raise what is wrong with an asset of these names, in plain spelling."""
+    for key, fault in trial.faults.items():
+        if _plain(key) in names:
+            raise fault
+
+
+def _pose(trial: Trial, name: str) -> PoseTrack:
+    _check_faults(trial, {_plain(name)})
+    found = next((track for key, track in trial.poses.items() if _plain(key) == _plain(name)), None)
+    if found is None:
+        raise TrialError(name, "the rigid body is missing", f"the file has {_listed([*trial.poses, *trial.markers])}")
+    return found
+
+
+def _listed(names: Sequence[str]) -> str:
+    text = ", ".join(sorted(names)[:8]) or "no asset"
+    return text if len(names) <= 8 else f"{text}, ... {len(names)} in all"
+
+
+def _check_start(name: str, positions_mm: FloatArray, start_m: FloatArray) -> None:
+    captured = np.flatnonzero(~np.isnan(positions_mm).any(axis=1))
+    if not captured.size:
+        raise TrialError(name, "it was never captured", "samples are expected")
+    distance = float(np.linalg.norm(positions_mm[captured[0]] - 1e3 * start_m))
+    if distance > START_RANGE_MM:
+        raise TrialError(
+            name,
+            f"it starts {distance:.0f} mm from its calibrated start",
+            f"within {START_RANGE_MM:.0f} mm, in the motion-capture frame and in mm, is expected",
+        )
+
+
+# --- markers ---------------------------------------------------------------------------------------------------------
+
+
+def _marker_trajectory(trial: Trial, resolved: Experiment) -> FloatArray:
+    markers = resolved.scene.markers
+    if markers is None:
+        raise TrialError("(file)", "the experiment has no markers", "its task file lists them")
+    ids, positions_mm = _markers(trial, markers.bodies, len(markers.positions_m))
+    rest_mm = 1e3 * np.asarray(markers.positions_m)
+    _check_order(ids, positions_mm, rest_mm)
+    try:
+        return observe_markers(1e-3 * positions_mm, markers, resolved.spec.score.observable)
+    except ShapeError as error:
+        raise TrialError("markers", str(error), "markers as in the metadata are expected") from None
+
+
+def _markers(trial: Trial, bodies: Iterable[str], count: int) -> tuple[list[str], FloatArray]:
+    """Marker ids in the metadata's order, and their positions [mm], shape [frame_count, marker_count, 3]."""
+    names = {_plain(name) for name in (*bodies, "markers")}
+    _check_faults(trial, names)
+    sets = {key: found for key, found in trial.markers.items() if _plain(key) in names} or trial.markers
+    if not sets:
+        raise TrialError("markers", "the marker set is missing", f"the file has {_listed([*trial.poses])}")
+    merged: dict[str, FloatArray] = {}
+    for name, found in sets.items():
+        for marker, positions in found.items():
+            if marker in merged:
+                raise TrialError(f"{name}.{marker}", "another marker set has the same id", "ids are unique")
+            merged[marker] = positions
+    if len(merged) != count:
+        raise TrialError(", ".join(sets), f"it has {len(merged)} markers", f"{count} are expected")
+    lengths = {name: len(next(iter(found.values()))) for name, found in sets.items()}
+    for name, length in lengths.items():
+        if length != max(lengths.values()):
+            raise TrialError(name, f"it has {length} frames", f"{max(lengths.values())} are expected, as others have")
+    ids = _sorted_ids(merged)
+    return ids, np.stack([merged[marker] for marker in ids], axis=1)
+
+
+def _sorted_ids(ids: Iterable[str]) -> list[str]:
+    """As numbers where all are, so that 10 comes after 9; else as text."""
+    ids = sorted(ids)
+    if all(marker.isascii() and marker.isdecimal() and len(marker) < 19 for marker in ids):
+        return sorted(ids, key=int)
+    return ids
+
+
+def _check_order(ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray) -> None:
+    """Each marker starts nearest its own place, or at least not in a clearly permuted order."""
+    captured = np.asarray(~np.isnan(positions_mm).any(axis=2))
+    seen = np.flatnonzero(captured.any(axis=0))
+    if not seen.size:
+        raise TrialError("markers", "no marker was ever captured", "samples are expected")
+    starts = positions_mm[np.argmax(captured[:, seen], axis=0), seen]
+    _check_start("markers", starts.mean(axis=0, keepdims=True), 1e-3 * rest_mm[seen].mean(axis=0))
+    squares = cdist(starts, rest_mm[seen], "sqeuclidean")
+    rows, places = linear_sum_assignment(squares)
+    given, best = np.sqrt(np.diag(squares).mean()), np.sqrt(squares[rows, places].mean())
+    if given > SWAPPED_MARKERS_MM and best < 0.5 * given:
+        wrong = int(np.argmax(rows != places))
+        raise TrialError(
+            f"markers.{ids[seen[wrong]]}",
+            f"it starts where marker {seen[places[wrong]]} of the metadata is, not {seen[wrong]}",
+            "sorted ids are expected in the order of the metadata's markers",
+        )
+
+
+# --- drivers ---------------------------------------------------------------------------------------------------------
+
+
+def _driver_track(driver: Driver, track: PoseTrack, start: Pose, frame_count: int) -> DriverTrack:
+    """Invert `Driver.state`: the coordinates whose pose is nearest to the recorded one, frame by frame."""
+    positions = np.full((frame_count, 3), np.nan)
+    count = min(len(track.positions_mm), frame_count)
+    positions[:count] = 1e-3 * track.positions_mm[:count]
+    calibrated = np.asarray(start.position_m)
+    _check_start(driver.body, track.positions_mm, calibrated)
+    first = positions[0]
+    turns = [number for number, motion in enumerate(driver.motions) if motion.kind == "rotate"]
+    if len(turns) > 1:
+        raise TrialError(driver.body, "its driver has several rotations", "one is as many as can be told apart")
+
+    coordinates = np.full((frame_count, len(driver.motions)), np.nan)
+    angles, rest_rad = np.zeros(frame_count), np.full(frame_count, np.nan)
+    if track.quaternions_xyzw is not None:
+        axis = np.asarray(driver.motions[turns[0]].axis) if turns else np.zeros(3)
+        angles[:count], rest_rad[:count] = _twist(track.quaternions_xyzw[:count], axis)
+        angles[count:] = np.nan
+    elif turns:
+        raise TrialError(f"{driver.body}.qx", "it is missing", "the angle of a turning driver follows from qx ... qw")
+
+    if np.isnan(first).any() or np.isnan(angles[0]):
+        raise TrialError(f"{driver.body}[0]", "frame 0 was not captured", "its driver's motion counts from there")
+
+    # A motion's axis through a point belongs to the body: it lies as far off as the trial's start does.
+    point = np.asarray(driver.motions[turns[0]].point_m) + (first - calibrated) if turns else first
+    known = np.flatnonzero(~(np.isnan(positions).any(axis=1) | np.isnan(angles)))
+    turn = Rotation.from_rotvec(angles[known, None] * np.asarray(driver.motions[turns[0]].axis)) if turns else None
+    coordinates[known], missed_m = _translations(driver, turn, point, first, positions[known])
+    if turns:
+        coordinates[known, turns[0]] = angles[known]
+    residual_mm = np.full(frame_count, np.nan)
+    residual_mm[known] = 1e3 * missed_m
+    return DriverTrack(
+        body=driver.body,
+        coordinates=coordinates,
+        residual_mm=residual_mm,
+        residual_rad=rest_rad,
+        start_offset_mm=1e3 * float(np.linalg.norm(first - calibrated)),
+    )
+
+
+def _twist(quaternions_xyzw: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn about an axis since the first captured frame, unwrapped [rad], and the angle of the rest [rad]."""
+    angles, rest = (np.full(len(quaternions_xyzw), np.nan) for _ in range(2))
+    captured = np.flatnonzero(~np.isnan(quaternions_xyzw).any(axis=1))
+    if captured.size:
+        rotations = Rotation.from_quat(quaternions_xyzw[captured])
+        since = (rotations * rotations[0].inv()).as_quat()
+        half = np.arctan2(since[:, :3] @ axis, since[:, 3])
+        # q and -q are one rotation, so the angle is known up to whole turns: frames are less than half a turn apart.
+        angles[captured] = np.unwrap(2.0 * half)
+        twists = Rotation.from_rotvec(angles[captured, None] * axis)
+        rest[captured] = (Rotation.from_quat(since) * twists.inv()).magnitude()
+    return angles, rest
+
+
+def _translations(
+    driver: Driver, turn: Rotation | None, point: FloatArray, first: FloatArray, positions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Least-squares translations that lead from the start to positions, given the turn at each of them.
+
+    Returns:
+        Coordinates [m], shape [frame_count, motion_count], 0 for a rotation; and the distance left [m], shape
+        [frame_count].
+    """
+    values = np.zeros((len(positions), len(driver.motions)))
+    missing = positions - (first if turn is None else turn.apply(first - point) + point)
+    numbers = [number for number, motion in enumerate(driver.motions) if motion.kind == "translate"]
+    if numbers:
+        turned = [number for number, motion in enumerate(driver.motions) if motion.kind == "rotate"]
+        columns = np.empty((len(positions), 3, len(numbers)))
+        for column, number in enumerate(numbers):
+            axis = np.asarray(driver.motions[number].axis)
+            # What is moved before the turn is turned along.
+            columns[:, :, column] = axis if turn is None or number > turned[0] else turn.apply(axis)
+        values[:, numbers] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
+        missing = missing - (columns @ values[:, numbers, None])[:, :, 0]
+    return values, np.linalg.norm(missing, axis=1)

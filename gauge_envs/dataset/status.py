@@ -1,0 +1,77 @@
+"""What each variant is scored against and driven by, and what the real trials score among themselves."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from typing import Any
+
+from gauge_envs.dataset.store import load_imported
+from gauge_envs.experiment import experiment
+from gauge_envs.paths import data_folder
+from gauge_envs.reference import band_grade, load_band, published_baselines
+from gauge_envs.result import json_ready, task_sha256
+from gauge_envs.task_format import Variant
+
+__all__ = ["status_rows"]
+
+
+def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
+    """One JSON-ready row a variant.
+
+    Keys: `id`, `grade`, `imported`, `trials`, `revision`, `is_current` (whether the task file is still the one that the
+    trials were imported for; None where nothing was), `drivers` (body, provenance, and what an imported one leaves out)
+    and `baselines` (metric, unit, own and published mean and standard deviation).
+
+    Raises:
+        ReferenceFileError: A stored or bundled band is damaged.
+    """
+    return [_row(variant) for variant in variants]
+
+
+def _row(variant: Variant) -> dict[str, Any]:
+    resolved, imported, band = experiment(variant), load_imported(variant.name), load_band(variant.name)
+    record = imported.record if imported else None
+    recorded = {driver.body: driver.model_dump() for driver in record.drivers} if record else {}
+    return json_ready(
+        {
+            "id": variant.id,
+            "grade": band_grade(variant.name).value,
+            "imported": record is not None,
+            "trials": band.trial_count if band else None,
+            "revision": record.revision if record else None,
+            "is_current": record.task_sha256 == task_sha256(variant.family) if record else None,
+            "drivers": [
+                {"body": driver.body, "provenance": driver.provenance, "recorded": recorded.get(driver.body)}
+                for driver in resolved.scene.drivers
+            ],
+            "baselines": _baselines(variant),
+        }
+    )
+
+
+def _baselines(variant: Variant) -> list[dict[str, Any]]:
+    published, own = published_baselines(variant.name), _own(variant)
+    return [
+        {
+            "metric": metric,
+            "own_mean": own.get(metric, (None, None))[0],
+            "own_std": own.get(metric, (None, None))[1],
+            "published_mean": published[metric].mean if metric in published else None,
+            "published_std": published[metric].std if metric in published else None,
+        }
+        for metric in dict.fromkeys([*published, *own])
+    ]
+
+
+def _own(variant: Variant) -> dict[str, tuple[float | None, float | None]]:
+    """Mean and standard deviation of each metric over the trials that the band rests on, imported or bundled."""
+    imported = load_imported(variant.name)
+    if imported is not None:
+        return {metric: (spread.mean, spread.std) for metric, spread in imported.record.metrics.items()}
+    file = data_folder("scoring") / "bands" / f"{variant.name}.toml"
+    if not file.is_file():
+        return {}
+    facts = tomllib.loads(file.read_text(encoding="utf-8"))
+    tables = {metric: facts.get(metric) for metric in ("rmse", "dtw")}
+    return {metric: (table.get("mean"), table.get("std")) for metric, table in tables.items() if table}

@@ -1,0 +1,253 @@
+"""Reads one trial file of the GAUGE dataset, and says what is wrong with it: file, key, what, what would be right.
+
+A trial is a JSON object with `FPS`, `translation unit` and one object an asset: a rigid body (`x`, `y`, `z`, and
+usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used) or a marker set (marker id to `x`, `y`, `z`). Each list
+has one sample a frame; `null` or NaN stands for a sample that was not captured.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.task_format import FRAME_RATE_HZ
+
+__all__ = ["Finding", "PoseTrack", "Trial", "TrialError", "parse_trial", "printable"]
+
+FloatArray = NDArray[np.float64]
+
+POSITION_KEYS = ("x", "y", "z")
+QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
+UNIT = "mm"
+
+NORM_TOLERANCE = 0.01
+"""Largest error of a unit quaternion's norm: files round to three digits or more."""
+
+LARGEST_MM = 1e5
+"""The motion-capture volume is a few metres wide; further away is no measurement, and squares must not overflow."""
+
+
+def printable(text: str) -> str:
+    """Text with everything escaped that a terminal or a JSON file cannot take, as lone surrogates of a damaged file."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something about a file or folder of a dataset that a person should know.
+
+    Attributes:
+        file: Path below the dataset's folder.
+        key: Place in the file, as `foam.17.x`; `(file)` for the whole of it, `(folder)` for a folder.
+        what: What is wrong.
+        right: What would be right.
+        left_out: Whether it is left out of the statistics because of that.
+    """
+
+    file: str
+    key: str
+    what: str
+    right: str
+    left_out: bool = True
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.key}: {self.what}; {self.right}"
+
+
+class TrialError(Exception):
+    """Why a trial cannot be used; the importer turns it into a `Finding`, so that it never reaches a user.
+
+    Args:
+        key: Place in the file.
+        what: What is wrong.
+        right: What would be right.
+    """
+
+    def __init__(self, key: str, what: str, right: str) -> None:
+        super().__init__(f"{key}: {what}; {right}")
+        self.key = printable(key)
+        self.what = printable(what)
+        self.right = right
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """Motion of one rigid body.
+
+    Attributes:
+        positions_mm: Positions of its origin in the motion-capture frame [mm], shape [frame_count, 3]; NaN: missing.
+        quaternions_xyzw: Unit quaternions, body to world, shape [frame_count, 4]; None where the file has none.
+    """
+
+    positions_mm: FloatArray
+    quaternions_xyzw: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One trial file, checked. Each asset has a number of frames of its own.
+
+    Attributes:
+        poses: Rigid bodies by their name in the file.
+        markers: Marker sets by their name in the file: marker id to positions [mm], shape [frame_count, 3].
+        faults: Why an asset cannot be used, by its name; whether that matters depends on the experiment.
+    """
+
+    poses: Mapping[str, PoseTrack]
+    markers: Mapping[str, Mapping[str, FloatArray]]
+    faults: Mapping[str, TrialError]
+
+
+def parse_trial(content: bytes) -> Trial:
+    """Read and check one trial file.
+
+    Args:
+        content: The file's bytes.
+
+    Raises:
+        TrialError: The file is no trial.
+    """
+    values = _json_object(content)
+    _check_header(values)
+    poses: dict[str, PoseTrack] = {}
+    markers: dict[str, dict[str, FloatArray]] = {}
+    faults: dict[str, TrialError] = {}
+    for name, asset in values.items():
+        if not isinstance(asset, dict):
+            continue
+        lengths = _Lengths()
+        try:
+            if any(isinstance(entry, dict) for entry in asset.values()):
+                markers[name] = {marker: _marker(f"{name}.{marker}", entry, lengths) for marker, entry in asset.items()}
+            else:
+                poses[name] = _pose(name, asset, lengths)
+        except TrialError as error:
+            faults[name] = error
+    if not (poses or markers or faults):
+        raise TrialError("(file)", "it holds no asset", "an object such as 'cube' with x, y, z is expected")
+    return Trial(poses=poses, markers=markers, faults=faults)
+
+
+def _json_object(content: bytes) -> dict[str, Any]:
+    if not content.strip():
+        raise TrialError("(file)", "it is empty", "a JSON object is expected")
+    try:
+        values = json.loads(content, object_pairs_hook=_unique)
+    except RecursionError:
+        raise TrialError("(file)", "its objects are nested too deeply", "assets hold lists of numbers") from None
+    except UnicodeDecodeError as error:
+        raise TrialError("(file)", f"it is not text: {error.reason}", "JSON in UTF-8 is expected") from None
+    except ValueError as error:
+        raise TrialError("(file)", f"it is not JSON: {error}", "a whole JSON object is expected") from None
+    if not isinstance(values, dict):
+        raise TrialError("(file)", f"it is a JSON {type(values).__name__}", "a JSON object is expected")
+    return values
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise TrialError(twice, "the key stands there twice", "each asset, marker and list has a name of its own")
+    return values
+
+
+def _check_header(values: Mapping[str, Any]) -> None:
+    rate, unit = values.get("FPS"), values.get("translation unit")
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
+        raise TrialError("FPS", f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected")
+    if unit != UNIT:
+        raise TrialError("translation unit", f"it is {_shown(unit)}", f"{UNIT!r} is expected")
+
+
+class _Lengths:
+    """All lists of an asset have as many samples as its first."""
+
+    def __init__(self) -> None:
+        self.count: int | None = None
+        self._first = ""
+
+    def check(self, key: str, count: int) -> None:
+        if self.count is None:
+            self.count, self._first = count, key
+        if count != self.count:
+            raise TrialError(key, f"it has {count} samples", f"{self.count} are expected, as in {self._first}")
+
+
+def _pose(name: str, asset: Mapping[str, Any], lengths: _Lengths) -> PoseTrack:
+    positions = _table(name, asset, POSITION_KEYS, lengths)
+    _check_range(name, positions)
+    given = [key for key in QUATERNION_KEYS if key in asset]
+    if not given:
+        return PoseTrack(positions, None)
+    quaternions = _table(name, asset, QUATERNION_KEYS, lengths)
+    norms = np.linalg.norm(quaternions, axis=1)
+    wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
+    if wrong.any():
+        frame = int(wrong.argmax())
+        raise TrialError(f"{name}.q[{frame}]", f"the quaternion's norm is {norms[frame]:.4g}", "1 is expected")
+    return PoseTrack(positions, quaternions / norms[:, None])
+
+
+def _marker(key: str, entry: Any, lengths: _Lengths) -> FloatArray:
+    if not isinstance(entry, dict):
+        raise TrialError(key, f"it is {_shown(entry)}", "a marker is an object with x, y, z")
+    positions = _table(key, entry, POSITION_KEYS, lengths)
+    _check_range(key, positions)
+    # A marker is seen as a whole or not at all.
+    positions[np.isnan(positions).any(axis=1)] = np.nan
+    return positions
+
+
+def _table(name: str, asset: Mapping[str, Any], keys: tuple[str, ...], lengths: _Lengths) -> FloatArray:
+    """Lists of an asset as columns, shape [frame_count, column_count]."""
+    missing = [key for key in keys if key not in asset]
+    if missing:
+        raise TrialError(f"{name}.{missing[0]}", "it is missing", f"an asset has {', '.join(keys)}")
+    columns = [_numbers(f"{name}.{key}", asset[key]) for key in keys]
+    for key, column in zip(keys, columns, strict=True):
+        lengths.check(f"{name}.{key}", len(column))
+    return np.column_stack(columns)
+
+
+def _numbers(key: str, values: Any) -> FloatArray:
+    if not isinstance(values, list) or not values:
+        raise TrialError(key, f"it is {_shown(values)}", "a list of numbers, one a frame, is expected")
+    kinds = set(map(type, values))
+    if not kinds <= {int, float, type(None)}:
+        frame = next(i for i, value in enumerate(values) if type(value) not in (int, float, type(None)))
+        raise TrialError(f"{key}[{frame}]", f"it is {_shown(values[frame])}", "a number or null is expected")
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except OverflowError:
+        raise TrialError(key, "a number is too large", "finite numbers are expected") from None
+    infinite = np.isinf(numbers)
+    if infinite.any():
+        frame = int(infinite.argmax())
+        raise TrialError(f"{key}[{frame}]", f"it is {numbers[frame]}", "a finite number, or null, is expected")
+    return numbers
+
+
+def _check_range(name: str, positions: FloatArray) -> None:
+    far = np.abs(positions) > LARGEST_MM
+    if far.any():
+        frame, axis = np.argwhere(far)[0]
+        raise TrialError(
+            f"{name}.{POSITION_KEYS[axis]}[{frame}]",
+            f"it is {positions[frame, axis]:.4g} mm",
+            "the capture volume is a few metres wide",
+        )
+
+
+def _shown(value: Any) -> str:
+    """A value for a message: short, whatever it is."""
+    text = "missing" if value is None else repr(value) if isinstance(value, str | int | float) else type(value).__name__
+    if isinstance(value, list):
+        text = "an empty list" if not value else "a list"
+    return text if len(text) <= 40 else f"{text[:37]}..."

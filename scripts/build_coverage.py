@@ -1,0 +1,160 @@
+"""Writes the table of coverage in `README.md`: what each id is measured against and driven by, as the package comes.
+
+    python scripts/build_coverage.py            writes it
+    python scripts/build_coverage.py --check    fails when it is not current
+
+Imported trials, which each user has or has not, are left out of it: `gauge data status` tells of those.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gauge_envs.experiment import experiment
+from gauge_envs.reference import Band, BandGrade, bundled_band, law_for, published_baselines
+from gauge_envs.task import variants
+from gauge_envs.task_format import Variant
+
+BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- end of coverage -->"
+"""Lines of the README between which the table stands."""
+
+HEAD = """
+<details>
+<summary>Coverage: what each of the 75 ids is measured against as the package comes, and what drives it</summary>
+
+- **band**: grade of the best band there is; *withheld* where nothing is scored on it unless it is asked for.
+- **known**: frames at which the band has a mean, of those of the experiment, and at how many it has one in every
+  coordinate where those are fewer. A law states every frame.
+- **sigma**: scatter of the `trials`, from the published `baseline`, or uncertainty of the `measurement`.
+- **driver**: where the motion of the driven body is from; `-` where nothing is driven.
+- **normalized**: scores that are given over the published one of real trials; `no` where there is no band to score on,
+  or no published score.
+"""
+GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.NONE)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Coverage of one variant; each field is what its column says."""
+
+    variant: str
+    grade: BandGrade
+    withheld: str | None
+    known: str
+    sigma: str
+    driver: str
+    normalized: str
+
+    @property
+    def used(self) -> BandGrade:
+        """Grade of what is scored on."""
+        if self.withheld is None:
+            return self.grade
+        return BandGrade.NONE if law_for(self.variant) is None else BandGrade.LAW
+
+    def cells(self) -> list[str]:
+        """Cells of the table."""
+        band = f"{self.grade.value}, *withheld*" if self.withheld else self.grade.value
+        return [self.variant, band, self.known, self.sigma, self.driver, self.normalized]
+
+
+def coverage(variant: Variant) -> Row:
+    """What comes with the package for one variant."""
+    resolved = experiment(variant, drivers="bundled")
+    band, law = bundled_band(variant.name), law_for(variant.name)
+    grade = band.grade if band is not None else BandGrade.NONE if law is None else BandGrade.LAW
+    withheld = None if band is None else band.withheld
+    scored = law is not None or (band is not None and withheld is None)
+    baselines = published_baselines(variant.name)
+    metrics = [metric for metric in baselines if baselines[metric].mean and (scored or metric not in ("rmse", "dtw"))]
+    return Row(
+        variant=variant.name,
+        grade=grade,
+        withheld=withheld,
+        known=f"{known_frames(band)} of {resolved.frame_count}" if band is not None else "-" if law is None else "all",
+        sigma=band.sigma_source.value if band is not None else "-" if law is None else "baseline",
+        driver=resolved.driver_provenance or "-",
+        normalized=", ".join(metric.upper() for metric in metrics) or "no",
+    )
+
+
+def known_frames(band: Band) -> str:
+    """Number of frames at which a band has a mean, and how many have it in every coordinate where that is fewer."""
+    known = np.isfinite(band.mean)
+    some, full = known.any(axis=1).sum(), known.all(axis=1).sum()
+    return str(some) if full == some else f"{some} ({full} in full)"
+
+
+def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Lines of a Markdown table."""
+    for cells in (titles, ["---"] * len(titles), *rows):
+        yield f"| {' | '.join(cells)} |"
+
+
+def coverage_markdown(rows: Sequence[Row]) -> str:
+    """Text of the block."""
+    count = Counter((row.grade, row.used) for row in rows)
+    drivers = Counter(row.driver for row in rows)
+    lines = [HEAD.strip(), "", f"{len(rows)} ids:", ""]
+    lines += [f"- {grade.value}: {count[grade, grade]} scored on" for grade in GRADES[:-1]]
+    lines += [
+        f"- recording, withheld: {sum(row.withheld is not None for row in rows)}",
+        f"- none: {count[BandGrade.NONE, BandGrade.NONE]}",
+        f"- drivers: {', '.join(f'{drivers[name]} {name}' for name in sorted(drivers) if name != '-')}",
+        "",
+        *table(("id", "band", "known", "sigma", "driver", "normalized"), [row.cells() for row in rows]),
+        "",
+        "Why bands are withheld:",
+        "",
+    ]
+    reasons: dict[str, list[str]] = {}
+    for row in rows:
+        if row.withheld:
+            reasons.setdefault(row.withheld, []).append(row.variant)
+    lines += [f"- {', '.join(names)}: {reason}." for reason, names in reasons.items()]
+    return "\n".join([*lines, "", "</details>"])
+
+
+def with_block(page: str, block: str) -> str:
+    """A page with the block put between its two marks.
+
+    Raises:
+        ValueError: The page does not have the marks, once each and in order.
+    """
+    head, begin, rest = page.partition(BEGIN)
+    _, end, tail = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f"the page needs the lines {BEGIN!r} and {END!r}")
+    return f"{head}{BEGIN}\n\n{block}\n\n{END}{tail}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Writes or checks the file.
+
+    Returns:
+        Exit status: 1 when a check found it not current.
+    """
+    parser = argparse.ArgumentParser(description="Write the table of coverage.")
+    parser.add_argument("--check", action="store_true", help="write nothing; fail when the file is not current")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "README.md", help="file")
+    options = parser.parse_args(arguments)
+    page = options.out.read_text(encoding="utf-8")
+    text = with_block(page, coverage_markdown([coverage(variant) for variant in variants()]))
+    if not options.check:
+        options.out.write_text(text, encoding="utf-8", newline="\n")
+        return 0
+    if page == text:
+        return 0
+    print(f"{options.out} is not current: run python scripts/build_coverage.py", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

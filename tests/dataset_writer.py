@@ -1,0 +1,181 @@
+"""Writes synthetic trials in the layout of the published dataset, with its irregularities and with known statistics.
+
+The folders are spelled out here, and not taken from the package: they are what the importer is checked against.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs import find_variant
+from gauge_envs.experiment import Experiment, experiment
+
+FloatArray = NDArray[np.float64]
+
+TASK_FOLDERS = {
+    "SlopeContact": "rigid/slope contact",
+    "NonsmoothContact": "rigid/nonsmooth contact",
+    "SlopeSlider": "rigid/slope slider",
+    "Turntable": "rigid/turntable",
+    "BouncingBall": "rigid/bouncing ball",
+    "NewtonsCradle": "rigid/newton's cradle",
+    "WallBreaking": "rigid/wall breaking",
+    "Pendulum": "rigid/pendulum",
+    "RopeWinding": "rope/rope winding",
+    "TextileStretching": "textile/textile stretching",
+    "TextileBending": "textile/textile bending",
+    "TextileFlinging": "textile/textile flinging",
+    "Funnel": "textile/funnel",
+    "RotatingBall": "textile/rotating ball",
+    "TableclothPulling": "textile/tablecloth pulling",
+    "FoamStretching": "deformable/foam stretching",
+    "FoamCompressing": "deformable/foam compression",
+    "FoamShearing": "deformable/foam shearing",
+    "FoamTwisting": "deformable/foam twisting",
+    "FoamBending": "deformable/foam bending",
+    "CantileverBeam": "deformable/cantilever beam",
+    "StickStack": "deformable/stick-stack",
+}
+FABRICS = {"rayon": "cotton", "uniform": "suit"}
+
+FRAMES_AFTER = 5
+"""Frames that each synthetic trial goes on after the published ones: an importer must cut them off."""
+
+AMOUNTS = (-1.5, -0.5, 0.75, 1.25)
+"""By how much trials are away from their mean; they add up to 0."""
+
+
+def trial_folder(name: str) -> str:
+    """Folder of a variant's trials in the published layout."""
+    variant = find_variant(name)
+    folder = f"data/{TASK_FOLDERS[variant.family]}/json"
+    if variant.family == "BouncingBall":
+        return folder
+    task = f"/task-{variant.subtask}" if variant.subtask else ""
+    return f"{folder}/{FABRICS.get(variant.material, variant.material)}{task}"
+
+
+def write_trial(root: Path, name: str, number: int, content: Mapping[str, Any] | bytes) -> Path:
+    """Write one trial file of a variant."""
+    file = root / trial_folder(name) / f"trial-{number}.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
+    return file
+
+
+def trial_content(assets: Mapping[str, Any]) -> dict[str, Any]:
+    """A trial file of these assets."""
+    return {"FPS": 30, "translation unit": "mm", **assets}
+
+
+def body_asset(positions_mm: FloatArray, rotations: Rotation | None = None) -> dict[str, list[float]]:
+    """A rigid body: positions [mm], shape [frame_count, 3], and orientations, upright where none are given."""
+    rotations = rotations or Rotation.identity(len(positions_mm))
+    columns = [*zip("xyz", np.asarray(positions_mm).T, strict=True)]
+    columns += zip(("qx", "qy", "qz", "qw"), rotations.as_quat().T, strict=True)
+    columns += zip(("ex", "ey", "ez"), rotations.as_rotvec(degrees=True).T, strict=True)  # never read
+    return {key: values.tolist() for key, values in columns}
+
+
+def marker_asset(positions_mm: FloatArray, ids: Sequence[int]) -> dict[str, dict[str, list[float]]]:
+    """A marker set: positions [mm], shape [frame_count, marker_count, 3]."""
+    return {
+        str(marker): {axis: positions_mm[:, number, k].tolist() for k, axis in enumerate("xyz")}
+        for number, marker in enumerate(ids)
+    }
+
+
+@dataclass(frozen=True)
+class Synthetic:
+    """Trials of one variant that are known in closed form.
+
+    Attributes:
+        resolved: The experiment.
+        contents: The trial files.
+        coordinates: Coordinates of each driver's motions, mean over trials [m or rad], by body, shape
+            [frame_count, motion_count].
+    """
+
+    resolved: Experiment
+    contents: list[dict[str, Any]]
+    coordinates: dict[str, FloatArray]
+
+
+def synthetic_trials(name: str, amounts: Sequence[float] = AMOUNTS, *, frames_after: int = FRAMES_AFTER) -> Synthetic:
+    """Trials that differ by a constant.
+
+    Bodies move 2 mm a frame along x, and each trial is off by its amount [mm] along y. Markers are their rest shape,
+    scaled about the first of them by 1 + 1e-3 amount. Drivers move by 1e-3 m or rad a frame and motion.
+    """
+    resolved = experiment(name, drivers="bundled")
+    scene = resolved.scene
+    count = resolved.frame_count + frames_after
+    frames = np.arange(count)[:, None]
+    contents = []
+    for amount in amounts:
+        assets: dict[str, Any] = {}
+        for body in resolved.recorded:
+            start = 1e3 * np.asarray(scene.body(body).pose.position_m)
+            positions = start + frames * [2.0, 0.0, 0.0] + np.array([0.0, amount, 0.0])
+            positions[resolved.frame_count :] = 1e4
+            assets[body] = body_asset(positions)
+        if scene.markers is not None:
+            positions = np.repeat(scaled_markers(resolved, amount)[None], count, axis=0)
+            positions[resolved.frame_count :] = 1e4
+            ids = 5 + 3 * np.arange(positions.shape[1])  # from one digit to three: as text, 11 comes before 5
+            order = np.argsort(ids.astype(str))
+            assets["markers" if len(scene.markers.bodies) > 1 else scene.markers.bodies[0]] = marker_asset(
+                positions[:, order], ids[order].tolist()
+            )
+        for driver in scene.drivers:
+            assets[driver.body] = driven_asset(resolved, driver.body, count)
+        contents.append(trial_content(assets))
+    coordinates = {
+        driver.body: driver_coordinates(len(driver.motions), resolved.frame_count) for driver in scene.drivers
+    }
+    return Synthetic(resolved, contents, coordinates)
+
+
+def scaled_markers(resolved: Experiment, amount: float) -> FloatArray:
+    """Marker positions [mm] of a trial, shape [marker_count, 3]."""
+    assert resolved.scene.markers is not None
+    rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
+    return rest[0] + (1.0 + 1e-3 * amount) * (rest - rest[0])
+
+
+def driver_coordinates(motion_count: int, frame_count: int) -> FloatArray:
+    """Coordinates [m or rad], shape [frame_count, motion_count]: the second motion twice as fast as the first."""
+    return 1e-3 * np.arange(frame_count)[:, None] * np.arange(1, motion_count + 1)
+
+
+def driven_asset(resolved: Experiment, body: str, count: int) -> dict[str, list[float]]:
+    """A driven body on its way, by composing its driver's motions in order."""
+    driver = next(driver for driver in resolved.scene.drivers if driver.body == body)
+    start = resolved.scene.body(body).pose
+    positions = np.repeat(np.asarray(start.position_m)[None], count, axis=0)
+    rotations = Rotation.concatenate([start.rotation] * count)
+    for motion, values in zip(driver.motions, driver_coordinates(len(driver.motions), count).T, strict=True):
+        axis = np.asarray(motion.axis)
+        if motion.kind == "translate":
+            positions = positions + values[:, None] * axis
+        else:
+            turns = Rotation.from_rotvec(values[:, None] * axis)
+            positions = turns.apply(positions - motion.point_m) + motion.point_m
+            rotations = turns * rotations
+    return body_asset(1e3 * positions, rotations)
+
+
+def write_synthetic(root: Path, name: str, amounts: Sequence[float] = AMOUNTS) -> Synthetic:
+    """Write the synthetic trials of a variant."""
+    synthetic = synthetic_trials(name, amounts)
+    for number, content in enumerate(synthetic.contents, start=1):
+        write_trial(root, name, number, content)
+    return synthetic

@@ -1,0 +1,509 @@
+"""Bands of published recordings: what was measured and no more; laws under their conditions; the coverage page."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import shutil
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs import experiment, reference, reference_band, score_trajectory, variants
+from gauge_envs.cli import app
+from gauge_envs.driver import Driver
+from gauge_envs.errors import ShapeError
+from gauge_envs.experiment import Experiment
+from gauge_envs.paths import data_folder
+from gauge_envs.reference import (
+    Band,
+    BandGrade,
+    ReferenceFileError,
+    SigmaSource,
+    band_grade,
+    bundled_band,
+    law_for,
+    published_baselines,
+)
+from gauge_envs.trajectory_file import coordinate_names
+
+GRAVITY = 9.80665
+SCORED = ("SlopeSlider-3-metal", "Turntable-3-metal")
+UNTOLD = ("CantileverBeam", "FoamStretching", "FoamCompressing", "FoamShearing", "FoamTwisting", "FoamBending")
+WITHHELD = (
+    "SlopeContact-wood",
+    "Pendulum-metal",
+    "TableclothPulling-metal",
+    *(f"{family}-{foam}" for family in UNTOLD for foam in ("soft", "hard")),
+)
+
+
+def load_script(name: str) -> ModuleType:
+    file = Path(__file__).parents[1] / "scripts" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+build_recordings = load_script("build_recordings")
+build_coverage = load_script("build_coverage")
+
+
+def facts_folder() -> Path:
+    return data_folder("scoring") / "facts" / "recordings"
+
+
+def recordings() -> dict[str, dict]:
+    return tomllib.loads((facts_folder() / "recordings.toml").read_text(encoding="utf-8"))
+
+
+def table(name: str) -> dict[str, np.ndarray]:
+    return build_recordings.read_table(facts_folder() / f"{name}.csv")
+
+
+def band_of(variant: str) -> Band:
+    band = bundled_band(variant)
+    assert band is not None
+    return band
+
+
+@pytest.fixture
+def scoring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A private copy of the data that the loaders read."""
+    copy = tmp_path / "scoring"
+    shutil.copytree(data_folder("scoring"), copy)
+    monkeypatch.setattr(reference, "data_folder", lambda name: tmp_path / name)
+    return copy
+
+
+# Current
+
+
+def test_checked_in_bands_are_current() -> None:
+    assert build_recordings.main(["--check"]) == 0
+
+
+def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, capsys) -> None:
+    arguments = ["--check", "--scoring", str(scoring)]
+    assert build_recordings.main(arguments) == 0
+    (scoring / "bands" / "Pendulum-metal.toml").unlink()
+    facts = scoring / "facts" / "recordings" / "slope_slider.csv"
+    facts.write_text(facts.read_text(encoding="utf-8").replace("85.53", "86.53"), encoding="utf-8")
+    assert build_recordings.main(arguments) == 1
+    stale = capsys.readouterr().err.splitlines()
+    assert [line.split(" is not current")[0].rsplit("/", 1)[1] for line in stale] == [
+        "SlopeSlider-3-metal.csv",
+        "Pendulum-metal.toml",
+    ]
+
+
+def test_the_table_of_coverage_is_current_and_names_every_id(tmp_path: Path) -> None:
+    assert build_coverage.main(["--check"]) == 0
+    page = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    stale = tmp_path / "README.md"
+    stale.write_text(page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"), encoding="utf-8")
+    assert build_coverage.main(["--check", "--out", str(stale)]) == 1
+    assert sum(line.startswith(f"| {variant.name} |") for variant in variants() for line in page.splitlines()) == 75
+
+
+# From pictures to frames
+
+
+def test_what_moves_evenly_is_met_at_every_frame_between_pictures() -> None:
+    times = np.arange(10) / 25
+    frames = np.arange(12) / 30
+    value, rate = build_recordings.at_frames(times, 3 + 2 * times, frames, interval_s=1 / 25)
+    inside = frames <= times[-1]
+    assert value[inside] == pytest.approx(3 + 2 * frames[inside], abs=1e-12)
+    assert rate[inside] == pytest.approx(2, abs=1e-9)
+    assert np.isnan(value[~inside]).all() and np.isnan(rate[~inside]).all()
+
+
+def test_nothing_is_invented_where_a_picture_is_missing() -> None:
+    times = np.arange(10) / 25
+    values = times.copy()
+    values[4] = np.nan
+    frames = np.arange(12) / 30
+    value, _ = build_recordings.at_frames(times, values, frames, interval_s=1 / 25)
+    within_gap = (frames > times[3]) & (frames < times[5])
+    assert within_gap.any()
+    assert np.isnan(value[within_gap]).all()
+    assert np.isfinite(value[(frames <= times[3]) | ((frames >= times[5]) & (frames <= times[-1]))]).all()
+
+
+def test_the_mean_of_a_jump_does_not_overshoot() -> None:
+    value, _ = build_recordings.at_frames(
+        np.arange(8) / 25, np.repeat([0.0, 1.0], 4), np.linspace(0, 7 / 25, 50), interval_s=1 / 25
+    )
+    assert (value.min(), value.max()) == (0.0, 1.0)
+
+
+def test_pictures_before_a_marker_is_hidden_are_left_out_but_not_those_before_the_end() -> None:
+    values = np.array([0.0, 1.0, 2.0, 3.0, np.nan, 5.0, 6.0])
+    seen = build_recordings.seen_well(values, 2)
+    assert np.isnan(seen).tolist() == [False, False, True, True, True, False, False]
+    assert np.isnan(build_recordings.seen_well(values, 0)).sum() == 1
+
+
+def test_an_uncertain_time_counts_with_the_speed() -> None:
+    """A cube at 1.2 m/s whose pictures are good to 1 ms: 1.2 mm beside the 1.5 mm of the frame and the fit's."""
+    band, sigma_mm = band_of("SlopeSlider-3-metal"), table("slope_slider")
+    assert band.uncertainty is not None
+    last = int(np.flatnonzero(band.measured)[-1])
+    speed = 30 * np.linalg.norm(band.mean[last] - band.mean[last - 1])
+    fitted = np.interp(0.96 + last / 30, sigma_mm["time_s"], sigma_mm["fit_sigma_mm"])
+    squares = np.square(band.uncertainty[last]) - fitted**2 - 1.5**2
+    assert squares.sum() == pytest.approx((1e-3 * speed) ** 2, rel=0.15)
+
+
+# What is known, and how well
+
+
+@pytest.mark.parametrize("variant", [*SCORED, *WITHHELD])
+def test_a_band_reads_as_it_was_built(variant: str) -> None:
+    band = band_of(variant)
+    resolved = experiment(variant)
+    name, recording, layout = next(
+        found for found in build_recordings.supported(facts_folder()) if variant in found[1]["variants"]
+    )
+    built = build_recordings.recorded_band(variant, recording, layout, table(name))
+    assert band.grade is BandGrade.RECORDING
+    assert band.unit == resolved.spec.score.observable.unit
+    assert band.mean.shape == (resolved.frame_count, len(band.coordinates))
+    assert band.projection.shape == (len(band.coordinates), len(coordinate_names(resolved)))
+    # The tables have two digits.
+    np.testing.assert_allclose(band.mean, built.mean, rtol=0, atol=0.0051)
+    np.testing.assert_allclose(band.uncertainty, built.uncertainty, rtol=0, atol=0.0051)
+    assert band.measured.tolist() == built.measured.tolist()
+    assert band.withheld == recording.get("withheld")
+
+
+@pytest.mark.parametrize(
+    ("variant", "known"), [("SlopeSlider-3-metal", 58), ("Turntable-3-metal", 95), ("SlopeContact-wood", 7)]
+)
+def test_frames_after_the_last_picture_are_not_known(variant: str, known: int) -> None:
+    band = band_of(variant)
+    assert np.flatnonzero(np.isfinite(band.mean).all(axis=1)).tolist() == list(range(known))
+    assert np.flatnonzero(band.measured).tolist() == list(range(known))
+
+
+@pytest.mark.parametrize("variant", [*SCORED, *WITHHELD])
+def test_sigma_is_the_published_scatter_where_there_is_one(variant: str) -> None:
+    """The variances of all coordinates of g(t), also of those that the band lacks, add up to mean^2 + std^2."""
+    band, baseline = band_of(variant), published_baselines(variant).get("rmse")
+    if baseline is None:
+        assert band.sigma_source is SigmaSource.MEASUREMENT
+        np.testing.assert_array_equal(band.sigma, band.uncertainty)
+        return
+    assert band.sigma_source is SigmaSource.BASELINE
+    width = band.projection.shape[1]
+    assert np.unique(band.sigma).size == 1
+    assert width * band.sigma[0, 0] ** 2 == pytest.approx(baseline.mean**2 + baseline.std**2, rel=1e-5)
+
+
+def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
+    """Trials of any shape: mean^2 + std^2 of their RMSE to the mean is the summed variance, averaged over frames."""
+    trials = np.random.default_rng(3).normal(size=(20, 40, 24)).cumsum(axis=1)
+    deviation = trials - trials.mean(axis=0)
+    rmse = np.sqrt(np.square(deviation).sum(axis=2).mean(axis=1))
+    baseline = reference.Baseline("made up", "rmse", 40, "mm^2", rmse.mean(), rmse.std(), {})
+    assert build_recordings.sigma_of(baseline, 24) == pytest.approx(math.sqrt(np.square(deviation).mean()), rel=1e-12)
+
+
+@pytest.mark.parametrize("variant", [*SCORED, "SlopeContact-wood", "TableclothPulling-metal", "CantileverBeam-soft"])
+def test_bands_start_where_the_experiment_does(variant: str) -> None:
+    """In millimetres, in the world frame, on the right coordinate: within the 5 mm by which a real start is off."""
+    band, resolved = band_of(variant), experiment(variant)
+    if resolved.recorded:
+        start = 1e3 * np.array([resolved.scene.body(name).pose.position_m for name in resolved.recorded]).ravel()
+    else:
+        assert resolved.scene.markers is not None
+        start = 1e3 * np.asarray(resolved.scene.markers.positions_m).ravel()
+    np.testing.assert_allclose(band.mean[0], band.projection @ start, rtol=0, atol=5.0)
+
+
+@pytest.mark.parametrize("variant", [name for name in WITHHELD if name.startswith("Foam")])
+def test_areas_start_near_the_published_places_of_the_markers(variant: str) -> None:
+    band, resolved = band_of(variant), experiment(variant)
+    assert resolved.scene.markers is not None
+    corners = 1e3 * np.asarray(resolved.scene.markers.positions_m)[np.asarray(resolved.scene.markers.faces)]
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    assert areas == pytest.approx(625 / 3, rel=1e-3)
+    np.testing.assert_allclose(band.mean[0], areas, rtol=0.15)
+    assert band.mean[0].mean() == pytest.approx(areas.mean(), rel=0.04)
+
+
+def test_each_recording_says_what_it_is_and_what_was_assumed() -> None:
+    described = recordings()
+    described.pop("layouts")
+    for name, recording in described.items():
+        assert len(recording["sha256"]) == 64, name
+        assert {"video", "identity", "method", "assumed", "not_measured", "facts"} <= set(recording), name
+        assert recording["supports"] in ("band", "cross-check"), name
+
+
+# Which bands are scored on
+
+
+def test_a_band_is_withheld_unless_material_and_scatter_are_known() -> None:
+    """One recorded trial is of one material; and without a published scatter no score can be normalized."""
+    for _, recording, _ in build_recordings.supported(facts_folder()):
+        ambiguous = len(recording["variants"]) > 1
+        unscaled = any("rmse" not in published_baselines(variant) for variant in recording["variants"])
+        if ambiguous or unscaled:
+            assert recording.get("withheld"), recording["video"]
+
+
+@pytest.mark.parametrize("variant", WITHHELD)
+def test_a_withheld_band_is_used_only_when_asked_for(variant: str) -> None:
+    resolved = experiment(variant)
+    assert band_grade(variant) is BandGrade.NONE
+    assert reference_band(resolved) is None
+    band = reference_band(resolved, use_withheld=True)
+    assert band is not None and band.withheld
+
+
+@pytest.mark.parametrize("variant", SCORED)
+def test_a_certain_band_is_used(variant: str) -> None:
+    assert band_grade(variant) is BandGrade.RECORDING
+    band = reference_band(experiment(variant))
+    assert band is not None and band.withheld is None
+
+
+def test_a_score_on_a_withheld_band_says_so(rollout: Callable) -> None:
+    plain = rollout("SlopeContact-wood")[2]["score"]
+    assert (plain.grade, plain.rmse, plain.withheld) == ("none", None, None)
+    asked = rollout("SlopeContact-wood", use_withheld=True)[2]["score"]
+    assert (asked.grade, asked.coordinates) == ("recording", ("slide",))
+    assert "frames 0 to 6" in asked.withheld
+    assert asked.rmse < 10
+    assert json.loads(json.dumps(asked.to_dict()))["withheld"] == asked.withheld
+
+
+def test_show_and_score_name_what_is_withheld(tmp_path: Path) -> None:
+    shown = CliRunner().invoke(app, ["show", "FoamTwisting-hard"]).stdout
+    assert "recording withheld" in shown
+    assert "cannot be told" in " ".join(shown.split())
+    values = json.loads(CliRunner().invoke(app, ["show", "SlopeSlider-3-metal", "--json"]).stdout)["reference"]
+    assert (values["grade"], values["sigma_source"], values["known_frames"]) == ("recording", "baseline", 58)
+    file = tmp_path / "still.csv"
+    file.write_text("\n".join(["504.278,408.961,180.622"] * 10), encoding="utf-8")
+    arguments = ["score", str(file), "--id", "SlopeContact-wood", "--json"]
+    plain = json.loads(CliRunner().invoke(app, arguments).stdout)["score"]
+    asked = json.loads(CliRunner().invoke(app, [*arguments, "--use-withheld"]).stdout)["score"]
+    assert (plain["rmse"], plain["withheld"]) == (None, None)
+    still = band_of("SlopeContact-wood").mean[:7, 0] - band_of("SlopeContact-wood").mean[0, 0]
+    assert asked["rmse"] == pytest.approx(math.sqrt(np.square(still).mean()), rel=1e-3)
+
+
+def test_what_lies_on_a_recording_scores_zero_however_it_goes_on() -> None:
+    """Frames that the recording does not show take part in neither RMSE nor DTW."""
+    resolved = experiment("SlopeSlider-3-metal")
+    band = band_of("SlopeSlider-3-metal")
+    g = np.where(np.isfinite(band.mean), band.mean, 1e4)
+    score = score_trajectory(resolved, band, times_s=np.arange(60) / 30, values=g)
+    assert (score.rmse, score.dtw, score.mean_abs_z, score.inside_1sigma) == (0.0, 0.0, 0.0, 1.0)
+
+
+# Against simulations
+
+
+@pytest.fixture(scope="module")
+def turntable() -> Experiment:
+    return experiment("Turntable-3-metal")
+
+
+def test_mujoco_is_scored_on_the_turntable(rollout: Callable, turntable: Experiment) -> None:
+    """And slips at the first stop as the recorded cube did, within three times the uncertainty of that."""
+    _, trajectory, info = rollout("Turntable-3-metal")
+    score = info["score"]
+    assert (info["reference"], score.grade, score.coordinates) == ("recording", "recording", ("x", "y"))
+    assert score.rmse_normalized == pytest.approx(score.rmse / 13.26)
+    assert score.rmse_normalized < 1
+    assert score.withheld is None
+    axis = 1e3 * np.asarray(turntable.scene.body("plate").pose.position_m[:2])
+    arm = trajectory.samples[:, :2] - axis
+    azimuth = np.degrees(np.unwrap(np.arctan2(arm[:, 1], arm[:, 0])))
+    # From 2.60 s of the clip on, the cube is carried again until the plate stops once more.
+    carried = (trajectory.times_s > 2.60 - 0.638) & (trajectory.times_s < 3.1)
+    plate = turntable.scene.body("plate").pose
+    poses = [turntable.scene.drivers[0].pose(plate, time) for time in trajectory.times_s]
+    turned = np.degrees(np.unwrap([2 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in poses]))
+    slip = (azimuth - azimuth[0] - turned + turned[0])[carried].mean()
+    recorded = recordings()["turntable"]["facts"]["slip_after_first_stop_deg"]
+    assert slip == pytest.approx(recorded["value"], abs=3 * recorded["sigma"])
+
+
+def test_mujoco_is_scored_on_the_tilted_board(rollout: Callable) -> None:
+    _, _, info = rollout("SlopeSlider-3-metal")
+    score = info["score"]
+    assert (score.grade, score.coordinates) == ("recording", ("x", "y", "z"))
+    assert 0 < score.rmse_normalized < 2
+    assert score.rmse_aligned < score.rmse
+    # The recorded cube has less friction than the calibrated one and is ahead.
+    assert score.release_offset_s < 0 and score.signed_error[0] < 0
+
+
+# What the facts say
+
+
+def test_slips_of_the_recorded_cube_are_the_means_of_the_table() -> None:
+    facts, seen = recordings()["turntable"]["facts"], table("turntable")
+    for event, start, end in (("start", 1.0, 2.28), ("first_stop", 2.6, 4.28), ("second_stop", 4.64, 5.52)):
+        window = (seen["time_s"] >= start - 1e-6) & (seen["time_s"] <= end + 1e-6)
+        slip, radius = facts[f"slip_after_{event}_deg"], facts[f"radius_after_{event}_mm"] if "stop" in event else None
+        assert seen["slip_deg"][window].mean() == pytest.approx(slip["value"], abs=0.06)
+        assert seen["slip_deg"][window].std() == pytest.approx(slip["sigma"], abs=0.25)
+        if radius is not None:
+            assert seen["radius_mm"][window].mean() == pytest.approx(radius["value"], abs=0.06)
+
+
+def test_speeds_and_accelerations_follow_from_the_tables() -> None:
+    described = recordings()
+    pulled, slid = table("tablecloth_pulling"), table("slope_contact")
+    moving = pulled["time_s"] > 2.1
+    for body in ("cube", "cloth"):
+        speed = np.polyfit(pulled["time_s"][moving], pulled[f"{body}_mm"][moving], 1)[0]
+        stated = described["tablecloth_pulling"]["facts"][f"{body}_speed_mm_per_s"]
+        assert speed == pytest.approx(stated["value"], abs=0.5)
+    times = slid["time_s"] - described["slope_contact"]["frame_zero_s"]
+    sliding = (times > 0) & (times < 0.17)
+    weight = 1 / slid["fit_sigma_mm"][sliding] ** 2
+    half_square = 0.5 * times[sliding] ** 2
+    acceleration = 1e-3 * (weight * half_square) @ slid["slide_mm"][sliding] / (weight * half_square @ half_square)
+    stated = described["slope_contact"]["facts"]["slide_acceleration_m_per_s2"]
+    assert acceleration == pytest.approx(stated["value"], abs=stated["sigma"])
+
+
+def test_the_recorded_period_is_that_of_the_angles() -> None:
+    """Crossings of the vertical, half a period apart."""
+    swing = table("pendulum")
+    times, angle = swing["time_s"], swing["angle_deg"]
+    before = np.flatnonzero(angle[:-1] * angle[1:] < 0)
+    crossings = times[before] - angle[before] * np.diff(times)[before] / np.diff(angle)[before]
+    stated = recordings()["pendulum"]["facts"]["period_s"]
+    assert len(crossings) == 4
+    assert 2 * np.diff(crossings).mean() == pytest.approx(stated["value"], abs=2 * stated["sigma"])
+
+
+def test_the_recorded_bounce_agrees_with_the_trials() -> None:
+    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(encoding="utf-8")
+    trials, seen = tomllib.loads(text), recordings()["bouncing_ball"]["facts"]
+    assert seen["rebound_ratio"]["value"] == pytest.approx(trials["rebound_ratio"]["mean"], rel=0.01)
+    assert seen["second_rebound_ratio"]["value"] == pytest.approx(trials["rebound_ratio"]["mean"], rel=0.03)
+    start = seen["start_height_m"]
+    assert start["value"] == pytest.approx(trials["start_height_m"]["mean"], abs=3 * start["sigma"])
+    fall = math.sqrt(2 / GRAVITY * (trials["start_height_m"]["mean"] - trials["contact_height_m"]["mean"]))
+    assert seen["fall_s"]["value"] == pytest.approx(fall, abs=0.008)
+    assert seen["gravity_from_first_flight_m_per_s2"]["value"] == pytest.approx(GRAVITY, abs=0.27)
+
+
+def test_the_recorded_cradle_rests_as_long_as_the_published_one() -> None:
+    resting = recordings()["newtons_cradle"]["facts"]["last_ball_at_rest_s"]
+    published = published_baselines("NewtonsCradle-metal")["lsd"].mean
+    assert max(resting["value"]) == pytest.approx(published, abs=resting["sigma"])
+
+
+def test_frame_zero_is_that_of_the_driver() -> None:
+    driver = experiment("Turntable-3-metal").spec.subtasks["3"].drivers
+    assert driver is not None
+    assert f"its time {recordings()['turntable']['frame_zero_s']} s being frame 0" in driver[0].note
+
+
+# Laws
+
+
+def friction(variant: str) -> float:
+    return next(c.friction for c in experiment(variant).scene.contacts if c.second[0] in ("board", "plate"))
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+def test_the_slope_holds_every_cube(material: str) -> None:
+    assert math.tan(math.radians(10)) < friction(f"SlopeSlider-1-{material}")
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+def test_the_slow_plate_carries_every_cube(material: str) -> None:
+    """The largest force that carrying takes, from the driver's own motion, is less than friction gives."""
+    resolved = experiment(f"Turntable-1-{material}", drivers="bundled")
+    scene, driver = resolved.scene, resolved.scene.drivers[0]
+    start = scene.body("plate").pose
+    arm = np.subtract(scene.body("cube").pose.position_m, start.position_m)[:2]
+    times = np.arange(0, scene.duration_s, 5e-3)
+    needed = float(np.linalg.norm(arm)) * max(_turning(driver, start, times))
+    held = friction(resolved.variant.name) * GRAVITY
+    assert needed < held / 15
+    # The condition of the law, in the numbers that its text gives.
+    law = law_for(resolved.variant.name)
+    assert law is not None and f"{np.linalg.norm(arm):.4f} m" in law.condition
+
+
+def _turning(driver: Driver, start, times: np.ndarray) -> np.ndarray:
+    """hypot(omega^2, alpha) of a driver that turns about z [rad/s^2]."""
+    omega = np.array([driver.state(start, time)[1][5] for time in times])
+    return np.hypot(omega**2, np.gradient(omega, times))
+
+
+# Damage
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("SlopeContact-wood.csv", "mean.slide", "mean.slid", "line 1: columns are"),
+        ("SlopeContact-wood.csv", "measured,mean.slide", "measured,average.slide", "expected mean.slide among them"),
+        ("SlopeContact-wood.csv", ",1.58", ",-1.58", "line 2: uncertainty.slide is -1.58"),
+        ("SlopeContact-wood.csv", ",1.58", ",x", "line 2: uncertainty.slide is 'x', not a number"),
+        ("SlopeContact-wood.toml", "frames = 10", "frames = 4", "frames is 4, but the table has 7"),
+        ("SlopeContact-wood.toml", "sigma = 6", "sigmas = 6", "sigma is None, expected a float"),
+        ("SlopeContact-wood.toml", '"baseline"', '"guess"', "sigma_source 'guess' is none of trials, baseline"),
+        ("SlopeContact-wood.toml", "withheld = ", "withheld = 3 #", "withheld is 3, expected a str"),
+        ("SlopeContact-wood.toml", 'coordinates = ["slide"]', "", "coordinates is None, expected a list"),
+        ("FoamBending-soft.toml", "11]", "12]", "expected whole numbers from 0 to 11"),
+        ("FoamBending-soft.toml", "width = 12", "", "width is None, expected a int"),
+    ],
+)
+def test_damaged_bands_are_named(scoring: Path, file: str, old: str, new: str, message: str) -> None:
+    damaged = scoring / "bands" / file
+    text = damaged.read_text(encoding="utf-8")
+    assert old in text
+    damaged.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ReferenceFileError) as caught:
+        bundled_band(damaged.stem)
+    assert str(damaged) in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_a_measured_sigma_needs_an_uncertainty(scoring: Path) -> None:
+    folder = scoring / "bands"
+    text = (folder / "SlopeContact-wood.toml").read_text(encoding="utf-8")
+    (folder / "SlopeContact-wood.toml").write_text(text.replace('"baseline"', '"measurement"'), encoding="utf-8")
+    (folder / "SlopeContact-wood.csv").write_text("frame,time_s,measured,mean.slide\n0,0.0,1,5\n", encoding="utf-8")
+    with pytest.raises(ReferenceFileError, match="the table has no uncertainty"):
+        bundled_band("SlopeContact-wood")
+
+
+def test_an_uncertainty_of_another_shape_is_refused() -> None:
+    with pytest.raises(ShapeError, match="uncertainty has shape"):
+        Band(
+            grade=BandGrade.RECORDING,
+            unit="mm",
+            coordinates=("a",),
+            projection=np.ones((1, 3)),
+            mean=np.zeros((4, 1)),
+            sigma=np.ones((4, 1)),
+            measured=np.ones(4, dtype=bool),
+            trial_count=None,
+            source="made up",
+            uncertainty=np.ones((3, 1)),
+        )
