@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 import gauge_envs
-from gauge_envs import env, report
+from gauge_envs import env
 from gauge_envs.backends import Support
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.episode import Trajectory
+from gauge_envs.report import listing
 from gauge_envs.scene import Scene
 
 RIGID_FAMILIES = (
@@ -52,7 +53,7 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
         return Support(tuple(f"{body.name!r} is a deformable body" for body in scene.deformables))
 
     monkeypatch.setattr(BackendMuJoCo, "supports", supports)
-    for module in (env, report):
+    for module in (env, listing):
         monkeypatch.setattr(module, "backend_names", lambda: ("mujoco",))
 
 

@@ -1,0 +1,338 @@
+"""What there is: experiments, one experiment in full, installed engines."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from gauge_envs.backends import backend, backend_names
+from gauge_envs.dataset.store import DriverRecord, load_imported
+from gauge_envs.driver import DriverSource, Profile, SampledProfile
+from gauge_envs.errors import BackendError, MissingExtraError
+from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.reference import BandGrade, SigmaSource, band_grade, law_for, load_band, published_baselines
+from gauge_envs.report.text import (
+    ENGINE_TITLES,
+    GRADE_NOTES,
+    METRIC_TITLES,
+    NORMALIZED_NOTE,
+    SIGMA_NOTES,
+    facts_grid,
+    heading,
+    number_text,
+    pairs_text,
+    plus_minus_text,
+    rows_table,
+    shortened,
+    vector_text,
+)
+from gauge_envs.result import json_ready
+from gauge_envs.scene import Deformable, Hinge, RigidBody
+from gauge_envs.task_format import Variant
+from gauge_envs.trajectory_file import coordinate_names
+
+__all__ = ["backend_rows", "backend_table", "description", "description_view", "list_rows", "list_table"]
+
+
+def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
+    """One row a variant; `backends` maps each installed backend to an empty list, or to what it lacks."""
+    rows = []
+    for variant in variants:
+        resolved = experiment(variant)
+        rows.append(
+            {
+                "id": variant.id,
+                "family": variant.family,
+                "group": resolved.spec.group.value,
+                "observable": resolved.spec.score.observable.value,
+                "frames": resolved.frame_count,
+                "grade": band_grade(variant.name).value,
+                "imported": load_imported(variant.name) is not None,
+                "backends": {name: _lacks(name, resolved) for name in backend_names()},
+            }
+        )
+    return rows
+
+
+def _lacks(name: str, resolved: Experiment) -> list[str]:
+    try:
+        return list(backend(name).supports(resolved.scene).missing)
+    except (BackendError, MissingExtraError) as error:
+        return [str(error)]
+
+
+def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Rows of `list_rows` as a table."""
+    names = list(rows[0]["backends"]) if rows else []
+    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
+    for title in ("id", "group", "observable", "frames", "grade", *names):
+        table.add_column(title, no_wrap=True, justify="right" if title == "frames" else "left")
+    for row in rows:
+        can = [_yes_no(not row["backends"][name]) for name in names]
+        grade = f"{row['grade']}, imported" if row["imported"] else row["grade"]
+        table.add_row(row["id"], row["group"], row["observable"], str(row["frames"]), grade, *can)
+    return table
+
+
+def _yes_no(yes: bool) -> str:
+    return "[green]yes[/]" if yes else "[dim]no[/]"
+
+
+def description(variant: Variant) -> dict[str, Any]:
+    """Everything that defines one experiment, JSON-ready, with where each number is from."""
+    resolved = experiment(variant)
+    spec, scene = resolved.spec, resolved.scene
+    subtask = spec.subtasks[variant.subtask] if variant.subtask else None
+    band, imported = load_band(variant.name), load_imported(variant.name)
+    law = law_for(variant.name)
+    return json_ready(
+        {
+            "id": variant.id,
+            "title": spec.title if subtask is None else f"{spec.title}, {subtask.title}",
+            "summary": spec.summary,
+            "group": spec.group.value,
+            "evaluates": spec.evaluates,
+            "source": spec.source.model_dump(exclude_none=True),
+            "frames": resolved.frame_count,
+            "duration_s": scene.duration_s,
+            "observable": {
+                "kind": spec.score.observable.value,
+                "unit": resolved.spec.score.observable.unit,
+                "coordinates": coordinate_names(resolved),
+            },
+            "bodies": [_body(body, resolved) for body in (*scene.bodies, *scene.deformables)],
+            "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
+            "joints": [
+                {"kind": "hinge" if isinstance(joint, Hinge) else "tether"} | dataclasses.asdict(joint)
+                for joint in scene.joints
+            ],
+            "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
+            "drivers": [_driver(resolved, index) for index in range(len(scene.drivers))],
+            "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
+            "constants": {
+                name: tables.get(variant.material, next(iter(tables.values()), {}))
+                for name, tables in spec.constants.items()
+            },
+            "parameter_sets": {
+                "calibrated": {"summary": "calibrated constants of the metadata", "values": {}},
+                **{
+                    name: {"summary": chosen.summary, "values": dict(experiment(variant, name).overrides)}
+                    for name, chosen in spec.parameters.items()
+                },
+            },
+            "provenance": spec.provenance,
+            "decisions": spec.decisions,
+            "reference": {
+                "grade": band_grade(variant.name).value,
+                "trial_count": None if band is None else band.trial_count,
+                "source": None if band is None else band.source,
+                "imported": imported is not None,
+                "law": None if law is None else law.condition,
+                "sigma_source": None if band is None else band.sigma_source.value,
+                "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
+                "withheld": None if band is None else band.withheld,
+            },
+            "baselines": [dataclasses.asdict(line) for line in published_baselines(variant.name).values()],
+            "backends": {name: _lacks(name, resolved) for name in backend_names()},
+        }
+    )
+
+
+def _body(body: RigidBody | Deformable, resolved: Experiment) -> dict[str, Any]:
+    described: dict[str, Any] = {
+        "name": body.name,
+        "kind": "rigid" if isinstance(body, RigidBody) else type(body).__name__.lower(),
+        "recorded": body.name in resolved.recorded,
+    }
+    values = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
+    shape = values.pop("shape", None)
+    if shape is not None:
+        described["shape"] = {"kind": type(shape).__name__} | dataclasses.asdict(shape)
+    pose = values.pop("pose")
+    return described | values | {"position_m": pose.position_m, "quaternion_wxyz": pose.quaternion}
+
+
+def _driver(resolved: Experiment, index: int) -> dict[str, Any]:
+    variant, spec, driver = resolved.variant, resolved.spec, resolved.scene.drivers[index]
+    own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
+    stated = (own if own is not None else spec.drivers)[index]
+    motions = [motion.model_dump(exclude_none=True) for motion in stated.motions]
+    note, recorded = stated.note, _recorded_driver(resolved, driver.body)
+    in_use = recorded is not None and resolved.drivers is DriverSource.IMPORTED
+    if recorded is not None and in_use:
+        note = f"{_recorded_note(recorded)}; not in use is the bundled one: {note}"
+        for motion, used in zip(motions, driver.motions, strict=True):
+            motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
+    elif recorded is not None:
+        note = f"{note}; not in use is the imported one: gauge data use --drivers imported"
+    return {
+        "body": driver.body,
+        "provenance": driver.provenance,
+        "imported": in_use,
+        "note": note,
+        "motions": motions,
+    }
+
+
+def _recorded_driver(resolved: Experiment, body: str) -> DriverRecord | None:
+    """The imported driver of a body, in use or not."""
+    imported = load_imported(resolved.variant.name)
+    if imported is None:
+        return None
+    return next((record for record in imported.record.drivers if record.body == body), None)
+
+
+def _sampled(profile: Profile, kind: str) -> dict[str, Any]:
+    """An imported profile as a task file would state it."""
+    assert isinstance(profile, SampledProfile)
+    values = profile.values if kind == "translate" else [math.degrees(value) for value in profile.values]
+    unit = "m" if kind == "translate" else "deg"
+    return {"kind": "sampled", "times_s": list(profile.times_s), f"values_{unit}": list(values)}
+
+
+def _recorded_note(record: DriverRecord) -> str:
+    angle = "" if record.residual_deg is None else f" and {record.residual_deg:.2g} deg"
+    return (
+        f"mean motion of the body in {record.trial_count} imported trials, from its calibrated start, which is "
+        f"{record.start_offset_mm:.2g} mm from theirs; its motions leave {record.residual_mm:.2g} mm{angle} out (rms)"
+    )
+
+
+def description_view(values: Mapping[str, Any]) -> Group:
+    """The dictionary of `description`, for reading."""
+    observable, reference = values["observable"], values["reference"]
+    grade = BandGrade(reference["grade"])
+    withheld = reference["withheld"] is not None
+    trials = f", {reference['trial_count']} trials" if reference["trial_count"] else ""
+    parts: list[Any] = [
+        Text(f"{values['id']}  {values['title']}", style="bold"),
+        Text(values["summary"]),
+        Text(""),
+        facts_grid(
+            {
+                "evaluates": ", ".join(values["evaluates"]),
+                "sources": "; ".join(f"{key}: {text}" for key, text in values["source"].items()),
+                "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
+                "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
+                "grade": f"{grade.value}{trials} ({GRADE_NOTES[grade]})" + (", recording withheld" * withheld),
+                "reference": reference["source"] or reference["law"] or "none",
+                **_band_facts(values),
+                **{f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()},
+            }
+        ),
+        heading("Bodies"),
+        rows_table(
+            ("name", "motion", "shape", "mass [kg]", "position [m]", "quaternion wxyz"),
+            [
+                (
+                    body["name"] + (" (recorded)" if body["recorded"] else ""),
+                    body.get("motion", body["kind"]),
+                    _shape(body),
+                    f"{body['mass_kg']:.10g}" if body["mass_kg"] else "-",
+                    vector_text(body["position_m"]),
+                    vector_text(body["quaternion_wxyz"]),
+                )
+                for body in values["bodies"]
+            ],
+        ),
+        heading("Contacts"),
+        rows_table(
+            ("first", "second", "friction", "restitution", "mode"),
+            [
+                (
+                    shortened(c["first"]),
+                    shortened(c["second"]),
+                    f"{c['friction']:.10g}",
+                    f"{c['restitution']:.10g}",
+                    c["mode"],
+                )
+                for c in values["contacts"]
+            ],
+        ),
+    ]
+    if values["joints"] or values["attachments"]:
+        parts.append(heading("Joints"))
+        parts += [Text(pairs_text(joint)) for joint in (*values["joints"], *values["attachments"])]
+    for driver in values["drivers"]:
+        parts += [
+            heading(f"Driver of {driver['body']} ({driver['provenance']})"),
+            Text(driver["note"]),
+            *(Text(f"  {pairs_text(motion)}") for motion in driver["motions"]),
+        ]
+    parts += [
+        heading("Constants"),
+        facts_grid({name: pairs_text(table) for name, table in values["constants"].items()}),
+        heading("Where the numbers are from"),
+        facts_grid(values["provenance"]),
+        heading("Decisions"),
+        *(Text(f"- {line}") for line in values["decisions"] or ["none"]),
+        heading("Parameter sets"),
+        facts_grid(
+            {
+                name: chosen["summary"] + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
+                for name, chosen in values["parameter_sets"].items()
+            }
+        ),
+        heading("Published"),
+        rows_table(
+            ("metric", "real trials", *ENGINE_TITLES.values()),
+            [
+                (
+                    METRIC_TITLES[line["metric"]],
+                    plus_minus_text(line["mean"], line["std"], line["unit"]),
+                    *(number_text(line["engines"][engine]) for engine in ENGINE_TITLES),
+                )
+                for line in values["baselines"]
+            ],
+        ),
+        Text(NORMALIZED_NOTE, style="dim"),
+    ]
+    return Group(*parts)
+
+
+def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """What there is to say of a band that does not cover everything, or that is not used."""
+    reference = values["reference"]
+    facts = {}
+    if reference["known_frames"] is not None and reference["known_frames"] < values["frames"]:
+        facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
+    if reference["sigma_source"] is not None:
+        facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
+    if reference["withheld"] is not None:
+        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"
+    return facts
+
+
+def _shape(body: Mapping[str, Any]) -> str:
+    shape = dict(body.get("shape") or {"kind": body["kind"]})
+    kind = shape.pop("kind")
+    if "pieces_m" in shape:
+        return f"{kind}, {len(shape['pieces_m'])} pieces"
+    skip = ("name", "kind", "recorded", "motion", "shape", "mass_kg", "position_m", "quaternion_wxyz")
+    return " ".join(filter(None, (kind, pairs_text(shape), pairs_text(body, skip=skip))))
+
+
+def backend_rows() -> list[dict[str, Any]]:
+    """Installed backends: name, versions of the engine, and why it cannot be used when it cannot."""
+    rows: list[dict[str, Any]] = []
+    for name in backend_names():
+        try:
+            rows.append({"name": name, "versions": backend(name).versions(), "error": None})
+        except (BackendError, MissingExtraError) as error:
+            rows.append({"name": name, "versions": {}, "error": str(error)})
+    return rows
+
+
+def backend_table(rows: Sequence[Mapping[str, Any]]) -> Table | Text:
+    """Rows of `backend_rows` as a table."""
+    return rows_table(
+        ("backend", "engine"),
+        [(row["name"], row["error"] or pairs_text(row["versions"]).replace(" = ", " ")) for row in rows],
+    )

@@ -1,0 +1,143 @@
+"""How names, numbers and small tables are put into words; what every view of the command line shares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from gauge_envs.reference import BandGrade, SigmaSource
+
+__all__ = [
+    "ALIGNED_TITLE",
+    "COST_TITLE",
+    "ENGINE_TITLES",
+    "GRADE_NOTES",
+    "METRIC_TITLES",
+    "NORMALIZED_NOTE",
+    "SIGMA_NOTES",
+    "facts_grid",
+    "heading",
+    "number_text",
+    "pairs_text",
+    "plus_minus_text",
+    "quantity_text",
+    "rows_table",
+    "score_text",
+    "shortened",
+    "value_text",
+    "vector_text",
+]
+
+
+ENGINE_TITLES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newton"}
+
+
+METRIC_TITLES = {"rmse": "RMSE", "dtw": "DTW", "lsd": "LSD", "mte": "MTE", "pd": "PD", "el": "EL"}
+
+
+ALIGNED_TITLE = "RMSE aligned"
+
+
+COST_TITLE = "wall s/sim s"
+
+
+NORMALIZED_NOTE = (
+    "Normalized: score over the mean score of the real trials, so 1.0 is a typical real trial. RMSE and DTW: lower is "
+    "closer. LSD, MTE, PD: 1 is ideal. EL is never normalized, 0 is ideal. Engines: as published (GAUGE, Table 5)."
+)
+
+
+GRADE_NOTES = {
+    BandGrade.TRIALS: "mean and scatter per frame over real trials",
+    BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
+    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline",
+    BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
+}
+
+
+SIGMA_NOTES = {
+    SigmaSource.TRIALS: "scatter of the trials, per frame",
+    SigmaSource.BASELINE: "from the published scatter, constant and the same for each coordinate",
+    SigmaSource.MEASUREMENT: "uncertainty of the measurement; the scatter of trials is not known",
+}
+
+
+def heading(text: str) -> Text:
+    """Bold line above a part of a view."""
+    return Text(f"\n{text}", style="bold")
+
+
+def facts_grid(pairs: Mapping[str, str]) -> Table:
+    """Two columns: names, and what is to be said of them."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="cyan")
+    table.add_column(overflow="fold")
+    for key, value in pairs.items():
+        table.add_row(escape(key), escape(value))
+    return table
+
+
+def rows_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Table | Text:
+    """Plain table; the word none where there are no rows."""
+    if not rows:
+        return Text("none", style="dim")
+    table = Table(box=None, header_style="dim", pad_edge=False)
+    for title in titles:
+        table.add_column(escape(title), overflow="fold")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    return table
+
+
+def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:
+    """`key = value, key = value`, without some keys."""
+    return ", ".join(f"{key} = {value_text(value)}" for key, value in values.items() if key not in skip)
+
+
+def value_text(value: Any) -> str:
+    """A value as people write it: rounded numbers, the first few entries of a list."""
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, Mapping):
+        return f"({pairs_text(value)})"
+    if isinstance(value, list):
+        return f"[{', '.join(map(value_text, value[:4]))}{f', ... {len(value)} in all' if len(value) > 4 else ''}]"
+    return str(value)
+
+
+def vector_text(values: Sequence[float]) -> str:
+    """Numbers beside each other."""
+    return " ".join(f"{value:.6g}" for value in values)
+
+
+def shortened(names: Sequence[str]) -> str:
+    """Names, cut in the middle where they are many."""
+    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:3])}, ... {names[-1]} ({len(names)})"
+
+
+def plus_minus_text(mean: float, std: float | None, unit: str) -> str:
+    """`mean +- std unit`."""
+    scatter = "" if std is None else f" +- {std:g}"
+    return f"{mean:g}{scatter}{'' if unit == '1' else f' {unit}'}"
+
+
+def number_text(value: float | None) -> str:
+    """A score to two decimals; a dash for None."""
+    # Adding 0.0 makes a rounded -0.00 plain zero.
+    return "-" if value is None else f"{round(value, 2) + 0.0:.2f}" if abs(value) < 100 else f"{value:.3g}"
+
+
+def score_text(value: float | None) -> str:
+    """Two decimals, or two digits where they would be lost."""
+    return f"{value:.2g}" if value is not None and abs(value) < 0.1 else number_text(value)
+
+
+def quantity_text(value: float) -> str:
+    """Three digits, without an exponent where the number is neither tiny nor huge."""
+    if 1e3 <= value < 1e5:
+        return f"{value:.0f}"
+    return f"{value:.3g}" if value >= 1e-3 or value == 0.0 else f"{value:.1e}"
