@@ -1,4 +1,4 @@
-"""NVIDIA Newton: rigid bodies by its MuJoCo solver, textiles and foam by VBD, foam by implicit MPM."""
+"""NVIDIA Newton: rigid bodies by its MuJoCo solver; cloth, foam, ropes and rods by VBD; foam by implicit MPM too."""
 
 from gauge_envs.backends.newton.backend import BackendNewton
 

@@ -20,7 +20,7 @@ MODULES = ("newton", "warp", "mujoco_warp")
 
 
 class BackendNewton(Backend):
-    """NVIDIA Newton on the CPU or a GPU: rigid bodies by its MuJoCo solver, cloth and foam by VBD, foam by MPM too.
+    """NVIDIA Newton on the CPU or a GPU: rigid bodies by its MuJoCo solver, all else by VBD, foam by implicit MPM too.
 
     Raises:
         MissingExtraError: Newton or what it needs is not installed.
