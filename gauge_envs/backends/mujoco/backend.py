@@ -57,6 +57,7 @@ class SimulationMuJoCo(Simulation):
         self._steps_per_second = round(1.0 / settings.timestep_s)
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _Reader] = {}
+        self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
 
     def reset(self, seed: int) -> None:
@@ -65,14 +66,16 @@ class SimulationMuJoCo(Simulation):
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Write the body's pose and velocity, and the force that accelerates its huge mass as asked."""
-        position, speed = _free_joint_addresses(self.model, body)
-        self.data.qpos[position : position + 3] = pose.position_m
-        self.data.qpos[position + 3 : position + 7] = pose.quaternion
-        self.data.qvel[speed : speed + 3] = velocity[:3]
+        if body not in self._driven:
+            self._driven[body] = _driven_views(self.model, self.data, body)
+        place, speed, force = self._driven[body]
+        place[:3] = pose.position_m
+        place[3:] = pose.quaternion
+        speed[:3] = velocity[:3]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        self.data.qvel[speed + 3 : speed + 6] = _rotated_back(pose.quaternion, velocity[3:])
+        speed[3:] = _rotated_back(pose.quaternion, velocity[3:])
         # Mass and all moments of inertia of a driven body are the same number.
-        self.data.xfrc_applied[self.model.body(body).id] = self.settings["kinematic_mass_kg"] * acceleration
+        force[:] = self.settings["kinematic_mass_kg"] * acceleration
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
@@ -143,6 +146,13 @@ def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
     return int(joint.qposadr[0]), int(joint.dofadr[0])
 
 
+def _driven_views(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> tuple[NDArray[np.float64], ...]:
+    """Pose, velocity and force of a free body in MuJoCo's own arrays."""
+    position, speed = _free_joint_addresses(model, name)
+    force = data.xfrc_applied[model.body(name).id]
+    return data.qpos[position : position + 7], data.qvel[speed : speed + 6], force
+
+
 def _rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> NDArray[np.float64]:
     inverse, rotated = np.empty(4), np.empty(3)
     mujoco.mju_negQuat(inverse, np.asarray(quaternion))
@@ -150,7 +160,7 @@ def _rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> N
     return rotated
 
 
-# Readers keep views of MuJoCo's arrays, made once: fetching an array from MuJoCo costs more than reading from it.
+# Readers keep views of MuJoCo's arrays, made once, as driving does: fetching an array costs more than reading from it.
 
 
 class _OneFreeBody:
