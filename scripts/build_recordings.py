@@ -10,7 +10,6 @@ pictures the mean is a monotone cubic; where pictures are missing, or the clip h
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import math
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from generated import write_or_check
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
@@ -225,21 +225,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 1 when a check found a file that is missing or not current.
     """
-    parser = argparse.ArgumentParser(description="Build the bands of published recordings from scoring/facts.")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail when a file is not current")
-    parser.add_argument(
-        "--scoring", type=Path, default=Path(__file__).parents[1] / "scoring", help="folder of the data"
+    return write_or_check(
+        generated_files,
+        script="build_recordings.py",
+        what="Build the bands of published recordings from scoring/facts.",
+        arguments=arguments,
     )
-    options = parser.parse_args(arguments)
-    files = generated_files(options.scoring)
-    if not options.check:
-        for file, text in files.items():
-            file.write_text(text, encoding="utf-8", newline="\n")
-        return 0
-    stale = [file for file, text in files.items() if not file.is_file() or file.read_text(encoding="utf-8") != text]
-    for file in stale:
-        print(f"{file} is not current: run python scripts/build_recordings.py", file=sys.stderr)
-    return 1 if stale else 0
 
 
 if __name__ == "__main__":

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import shutil
-import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 
+import build_bands
 import numpy as np
 import pytest
 
@@ -19,19 +17,6 @@ from gauge_envs.reference import Band, load_band, published_baselines
 MATERIALS = ("wood", "plastic", "metal")
 VARIANTS = (*(f"SlopeSlider-2-{material}" for material in MATERIALS), "BouncingBall-rubber")
 GRAVITY = 9.80665
-
-
-def load_script() -> ModuleType:
-    file = Path(__file__).parents[1] / "scripts" / "build_bands.py"
-    spec = importlib.util.spec_from_file_location("build_bands", file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["build_bands"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-build_bands = load_script()
 
 
 def band_of(variant: str) -> Band:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import shutil
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
+import build_coverage
+import build_recordings
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -43,20 +42,6 @@ WITHHELD = (
     "TableclothPulling-metal",
     *(f"{family}-{foam}" for family in UNTOLD for foam in ("soft", "hard")),
 )
-
-
-def load_script(name: str) -> ModuleType:
-    file = Path(__file__).parents[1] / "scripts" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-build_recordings = load_script("build_recordings")
-build_coverage = load_script("build_coverage")
 
 
 def facts_folder() -> Path:

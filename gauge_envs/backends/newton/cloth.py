@@ -62,7 +62,6 @@ def add_cloth(
     cell_m: float,
     stretch_damping_n_s_per_m: float = 0.0,
     bend_damping_n_s: float = 0.0,
-    contact_radius_m: float | None = None,
 ) -> ClothPart:
     """Add a cloth to a model in the making; what it collides with is up to `SurfaceContacts`.
 
@@ -77,8 +76,6 @@ def add_cloth(
         cell_m: Wanted edge length of the cells [m]; the nearest one that divides a side is used.
         stretch_damping_n_s_per_m: Newton's `tri_kd`: viscosity of the membrane, on the rate of Green's strain doubled.
         bend_damping_n_s: Newton's `edge_kd`: torque of a hinge per rate of its angle and per length.
-        contact_radius_m: Distance from its mid-plane at which the cloth touches rigid shapes [m]; half its thickness
-            when left out.
 
     Raises:
         UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
@@ -104,7 +101,7 @@ def add_cloth(
             mean_edge_length_m=sheet.mean_edge_length_m(),
         ),
         edge_kd=bend_damping_n_s,
-        particle_radius=0.5 * cloth.thickness_m if contact_radius_m is None else contact_radius_m,
+        particle_radius=0.5 * cloth.thickness_m,
         label=cloth.name,
     )
     masses = cloth.areal_density_kg_per_m2 * sheet.vertex_areas_m2()
