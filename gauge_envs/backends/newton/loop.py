@@ -150,13 +150,9 @@ class Loop(ABC):
     def _arrays(self) -> list[wp.array]:
         """Every array that a step may change: both states, the solver's memory, and the drive."""
         found: dict[int, wp.array] = {}
-        for root in (*self._states, self.solver, *self._memory()):
+        for root in (*self._states, self.solver):
             found |= {id(array): array for array in _arrays_in(root, depth=3)}
         return [*found.values(), self._elapsed, self._start, self._velocity, self._acceleration]
-
-    def _memory(self) -> tuple[Any, ...]:
-        """Further objects that keep arrays from one step to the next."""
-        return ()
 
     def _snapshot(self) -> dict[int, NDArray[Any]]:
         return {id(array): array.numpy().copy() for array in self._arrays()}

@@ -44,9 +44,6 @@ class Pin:
     place_m: tuple[float, float, float]
 
 
-# --- stepping --------------------------------------------------------------------------------------------------------
-
-
 def apply_contacts(
     contacts: SurfaceContacts, builder: newton.ModelBuilder, shapes: Mapping[str, Sequence[int]]
 ) -> None:
@@ -80,6 +77,9 @@ def passing_pairs(
         free = np.setdiff1d(np.concatenate([particles[name] for name in through]), np.concatenate(held))
         pairs.extend(np.column_stack([free, np.full_like(free, shape)]) for shape in shapes[rigid])
     return np.concatenate(pairs)
+
+
+# --- stepping --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
