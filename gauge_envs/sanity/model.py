@@ -1,4 +1,4 @@
-"""What a sanity check is about: a configuration, and for each phenomenon reality, the backend's default and this one."""
+"""What a sanity check is made of: a configuration, and what each phenomenon is in reality, by default and in it."""
 
 from __future__ import annotations
 
