@@ -19,7 +19,9 @@ test: $(VENV)/.installed
 	$(BIN)/mypy gauge_envs
 	$(BIN)/python -m pytest -n 2
 
+# Some slow checks train policies.
 slow: $(VENV)/.installed
+	$(BIN)/pip install --quiet -e ".[rl]"
 	$(BIN)/python -m pytest -n 2 -m slow
 
 bench: $(VENV)/.installed
