@@ -1,7 +1,7 @@
 """Generated assets: every variant as USD and as MJCF, every solid as OBJ; built, and checked for currency.
 
-The files in `assets/` are built from the task files and are checked in; nothing reads them back. They are for users
-of other tools: each opens without gauge-envs.
+The files in `assets/` are built from the task files and are checked in. Each opens in other tools without gauge-envs;
+an edited copy of a USD layer or of an MJCF file can be the scene of an experiment again (`gauge_envs.asset`).
 """
 
 from __future__ import annotations

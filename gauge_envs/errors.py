@@ -8,6 +8,7 @@ from pathlib import Path
 
 __all__ = [
     "ActionError",
+    "AssetError",
     "BackendError",
     "DatasetError",
     "EpisodeError",
@@ -17,6 +18,7 @@ __all__ = [
     "RenderError",
     "ResultFileError",
     "ShapeError",
+    "TargetError",
     "TaskFileError",
     "TrajectoryFileError",
     "UnknownNameError",
@@ -34,6 +36,22 @@ class ShapeError(GaugeError, ValueError):
 
 class ActionError(GaugeError, ValueError):
     """An action has the wrong shape, lies outside its space, or is not a number."""
+
+
+class AssetError(GaugeError, ValueError):
+    """An asset cannot be used: names the file, the place in it (prim path, body or key) and the reason.
+
+    Args:
+        file: The USD, MJCF or experiment file.
+        place: Prim path, name of a body, or key; empty where the file as a whole is meant.
+        reason: What is wrong, and what would be right.
+    """
+
+    def __init__(self, file: Path | str, place: str, reason: str) -> None:
+        super().__init__(": ".join(part for part in (str(file), place, reason) if part))
+        self.file = Path(file)
+        self.place = place
+        self.reason = reason
 
 
 class BackendError(GaugeError, RuntimeError):
@@ -74,6 +92,10 @@ class MissingExtraError(GaugeError, ImportError):
         super().__init__(
             f"{feature} needs {cause.name or cause}, which is not installed: pip install '{package}[{extra}]'"
         )
+
+
+class TargetError(GaugeError, ValueError):
+    """What the sanity check is asked to check cannot be read; the message names it and what can be."""
 
 
 class TaskFileError(GaugeError, ValueError):

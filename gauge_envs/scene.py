@@ -6,11 +6,12 @@ and never which experiment it came from.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -379,6 +380,50 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
+
+    @classmethod
+    def from_usd(
+        cls,
+        path: str | Path,
+        *,
+        duration_s: float | None = None,
+        friction: Literal["dynamic", "static"] | None = None,
+        mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
+        contacts: Sequence[Contact] = (),
+    ) -> Scene:
+        """Read a scene from a USD file, of `to_usd` or of plain UsdPhysics.
+
+        What `to_usd` wrote comes back exactly. Where a number was edited in such a file, in the `gauge:` double or in
+        the standard attribute beside it, the edited one counts. What the keywords say matters for files of others:
+
+        Args:
+            path: File of any kind that USD reads.
+            duration_s: How long the experiment lasts, where the file has neither `gauge:duration_s` nor time codes of
+                start and end; it counts in place of these time codes.
+            friction: Which coefficient of a material counts where static and dynamic friction differ.
+            mode: What contacts do that have no `gauge:mode`: one for all, or one a pair of names, sustained for others.
+            contacts: Contacts that count in place of what the file says of their pairs.
+
+        Raises:
+            AssetError: The file cannot be read, lacks something, or has what a scene has not; names file and prim.
+        """
+        from gauge_envs.usd.reader import read_usd
+
+        return read_usd(path, duration_s=duration_s, friction=friction, mode=mode, contacts=contacts).scene
+
+    def to_usd(self, path: str | Path) -> None:
+        """Write the scene as one USD layer, from which `from_usd` reads it back exactly.
+
+        Args:
+            path: File to write; the suffix chooses text (`.usda`) or binary (`.usdc`, `.usd`).
+
+        Raises:
+            ParameterError: The suffix is none of USD's, or a body is named or driven twice.
+            ResultFileError: The file cannot be written.
+        """
+        from gauge_envs.usd.writer import write_usd
+
+        write_usd(self, Path(path))
 
     def body(self, name: str) -> RigidBody:
         """Rigid body of that name; KeyError where there is none."""

@@ -4,6 +4,10 @@ UsdPhysics keeps masses, coefficients and joint frames in single precision, one 
 pair, and has no deformable bodies yet. So every number of the scene also stands as a custom double under the name
 that it has in `gauge_envs.scene` (`gauge:mass_kg`), pairs stand in `/World/Contacts`, and deformable bodies carry the
 attributes of the proposed schema under the names that Omniverse ships it with (`omniphysics:`).
+
+A number that stands twice can be edited in either place. So that the reader knows in which, the double keeps its
+standard counterpart as written in its custom data; and what is computed from the scene and cannot be turned back, as
+the mesh of a cloth, keeps its own value and the name of what to edit in its place.
 """
 
 from __future__ import annotations
@@ -21,10 +25,9 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gauge_envs.driver import Driver
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.experiment import Experiment
+from gauge_envs.experiment import TaskExperiment
 from gauge_envs.materials import Fabric, isaac_surface
 from gauge_envs.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
-from gauge_envs.result import task_sha256
 from gauge_envs.scene import (
     Attachment,
     Box,
@@ -36,7 +39,6 @@ from gauge_envs.scene import (
     Hinge,
     Markers,
     Motion,
-    Plane,
     Pose,
     RigidBody,
     Rod,
@@ -47,10 +49,24 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.task import task_path
+from gauge_envs.task import task_path, task_sha256
 from gauge_envs.task_format import FRAME_RATE_HZ
+from gauge_envs.usd.layer import (
+    KINDS,
+    TEXT,
+    digest,
+    hinge_axis,
+    hinge_frame,
+    motions_digest,
+    motions_to_json,
+    names_digest,
+    record_follower,
+    record_written,
+    samples_digest,
+    wxyz,
+)
 
-__all__ = ["SOURCE", "scene_to_usd", "usd_text"]
+__all__ = ["SOURCE", "scene_to_usd", "usd_text", "write_usd"]
 
 SOURCE = (
     "Calibrated constants and initial states: GAUGE paper (arXiv 2608.05948) and GAUGE dataset "
@@ -82,10 +98,12 @@ Token = Sdf.ValueTypeNames.Token
 Double = Sdf.ValueTypeNames.Double
 Double3 = Sdf.ValueTypeNames.Double3
 Float = Sdf.ValueTypeNames.Float
+String = Sdf.ValueTypeNames.String
+Int3Array = Sdf.ValueTypeNames.Int3Array
 
 
-def scene_to_usd(resolved: Experiment, path: Path) -> None:
-    """Write one variant's scene as a self-contained USD layer.
+def scene_to_usd(resolved: TaskExperiment, path: Path) -> None:
+    """Write one variant's scene as a self-contained USD layer that names the variant, its parameters and its source.
 
     Args:
         resolved: Variant with its parameters.
@@ -95,35 +113,75 @@ def scene_to_usd(resolved: Experiment, path: Path) -> None:
         ParameterError: The suffix is none of USD's.
         ResultFileError: The file cannot be written.
     """
+    _export(_experiment_stage(resolved), path)
+
+
+def usd_text(resolved: TaskExperiment) -> str:
+    """One variant's scene as the text of a `.usda` layer; the same scene gives the same text."""
+    stage = _experiment_stage(resolved)
+    return stage.GetRootLayer().ExportToString()
+
+
+def write_usd(scene: Scene, path: Path) -> None:
+    """Write a scene as a self-contained USD layer.
+
+    Args:
+        scene: Any scene; bodies and drivers are named once each.
+        path: File to write; the suffix chooses text (`.usda`) or binary (`.usdc`, `.usd`).
+
+    Raises:
+        ParameterError: The suffix is none of USD's, or the scene names a body twice or drives one twice.
+        ResultFileError: The file cannot be written.
+    """
+    _export(_stage(scene), path)
+
+
+def _export(stage: Usd.Stage, path: Path) -> None:
     if path.suffix not in SUFFIXES:
         raise ParameterError(f"{path}: a USD layer ends in {', '.join(SUFFIXES)}")
-    stage = _stage(resolved)
     try:
         stage.GetRootLayer().Export(str(path))
     except Tf.ErrorException as error:
         raise ResultFileError(f"{path}: cannot be written: {error}") from error
 
 
-def usd_text(resolved: Experiment) -> str:
-    """One variant's scene as the text of a `.usda` layer; the same scene gives the same text."""
-    stage = _stage(resolved)
-    return stage.GetRootLayer().ExportToString()
+def _stage(scene: Scene) -> Usd.Stage:
+    stage = Usd.Stage.CreateInMemory("scene.usda")
+    _Writer(stage, scene).write()
+    return stage
 
 
-def _stage(resolved: Experiment) -> Usd.Stage:
-    stage = Usd.Stage.CreateInMemory(f"{resolved.variant.name}.usda")
-    _Writer(stage, resolved).write()
+def _experiment_stage(resolved: TaskExperiment) -> Usd.Stage:
+    stage = _stage(resolved.scene)
+    variant = resolved.variant
+    layer = stage.GetRootLayer()
+    layer.documentation = f"{resolved.spec.title}: {variant.id}"
+    layer.customLayerData = {
+        "gauge": {
+            "variant": variant.name,
+            "task_file": f"tasks/{task_path(variant.family).name}",
+            "task_sha256": task_sha256(variant.family),
+            "parameters": resolved.parameters,
+            "overrides": json.dumps(dict(resolved.overrides), sort_keys=True),
+            "driver_provenance": resolved.driver_provenance or "",
+            "source": SOURCE,
+        }
+    }
     return stage
 
 
 class _Writer:
     """Writes one scene into an empty stage."""
 
-    def __init__(self, stage: Usd.Stage, resolved: Experiment) -> None:
+    def __init__(self, stage: Usd.Stage, scene: Scene) -> None:
         self.stage = stage
-        self.resolved = resolved
-        self.scene: Scene = resolved.scene
-        names = [body.name for body in (*self.scene.bodies, *self.scene.deformables)]
+        self.scene = scene
+        self.frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
+        names = [body.name for body in (*scene.bodies, *scene.deformables)]
+        for kind, listed in (("name", names), ("driver", [driver.body for driver in scene.drivers])):
+            twice = next((name for name in listed if listed.count(name) > 1), None)
+            if twice is not None:
+                raise ParameterError(f"body {twice!r} has more than one {kind}")
         self.paths = _paths(names)
         self.deformables = {body.name: body for body in self.scene.deformables}
         self.collides = {name for contact in self.scene.contacts for name in (*contact.first, *contact.second)}
@@ -135,17 +193,19 @@ class _Writer:
         self.stage.SetDefaultPrim(world.GetPrim())
         physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
         physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
-        physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
-        _custom(physics, "gravity_m_per_s2", Double, self.scene.gravity_m_per_s2)
-        _custom(physics, "duration_s", Double, self.scene.duration_s)
+        magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
+        record_written(_custom(physics, "gravity_m_per_s2", Double, self.scene.gravity_m_per_s2), magnitude.Get())
+        duration = _custom(physics, "duration_s", Double, self.scene.duration_s)
+        record_written(duration, (self.frame_count - 1) / FRAME_RATE_HZ)
         materials = [self._contact_material(index, contact) for index, contact in enumerate(self.scene.contacts)]
-        drivers = {driver.body: driver for driver in self.scene.drivers}
         for body in self.scene.bodies:
-            self._body(body, drivers.get(body.name))
+            self._body(body)
             self._bind(self.paths[body.name], self._own(body.name, materials))
+        for index, driver in enumerate(self.scene.drivers):
+            self._drive(index, driver)
         for deformable in self.scene.deformables:
             self._deformable(deformable)
-        self._filtered_pairs()
+        _custom(physics, "colliding_pairs", String, self._filtered_pairs())
         for index, joint in enumerate(self.scene.joints):
             path = f"{self._group('Joints')}/joint_{index}"
             if isinstance(joint, Hinge):
@@ -160,27 +220,13 @@ class _Writer:
     # --- stage ---
 
     def _metadata(self) -> None:
-        variant = self.resolved.variant
         UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
         UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
         UsdGeom.SetStageUpAxis(self.stage, UsdGeom.Tokens.z)
         self.stage.SetTimeCodesPerSecond(FRAME_RATE_HZ)
         self.stage.SetFramesPerSecond(FRAME_RATE_HZ)
         self.stage.SetStartTimeCode(0)
-        self.stage.SetEndTimeCode(self.resolved.frame_count - 1)
-        layer = self.stage.GetRootLayer()
-        layer.documentation = f"{self.resolved.spec.title}: {variant.id}"
-        layer.customLayerData = {
-            "gauge": {
-                "variant": variant.name,
-                "task_file": f"tasks/{task_path(variant.family).name}",
-                "task_sha256": task_sha256(variant.family),
-                "parameters": self.resolved.parameters,
-                "overrides": json.dumps(dict(self.resolved.overrides), sort_keys=True),
-                "driver_provenance": self.resolved.driver_provenance or "",
-                "source": SOURCE,
-            }
-        }
+        self.stage.SetEndTimeCode(self.frame_count - 1)
 
     def _group(self, name: str) -> str:
         """Path of a group below the world, made where it is not there yet."""
@@ -195,27 +241,34 @@ class _Writer:
         prim = UsdGeom.Scope.Define(self.stage, f"{self._group('Contacts')}/contact_{index}").GetPrim()
         for side, names in (("first", contact.first), ("second", contact.second)):
             prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets([self.paths[name] for name in names])
-        _custom(prim, "friction", Double, contact.friction)
-        _custom(prim, "restitution", Double, contact.restitution)
+        friction = _custom(prim, "friction", Double, contact.friction)
+        restitution = _custom(prim, "restitution", Double, contact.restitution)
         _custom(prim, "mode", Token, contact.mode.value)
         material = UsdShade.Material.Define(self.stage, f"{self._group('Materials')}/contact_{index}")
-        _friction(material.GetPrim(), contact)
+        constants = _friction(material.GetPrim(), contact)
+        record_written(friction, constants.GetDynamicFrictionAttr().Get())
+        record_written(restitution, constants.GetRestitutionAttr().Get())
+        deformable = [name for name in self.deformables if self._first_contact(name) is contact]
+        targets = [material.GetPath(), *map(self._deformable_material_path, deformable)]
+        prim.CreateRelationship("gauge:materials", custom=True).SetTargets(targets)
         return material
+
+    def _first_contact(self, name: str) -> Contact | None:
+        """The first contact that names a body."""
+        return next((c for c in self.scene.contacts if name in c.first or name in c.second), None)
 
     def _own(self, name: str, materials: Sequence[UsdShade.Material]) -> UsdShade.Material | None:
         """Material of the first contact that names the body: UsdPhysics has one a body, not one a pair."""
-        for contact, material in zip(self.scene.contacts, materials, strict=True):
-            if name in contact.first or name in contact.second:
-                return material
-        return None
+        contact = self._first_contact(name)
+        return next((m for c, m in zip(self.scene.contacts, materials, strict=True) if c is contact), None)
 
     def _bind(self, path: str, material: UsdShade.Material | None) -> None:
         if material is not None:
             binding = UsdShade.MaterialBindingAPI.Apply(self.stage.GetPrimAtPath(path))
             binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
 
-    def _filtered_pairs(self) -> None:
-        """Pairs that no contact names pass through each other, although UsdPhysics lets everything collide."""
+    def _filtered_pairs(self) -> str:
+        """Filter pairs that no contact names, as UsdPhysics lets everything collide; returns a hash of the others."""
         allowed = {frozenset((a, b)) for contact in self.scene.contacts for a in contact.first for b in contact.second}
         moves = {body.name for body in self.scene.dynamic_bodies} | set(self.deformables)
         filtered: dict[str, list[str]] = {}
@@ -225,22 +278,21 @@ class _Writer:
         for name, targets in filtered.items():
             pairs = UsdPhysics.FilteredPairsAPI.Apply(self.stage.GetPrimAtPath(self.paths[name]))
             pairs.CreateFilteredPairsRel().SetTargets(targets)
+        lines = {body.name for body in self.scene.deformables if isinstance(body, Rope | Rod)}
+        return names_digest({pair for pair in allowed if len(pair) == 2 and pair & moves and not pair & lines})
 
     # --- rigid bodies ---
 
-    def _body(self, body: RigidBody, driver: Driver | None) -> None:
+    def _body(self, body: RigidBody) -> None:
         xform = UsdGeom.Xform.Define(self.stage, self.paths[body.name])
         prim = xform.GetPrim()
         self._place(xform, body.name, body.pose)
-        _custom(prim, "motion", Token, body.motion.value)
-        if not isinstance(body.shape, Plane):
-            _custom(prim, "mass_kg", Double, body.mass_kg)
+        record_written(_custom(prim, "motion", Token, body.motion.value), body.motion.value)
+        mass = _custom(prim, "mass_kg", Double, body.mass_kg)
         if body.motion is not Motion.FIXED:
             rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
             rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
-            UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(body.mass_kg)
-        if driver is not None:
-            self._drive(xform, body, driver)
+            record_written(mass, UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(body.mass_kg).Get())
         for geometry in self._geometry(prim.GetPath(), body.shape):
             collision = UsdPhysics.CollisionAPI.Apply(geometry.GetPrim())
             collision.CreateCollisionEnabledAttr(body.name in self.collides)
@@ -249,22 +301,33 @@ class _Writer:
         precision = UsdGeom.XformOp.PrecisionDouble
         xform.AddTranslateOp(precision).Set(Gf.Vec3d(*pose.position_m))
         xform.AddOrientOp(precision).Set(_quatd(pose.quaternion))
-        _custom(xform, "name", Sdf.ValueTypeNames.String, name)
+        _custom(xform, "name", String, name)
 
-    def _drive(self, xform: UsdGeom.Xform, body: RigidBody, driver: Driver) -> None:
-        """Poses at the frames; a coordinate that never changes keeps its single value."""
+    def _drive(self, index: int, driver: Driver) -> None:
+        """The motion as it is, and poses at the frames; a coordinate that never changes keeps its single value."""
+        body, xform = self.scene.body(driver.body), UsdGeom.Xform(self.stage.GetPrimAtPath(self.paths[driver.body]))
         translate, orient = xform.GetOrderedXformOps()
-        poses = [driver.pose(body.pose, frame / FRAME_RATE_HZ) for frame in range(self.resolved.frame_count)]
-        if any(pose.position_m != body.pose.position_m for pose in poses):
+        times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
+        poses = [driver.pose(body.pose, time_s) for time_s in times_s.tolist()]
+        moves = any(pose.position_m != body.pose.position_m for pose in poses)
+        turns = any(pose.quaternion != body.pose.quaternion for pose in poses)
+        if moves:
             for frame, pose in enumerate(poses):
                 translate.Set(Gf.Vec3d(*pose.position_m), frame)
-        if any(pose.quaternion != body.pose.quaternion for pose in poses):
+        if turns:
             last = np.asarray(body.pose.quaternion)
             for frame, pose in enumerate(poses):
                 # Of the two quaternions of a rotation the nearer one, so that interpolation does not turn back.
                 last = np.asarray(pose.quaternion) * (1.0 if last @ pose.quaternion >= 0.0 else -1.0)
                 orient.Set(_quatd(last.tolist()), frame)
-        _custom(xform, "driver_provenance", Sdf.ValueTypeNames.String, driver.provenance)
+        _custom(xform, "driver_provenance", String, driver.provenance)
+        text = motions_to_json(driver.motions, index)
+        attribute = _custom(xform, "driver", String, text)
+        attribute.SetCustomDataByKey(TEXT, motions_digest(text))
+        if moves or turns:
+            positions = np.array([pose.position_m for pose in poses])
+            quaternions = np.array([pose.quaternion for pose in poses])
+            record_written(attribute, samples_digest(times_s, positions, quaternions))
 
     def _geometry(self, parent: Sdf.Path, shape: Shape) -> list[UsdGeom.Gprim]:
         path = parent.AppendChild("collision")
@@ -292,7 +355,8 @@ class _Writer:
 
     def _piece(self, path: str, points_m: NDArray[np.float64]) -> UsdGeom.Mesh:
         mesh = self._mesh(path, points_m, hull_faces(points_m))
-        _custom(mesh, "points_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(points_m))
+        exact = _custom(mesh, "points_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(points_m))
+        record_written(exact, digest(mesh.GetPointsAttr().Get()))
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
         return mesh
 
@@ -317,16 +381,20 @@ class _Writer:
             geometry, api = self._line(path, body), None
         prim = geometry.GetPrim()
         self._place(geometry, body.name, body.pose)
+        _custom(prim, "kind", Token, KINDS[type(body)])
         _constants(prim, body)
         # Not in usd-core: Omniverse, which has these schemas, recognizes the names.
         prim.AddAppliedSchema("OmniPhysicsBodyAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
         _omni(prim, "deformableBodyEnabled", Sdf.ValueTypeNames.Bool, True)
-        _omni(prim, "mass", Float, body.mass_kg)
+        record_written(prim.GetAttribute("gauge:mass_kg"), _omni(prim, "mass", Float, body.mass_kg).Get())
+        size = f"gauge:{'length_m' if api is None else 'size_m'}"
+        points = UsdGeom.PointBased(prim).GetPointsAttr()
+        record_follower(points, size)
         if api is not None:
             prim.AddAppliedSchema(api)
-            points = UsdGeom.PointBased(prim).GetPointsAttr().Get()
-            _omni(prim, "restShapePoints", Sdf.ValueTypeNames.Point3fArray, points)
+            rest = _omni(prim, "restShapePoints", Sdf.ValueTypeNames.Point3fArray, points.Get())
+            record_follower(rest, size)
             collision = UsdPhysics.CollisionAPI.Apply(prim)
             collision.CreateCollisionEnabledAttr(body.name in self.collides)
         self._bind(path, self._deformable_material(body))
@@ -338,7 +406,8 @@ class _Writer:
         triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
         self.points[cloth.name] = nodes
         mesh = self._mesh(path, nodes, triangles.tolist())
-        _omni(mesh, "restTriVtxIndices", Sdf.ValueTypeNames.Int3Array, _integers(triangles))
+        record_follower(mesh.GetFaceVertexIndicesAttr(), "gauge:size_m")
+        record_follower(_omni(mesh, "restTriVtxIndices", Int3Array, _integers(triangles)), "gauge:size_m")
         _custom(mesh, "size_m", Sdf.ValueTypeNames.Double2, Gf.Vec2d(*cloth.size_m))
         return mesh
 
@@ -351,7 +420,8 @@ class _Writer:
         mesh.CreateTetVertexIndicesAttr(indices)
         mesh.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh))
         _extent(mesh)
-        _omni(mesh, "restTetVtxIndices", Sdf.ValueTypeNames.Int4Array, indices)
+        record_follower(mesh.GetTetVertexIndicesAttr(), "gauge:size_m")
+        record_follower(_omni(mesh, "restTetVtxIndices", Sdf.ValueTypeNames.Int4Array, indices), "gauge:size_m")
         _custom(mesh, "size_m", Double3, Gf.Vec3d(*body.shape.size_m))
         return mesh
 
@@ -370,30 +440,43 @@ class _Writer:
         _extent(curves)
         return curves
 
+    def _deformable_material_path(self, name: str) -> str:
+        return f"/World/Materials/body_{self.paths[name].rpartition('/')[2]}"
+
     def _deformable_material(self, body: Deformable) -> UsdShade.Material:
-        name = self.paths[body.name].rpartition("/")[2]
-        material = UsdShade.Material.Define(self.stage, f"{self._group('Materials')}/body_{name}")
-        prim = material.GetPrim()
+        self._group("Materials")
+        material = UsdShade.Material.Define(self.stage, self._deformable_material_path(body.name))
+        prim, gauge = material.GetPrim(), self.stage.GetPrimAtPath(self.paths[body.name])
         prim.AddAppliedSchema("OmniPhysicsBaseMaterialAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableMaterialAPI")
-        contact = next((c for c in self.scene.contacts if body.name in (*c.first, *c.second)), None)
+        contact = self._first_contact(body.name)
         if contact is not None:
             _friction(prim, contact)
             _omni(prim, "staticFriction", Float, contact.friction)
             _omni(prim, "dynamicFriction", Float, contact.friction)
         if isinstance(body, Cloth):
             prim.AddAppliedSchema("OmniPhysicsSurfaceDeformableMaterialAPI")
-            _omni(prim, "density", Float, body.areal_density_kg_per_m2 / body.thickness_m)
-            _omni(prim, "surfaceThickness", Float, body.thickness_m)
+            density = _omni(prim, "density", Float, body.areal_density_kg_per_m2 / body.thickness_m)
+            record_follower(density, "gauge:areal_density_kg_per_m2")
+            thickness = _omni(prim, "surfaceThickness", Float, body.thickness_m)
+            record_written(gauge.GetAttribute("gauge:thickness_m"), thickness.Get())
             isaac = isaac_surface(Fabric.of(body))
             for name, attribute in ISAAC_ATTRIBUTES.items():
-                _omni(prim, attribute, Float, isaac.constants[name])
-                _custom(prim, f"isaac:{name}", Double, isaac.constants[name])
+                for one in (
+                    _omni(prim, attribute, Float, isaac.constants[name]),
+                    _custom(prim, f"isaac:{name}", Double, isaac.constants[name]),
+                ):
+                    record_follower(one, "gauge:stretch_, gauge:shear_ and gauge:bend_stiffness_...")
             _custom(prim, "isaac:notes", Sdf.ValueTypeNames.StringArray, [*isaac.fallbacks, *isaac.lost])
         else:
-            _omni(prim, "youngsModulus", Float, body.young_modulus_pa)
+            young = _omni(prim, "youngsModulus", Float, body.young_modulus_pa)
+            record_written(gauge.GetAttribute("gauge:young_modulus_pa"), young.Get())
         if isinstance(body, SoftBody | Rod):
-            _omni(prim, "poissonsRatio", Float, body.poisson_ratio)
+            poisson = _omni(prim, "poissonsRatio", Float, body.poisson_ratio)
+            record_written(gauge.GetAttribute("gauge:poisson_ratio"), poisson.Get())
+        if isinstance(body, Rope | Rod):
+            (width,) = UsdGeom.BasisCurves(gauge).GetWidthsAttr().Get()
+            record_written(gauge.GetAttribute("gauge:radius_m"), 0.5 * width)
         return material
 
     # --- joints ---
@@ -402,16 +485,17 @@ class _Writer:
         body = self.scene.body(hinge.body)
         joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
         joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-        turn = Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), Gf.Vec3d(*hinge.axis)).GetQuat()
-        joint.CreateLocalRot0Attr(Gf.Quatf(turn))
-        joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * turn))
-        _custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis))
+        turn = hinge_frame(hinge.axis)
+        world = joint.CreateLocalRot0Attr(turn)
+        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(turn)))
+        record_written(local, local.Get())
+        record_written(_custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis)), digest(hinge_axis(wxyz(world.Get()))))
         self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
 
     def _tether(self, path: str, tether: Tether) -> None:
         joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
-        joint.CreateMaxDistanceAttr(tether.length_m)
-        _custom(joint, "length_m", Double, tether.length_m)
+        longest = joint.CreateMaxDistanceAttr(tether.length_m)
+        record_written(_custom(joint, "length_m", Double, tether.length_m), longest.Get())
         self._anchor(joint, self.scene.body(tether.body), np.asarray(tether.anchor_m), np.zeros(3))
 
     def _anchor(
@@ -419,9 +503,10 @@ class _Writer:
     ) -> None:
         """Join the body to the world, which is what a joint without a first body is joined to."""
         joint.CreateBody1Rel().SetTargets([self.paths[body.name]])
-        joint.CreateLocalPos0Attr(Gf.Vec3f(*world_m.tolist()))
-        joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m.tolist()))
-        _custom(joint, "anchor_m", Double3, Gf.Vec3d(*world_m.tolist()))
+        world = joint.CreateLocalPos0Attr(Gf.Vec3f(*world_m.tolist()))
+        local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m.tolist()))
+        record_written(local, local.Get())
+        record_written(_custom(joint, "anchor_m", Double3, Gf.Vec3d(*world_m.tolist())), world.Get())
 
     # --- attachments and markers ---
 
@@ -436,15 +521,17 @@ class _Writer:
         pose = self.scene.body(attachment.to).pose if other is None else other.pose
         local = pose.to_body(body.pose.to_world(nodes[glued]))
         if other is None:
-            _omni(prim, "localPositionsSrc1", Sdf.ValueTypeNames.Point3fArray, _points(local))
+            follows = [_omni(prim, "localPositionsSrc1", Sdf.ValueTypeNames.Point3fArray, _points(local))]
         else:
             partners = self.points[attachment.to]
             distance = np.linalg.norm(local[:, None] - partners[None], axis=-1)
             touching = distance.min(axis=1) < TOUCHING_M
             glued = glued[touching]
             nearest = distance.argmin(axis=1)[touching]
-            _omni(prim, "vtxIndicesSrc1", Sdf.ValueTypeNames.IntArray, Vt.IntArray(nearest.tolist()))
-        _omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(glued.tolist()))
+            follows = [_omni(prim, "vtxIndicesSrc1", Sdf.ValueTypeNames.IntArray, Vt.IntArray(nearest.tolist()))]
+        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(glued.tolist())))
+        for one in follows:
+            record_follower(one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m")
         _omni(prim, "attachmentEnabled", Sdf.ValueTypeNames.Bool, True)
         for name, target in (("src0", attachment.deformable), ("src1", attachment.to)):
             prim.CreateRelationship(f"omniphysics:{name}", custom=False).SetTargets([self.paths[target]])
@@ -463,8 +550,9 @@ class _Writer:
         prim = points.GetPrim()
         bodies = prim.CreateRelationship("gauge:bodies", custom=True)
         bodies.SetTargets([self.paths[name] for name in markers.bodies])
-        _custom(prim, "positions_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(positions))
-        _custom(prim, "faces", Sdf.ValueTypeNames.Int3Array, [Gf.Vec3i(*face) for face in markers.faces])
+        exact = _custom(prim, "positions_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(positions))
+        record_written(exact, digest(points.GetPointsAttr().Get()))
+        _custom(prim, "faces", Int3Array, [Gf.Vec3i(*face) for face in markers.faces])
         _custom(prim, "lines", Sdf.ValueTypeNames.Int2Array, [Gf.Vec2i(*line) for line in markers.lines])
         _custom(prim, "corner", Sdf.ValueTypeNames.IntArray, list(markers.corner))
         _custom(prim, "edge", Sdf.ValueTypeNames.IntArray, list(markers.edge))
@@ -485,15 +573,19 @@ def _paths(names: Sequence[str]) -> dict[str, str]:
     return paths
 
 
-def _custom(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> None:
+def _custom(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
     prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
-    prim.CreateAttribute(f"gauge:{name}", kind, custom=True).Set(value)
+    attribute = prim.CreateAttribute(f"gauge:{name}", kind, custom=True)
+    attribute.Set(value)
+    return attribute
 
 
-def _omni(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> None:
+def _omni(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
     """An attribute of the deformable schema; not marked custom, since with that schema at hand it is none."""
     prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
-    prim.CreateAttribute(f"omniphysics:{name}", kind, custom=False).Set(value)
+    attribute = prim.CreateAttribute(f"omniphysics:{name}", kind, custom=False)
+    attribute.Set(value)
+    return attribute
 
 
 def _constants(prim: Usd.Prim, body: Deformable) -> None:
@@ -504,11 +596,12 @@ def _constants(prim: Usd.Prim, body: Deformable) -> None:
             _custom(prim, field.name, Double, value)
 
 
-def _friction(prim: Usd.Prim, contact: Contact) -> None:
+def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:
     material = UsdPhysics.MaterialAPI.Apply(prim)
     material.CreateStaticFrictionAttr(contact.friction)
     material.CreateDynamicFrictionAttr(contact.friction)
     material.CreateRestitutionAttr(contact.restitution)
+    return material
 
 
 def _extent(geometry: UsdGeom.Boundable) -> None:
