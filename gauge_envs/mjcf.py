@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco import BackendMuJoCo, SimulationMuJoCo
+from gauge_envs.backends.mujoco.file import DRIVER_PREFIX, driver_rows
 from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
 from gauge_envs.errors import ResultFileError
-from gauge_envs.experiment import Experiment
-from gauge_envs.result import task_sha256
+from gauge_envs.experiment import TaskExperiment
 from gauge_envs.task import task_path
 from gauge_envs.usd import SOURCE
 
@@ -40,7 +40,7 @@ KINDS = re.compile(
 )
 
 
-def scene_to_mjcf(resolved: Experiment, path: Path) -> None:
+def scene_to_mjcf(resolved: TaskExperiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file, in full precision.
 
     Where a body is driven, the file carries its motion as custom numbers `driver/<body>`; where compiled tables of a
@@ -57,25 +57,26 @@ def scene_to_mjcf(resolved: Experiment, path: Path) -> None:
         raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def mjcf_text(resolved: Experiment) -> str:
+def mjcf_text(resolved: TaskExperiment) -> str:
     """The text that `scene_to_mjcf` writes."""
     scene = resolved.scene
     simulation = BackendMuJoCo().build(scene)
-    family = resolved.variant.family
     notes = [
-        f"{resolved.spec.title}: {resolved.variant.id}, parameters: {resolved.parameters}.",
-        f"Task file: tasks/{task_path(family).name}, sha256 {task_sha256(family)}.",
+        f"{resolved.spec.title}: {resolved.id}, parameters: {resolved.parameters}.",
+        f"Task file: tasks/{task_path(resolved.variant.family).name}, sha256 {resolved.file_sha256}.",
         SOURCE,
     ]
     if scene.deformables:
         notes += _add_tables(simulation)
     for driver in scene.drivers:
-        rows = _driver_rows(simulation, resolved, DriverPath(driver, scene, resolved.frame_count))
+        path = DriverPath(driver, scene, resolved.frame_count)
+        rows = driver_rows(simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S))
         moving = _without_rest(rows)
-        simulation.spec.add_numeric(name=f"driver/{driver.body}", size=moving.size, data=moving.ravel().tolist())
+        name = f"{DRIVER_PREFIX}{driver.body}"
+        simulation.spec.add_numeric(name=name, size=moving.size, data=moving.ravel().tolist())
         notes.append(_replay_note(driver.body, driver.provenance, simulation, moving, len(rows)))
     root = _exact_xml(simulation)
-    root.set("model", resolved.variant.name)
+    root.set("model", resolved.name)
     comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")
     comment.tail = "\n\n  "
     root.insert(0, comment)
@@ -83,20 +84,6 @@ def mjcf_text(resolved: Experiment) -> str:
 
 
 # --- driven bodies ---------------------------------------------------------------------------------------------------
-
-
-def _driver_rows(simulation: SimulationMuJoCo, resolved: Experiment, path: DriverPath) -> NDArray[np.float64]:
-    """What to write before each sample interval, shape [interval_count, 19]: qpos 7, qvel 6, xfrc_applied 6."""
-    model, data = simulation.model, simulation.data
-    joint, body = model.joint(path.body), model.body(path.body)
-    position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
-    still = np.zeros(path.motion_count)
-    rows = []
-    for sample in range(round(resolved.scene.duration_s / SAMPLE_INTERVAL_S)):
-        simulation.drive(path.body, *path.interval(sample, still))
-        state = data.qpos[position : position + 7], data.qvel[speed : speed + 6], data.xfrc_applied[body.id]
-        rows.append(np.concatenate(state))
-    return np.array(rows)
 
 
 def _without_rest(rows: NDArray[np.float64]) -> NDArray[np.float64]:

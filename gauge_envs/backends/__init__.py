@@ -1,6 +1,18 @@
 """Physics engines behind one contract: one folder an engine."""
 
-from gauge_envs.backends.base import Backend, Simulation, Support, World, Worlds
-from gauge_envs.backends.registry import backend, backend_names
+from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Simulation, Support, World, Worlds
+from gauge_envs.backends.registry import backend, backend_for, backend_names, backend_of_suffix
 
-__all__ = ["Backend", "Simulation", "Support", "World", "Worlds", "backend", "backend_names"]
+__all__ = [
+    "Backend",
+    "FileBackend",
+    "ModelFile",
+    "Simulation",
+    "Support",
+    "World",
+    "Worlds",
+    "backend",
+    "backend_for",
+    "backend_names",
+    "backend_of_suffix",
+]

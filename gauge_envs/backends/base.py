@@ -19,14 +19,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = ["Backend", "Simulation", "Support", "World", "Worlds"]
+__all__ = ["Backend", "FileBackend", "ModelFile", "Simulation", "Support", "World", "Worlds"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,19 @@ class Support:
 
     def __bool__(self) -> bool:
         return not self.missing
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFile:
+    """What a backend reads from a model file in its engine's own format.
+
+    Attributes:
+        scene: The scene that it was read for, with starts, masses and driven motion as the file has them.
+        changes: How the file differs from the model that the backend builds of the scene, a line each.
+    """
+
+    scene: Scene
+    changes: tuple[str, ...]
 
 
 class World(ABC):
@@ -75,6 +90,21 @@ class World(ABC):
             A new array, shape [len(names), 13]: position [m] (3), quaternion w x y z (4), linear velocity of the body
             origin [m/s] (3) and angular velocity [rad/s] (3), both in the world frame. Fixed bodies can be asked for.
         """
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Apply a force and a torque to a dynamic body from now on; optional, control tasks with a motor need it.
+
+        Args:
+            body: Name of a dynamic body.
+            wrench: Force [N] through its centre of mass and torque [N m], in the world frame, shape [6]. It stays
+                until another one is applied, and a reset ends it.
+
+        Raises:
+            BackendError: The engine does not offer it.
+        """
+        raise BackendError(
+            f"{type(self).__name__} applies no force or torque to {body!r}: it does not implement World.apply_wrench"
+        )
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Positions of a deformable body's nodes [m], shape [node_count, 3]."""
@@ -122,11 +152,11 @@ class Simulation(World):
 
     @abstractmethod
     def state(self) -> Any:
-        """Everything that `restore` needs to go on from here bit for bit."""
+        """Everything that `restore` needs to go on from here bit for bit; it can be pickled."""
 
     @abstractmethod
     def restore(self, state: Any) -> None:
-        """Go back to a state that `state` returned."""
+        """Go back to a state that `state` returned, of this simulation or of another one of the same scene."""
 
     @abstractmethod
     def close(self) -> None:
@@ -180,9 +210,11 @@ class Backend(ABC):
 
     Attributes:
         name: What users type: `backend="mujoco"`.
+        file_suffixes: Suffixes of the model files that `read_file` and `build_file` take, as `.xml`; mostly none.
     """
 
     name: ClassVar[str]
+    file_suffixes: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
@@ -215,3 +247,58 @@ class Backend(ABC):
             ParameterError: As `build`.
         """
         return _SeparateWorlds([self.build(scene, settings) for scene in scenes])
+
+    def read_file(self, path: Path, scene: Scene) -> ModelFile:
+        """Read a model file of the engine's own that stands for a scene; needed where `file_suffixes` names any.
+
+        Args:
+            path: The file.
+            scene: What the file must show: its bodies by name, and what of them is driven.
+
+        Raises:
+            AssetError: The file cannot be read, or lacks something of the scene.
+        """
+        raise UnsupportedSceneError(f"backend {self.name!r} reads no model files")
+
+    def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build the model of a file; the simulation stands at the file's start.
+
+        Args:
+            path: The file.
+            scene: What `read_file` returned for it.
+            settings: Those that can be laid over a model file; an engine may have none.
+
+        Raises:
+            AssetError: As `read_file`, or the scene starts elsewhere than the file.
+            ParameterError: A setting cannot be laid over a file.
+        """
+        raise UnsupportedSceneError(f"backend {self.name!r} builds no model files")
+
+
+class FileBackend(Backend):
+    """A backend that builds one model file, whatever scene it is asked for.
+
+    Args:
+        engine: The backend that reads the file.
+        path: The file.
+    """
+
+    def __init__(self, engine: Backend, path: Path) -> None:
+        self.name = engine.name  # type: ignore[misc]  # a class variable of engines, whose name this one carries
+        self._engine = engine
+        self._path = path
+
+    def versions(self) -> dict[str, str]:
+        """Versions of the engine's packages."""
+        return self._engine.versions()
+
+    def supports(self, scene: Scene) -> Support:
+        """Whether the engine reads such files, and could build the scene itself."""
+        if self._path.suffix not in self._engine.file_suffixes:
+            known = ", ".join(self._engine.file_suffixes) or "none"
+            return Support((f"{self._path.name} is a model of another engine; model files that it reads: {known}",))
+        return self._engine.supports(scene)
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build the file; see `Backend.build_file`."""
+        return self._engine.build_file(self._path, scene, settings)

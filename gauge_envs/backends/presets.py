@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 
-__all__ = ["SteppedSettings", "resolve_settings"]
+__all__ = ["DRIVE_INTERVAL_S", "SteppedSettings", "check_drive_interval", "resolve_settings"]
 
-DRIVE_RATE_HZ = 180
-"""Prescribed motion comes in intervals of 1/180 s, so a step must divide them."""
+DRIVE_INTERVAL_S = 1.0 / 180.0
+"""Environments prescribe motion in intervals of 1/180 s and advance by as much."""
 
 
 class SteppedSettings(BaseModel):
@@ -20,13 +20,16 @@ class SteppedSettings(BaseModel):
 
     Attributes:
         preset: Name of the preset that these started from.
-        timestep_s: Step of the integrator; driver intervals (1/180 s) must be multiples of it.
+        timestep_s: Step of the integrator; `drive_interval_s` must be a multiple of it.
+        drive_interval_s: Interval by which whoever runs the simulation drives and advances it. Environments need
+            1/180 s; another one is for those that step the backend themselves, as with a step that does not divide it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     preset: str
-    timestep_s: float = Field(gt=0.0, le=1.0 / DRIVE_RATE_HZ)
+    timestep_s: float = Field(gt=0.0)
+    drive_interval_s: float = Field(default=DRIVE_INTERVAL_S, gt=0.0)
 
 
 Settings = TypeVar("Settings", bound=SteppedSettings)
@@ -45,7 +48,7 @@ def resolve_settings(
 
     Raises:
         UnknownNameError: No such preset.
-        ParameterError: No such setting, an impossible value, or a step that does not divide 1/180 s.
+        ParameterError: No such setting, an impossible value, or a step that does not divide the drive interval.
     """
     values = dict(changes or {})
     name = values.pop("preset", None) or preset
@@ -61,9 +64,28 @@ def resolve_settings(
         raise ParameterError(
             f"{engine} setting {first['loc'][0]!r} in preset {name!r}: {reason}; settings: {known}"
         ) from error
-    steps = 1.0 / DRIVE_RATE_HZ / settings.timestep_s
+    interval = settings.drive_interval_s
+    steps = interval / settings.timestep_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
+        told = f"1/{1.0 / interval:.6g}" if interval < 1.0 else f"{interval:.6g}"
         raise ParameterError(
-            f"{engine} setting 'timestep_s': 1/{DRIVE_RATE_HZ} s is {steps:.6g} steps, not a whole number"
+            f"{engine} setting 'timestep_s': drive_interval_s, {told} s, is {steps:.6g} steps, not a whole number"
         )
     return settings
+
+
+def check_drive_interval(settings: Mapping[str, Any]) -> None:
+    """Refuse settings that were resolved for another interval than that of the environments.
+
+    Args:
+        settings: `World.settings`; those of engines with free steps may have no interval.
+
+    Raises:
+        ParameterError: Their interval is another.
+    """
+    interval = settings.get("drive_interval_s", DRIVE_INTERVAL_S)
+    if abs(interval - DRIVE_INTERVAL_S) > 1e-9:
+        raise ParameterError(
+            f"setting 'drive_interval_s' is {interval:.6g} s, and environments drive in intervals of 1/180 s: "
+            "set it, and a timestep_s that divides it"
+        )

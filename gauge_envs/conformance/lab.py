@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends.presets import check_drive_interval
 from gauge_envs.driver import Driver
 from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
 from gauge_envs.errors import GaugeError, ParameterError
@@ -142,6 +143,7 @@ class Lab:
             raise DeclinedError(support.missing)
         try:
             simulation = self.backend.build(scene, self._settings)
+            check_drive_interval(simulation.settings)
         except Exception as error:
             if self._settings and isinstance(error, ParameterError):
                 raise RefusedSettingsError(str(error)) from error

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import cos, sin
+from pathlib import Path
 from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Simulation, Support
+from gauge_envs.backends.base import Backend, ModelFile, Simulation, Support
 from gauge_envs.backends.mujoco.deformables import nodes_of, undoable
+from gauge_envs.backends.mujoco.file import load_model, read_model
+from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePart
 from gauge_envs.backends.mujoco.model import build_model
-from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
+from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.soft import SoftPart
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 __all__ = ["BackendMuJoCo", "SimulationMuJoCo"]
@@ -25,6 +29,7 @@ class BackendMuJoCo(Backend):
     """MuJoCo 4 on the CPU: rigid bodies, hinges, strings and driven bodies."""
 
     name = "mujoco"
+    file_suffixes = (".xml",)
 
     def versions(self) -> dict[str, str]:
         """Version of the engine."""
@@ -36,25 +41,54 @@ class BackendMuJoCo(Backend):
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
-        return SimulationMuJoCo(scene, settings_for(scene, settings))
+        chosen = settings_for(scene, settings)
+        return SimulationMuJoCo(scene, chosen.model_dump(mode="json"), *build_model(scene, chosen))
+
+    def read_file(self, path: Path, scene: Scene) -> ModelFile:
+        """Read an MJCF file; see `gauge_envs.backends.mujoco.file`."""
+        return read_model(path, scene, self.build(scene))
+
+    def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
+        """Build an MJCF file, which states all numerical settings itself: none can be given."""
+        if settings:
+            raise ParameterError(
+                f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file states its settings itself; "
+                "change them there"
+            )
+        return SimulationMuJoCo(scene, *load_model(path, scene))
 
 
 class SimulationMuJoCo(Simulation):
     """A scene in MuJoCo.
 
+    Args:
+        scene: The scene.
+        settings: Numerical settings in force, `timestep_s` among them.
+        spec: Its editable model.
+        model: The compiled model.
+        parts: What reads its deformable bodies, by name.
+
     Attributes:
+        settings: As given.
         spec: The editable model, for export and inspection.
         model: The compiled model.
         data: Its state.
     """
 
-    def __init__(self, scene: Scene, settings: SettingsMuJoCo) -> None:
-        self.settings = settings.model_dump(mode="json")
-        self.spec, self.model, self._parts = build_model(scene, settings)
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Mapping[str, Any],
+        spec: mujoco.MjSpec,
+        model: mujoco.MjModel,
+        parts: Mapping[str, FlexPart],
+    ) -> None:
+        self.settings = settings
+        self.spec, self.model, self._parts = spec, model, parts
         self.data = mujoco.MjData(self.model)
         for part in dict.fromkeys(self._parts.values()):
             part.bind(self.model, self.data)
-        self._steps_per_second = round(1.0 / settings.timestep_s)
+        self._timestep_s = float(settings["timestep_s"])
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _Reader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
@@ -68,18 +102,22 @@ class SimulationMuJoCo(Simulation):
         """Write the body's pose and velocity, and the force that accelerates its huge mass as asked."""
         if body not in self._driven:
             self._driven[body] = _driven_views(self.model, self.data, body)
-        place, speed, force = self._driven[body]
+        place, speed, force, mass_kg = self._driven[body]
         place[:3] = pose.position_m
         place[3:] = pose.quaternion
         speed[:3] = velocity[:3]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
         speed[3:] = _rotated_back(pose.quaternion, velocity[3:])
         # Mass and all moments of inertia of a driven body are the same number.
-        force[:] = self.settings["kinematic_mass_kg"] * acceleration
+        force[:] = mass_kg * acceleration
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Force and torque on a dynamic body; see `World.apply_wrench`."""
+        self.data.xfrc_applied[self.model.body(body).id] = wrench
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
-        mujoco.mj_step(self.model, self.data, nstep=round(seconds * self._steps_per_second))
+        mujoco.mj_step(self.model, self.data, nstep=round(seconds / self._timestep_s))
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Poses and velocities of bodies, shape [len(names), 13]; see `Simulation.body_states`."""
@@ -89,7 +127,7 @@ class SimulationMuJoCo(Simulation):
         """Advance and read positions; see `Simulation.sample_positions`."""
         positions = np.empty((count, len(names), 3))
         read = self._reader(names).read_positions
-        steps = round(interval_s * self._steps_per_second)
+        steps = round(interval_s / self._timestep_s)
         for row in positions:
             mujoco.mj_step(self.model, self.data, nstep=steps)
             read(row)
@@ -147,10 +185,11 @@ def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
 
 
 def _driven_views(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> tuple[NDArray[np.float64], ...]:
-    """Pose, velocity and force of a free body in MuJoCo's own arrays."""
+    """Pose, velocity and force of a free body in MuJoCo's own arrays, and its mass."""
     position, speed = _free_joint_addresses(model, name)
-    force = data.xfrc_applied[model.body(name).id]
-    return data.qpos[position : position + 7], data.qvel[speed : speed + 6], force
+    index = model.body(name).id
+    place, velocity = data.qpos[position : position + 7], data.qvel[speed : speed + 6]
+    return place, velocity, data.xfrc_applied[index], model.body_mass[index : index + 1]
 
 
 def _rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.glue import bonded_rows, glue_of
 from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
+from gauge_envs.backends.mujoco.contacts import contact_constants, given_constants
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
@@ -83,20 +85,24 @@ def add_flex_contact(
     """Let deformable bodies of a contact collide, through MuJoCo's broad phase.
 
     A flex or a rod's spheres carry the contact's bit and constants, with priority over the rigid geoms, which only
-    accept the bit; so rigid bodies that touch the same cloth do not meet each other by it.
+    accept the bit; so rigid bodies that touch the same cloth do not meet each other by it. Each kind has solref and
+    solimp of its own, unless the settings give those of all contacts.
     """
+    constants = contact_constants(contact, settings)
+    _, sliding, torsional, rolling, _ = constants.friction
     for name in {*contact.first, *contact.second} & set(parts):
         part = parts[name]
         colliders = part.geoms if isinstance(part, LinePart) and part.geoms else [part.flex]
         for collider in colliders:
             collider.contype |= bit
-            # Without friction there are no tangential rows: a foam under a cube costs half.
-            collider.condim = 3 if contact.friction > 0.0 else 1
-            collider.friction = [contact.friction, 0.0, 0.0]
+            collider.condim = constants.condim
+            collider.friction = [sliding, torsional, rolling]
             collider.priority = 1
         if isinstance(part, ClothPart):
             part.flex.solref = list(settings.cloth_solref)
             part.flex.solimp = [*settings.cloth_solimp, 0.5, 2.0]
+        for collider, (key, value) in product(colliders, given_constants(settings).items()):
+            setattr(collider, key, value)
         if name in contact.first and name in contact.second:
             part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
             # Without a bit that the flex both offers and accepts, MuJoCo silently skips its self-contact.

@@ -7,6 +7,7 @@ from itertools import product
 import mujoco
 import numpy as np
 
+from gauge_envs.backends.mujoco.contacts import contact_constants
 from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
@@ -14,7 +15,6 @@ from gauge_envs.meshes import prism
 from gauge_envs.scene import (
     Box,
     Contact,
-    ContactMode,
     ConvexUnion,
     Cylinder,
     Hinge,
@@ -26,7 +26,16 @@ from gauge_envs.scene import (
     Tether,
 )
 
-__all__ = ["add_geoms", "build_model"]
+__all__ = [
+    "CONES",
+    "DISABLE_FLAGS",
+    "ENABLE_FLAGS",
+    "INTEGRATORS",
+    "SAME_NAME_OPTIONS",
+    "SOLVERS",
+    "add_geoms",
+    "build_model",
+]
 
 EXPLICIT_PAIR_LIMIT = 1000
 """Contacts with more geom pairs than this go through MuJoCo's broad phase instead of explicit pairs."""
@@ -44,6 +53,34 @@ SOLVERS = {
     "CG": mujoco.mjtSolver.mjSOL_CG,
     "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
 }
+DISABLE_FLAGS = {
+    "warmstart": mujoco.mjtDisableBit.mjDSBL_WARMSTART,
+    "refsafe": mujoco.mjtDisableBit.mjDSBL_REFSAFE,
+    "eulerdamp": mujoco.mjtDisableBit.mjDSBL_EULERDAMP,
+    "nativeccd": mujoco.mjtDisableBit.mjDSBL_NATIVECCD,
+    "multiccd": mujoco.mjtDisableBit.mjDSBL_MULTICCD,
+    "island": mujoco.mjtDisableBit.mjDSBL_ISLAND,
+}
+"""Settings that are on unless their bit is set."""
+ENABLE_FLAGS = {
+    "diagexact": mujoco.mjtEnableBit.mjENBL_DIAGEXACT,
+    "sleep": mujoco.mjtEnableBit.mjENBL_SLEEP,
+    "speculative": mujoco.mjtEnableBit.mjENBL_SPECULATIVE,
+}
+"""Settings that are off unless their bit is set."""
+SAME_NAME_OPTIONS = (
+    "impratio",
+    "iterations",
+    "tolerance",
+    "ls_iterations",
+    "ls_tolerance",
+    "noslip_iterations",
+    "noslip_tolerance",
+    "ccd_iterations",
+    "ccd_tolerance",
+    "sleep_tolerance",
+)
+"""Options of MuJoCo that settings have by the same name."""
 
 
 def add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape) -> list[mujoco.MjsGeom]:
@@ -80,13 +117,7 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     have a velocity, and so they carry what rests on them.
     """
     spec = mujoco.MjSpec()
-    spec.option.timestep = settings.timestep_s
-    spec.option.integrator = INTEGRATORS[settings.integrator]
-    spec.option.cone = CONES[settings.cone]
-    spec.option.impratio = settings.impratio
-    spec.option.solver = SOLVERS[settings.solver]
-    spec.option.iterations = settings.iterations
-    spec.option.tolerance = settings.tolerance
+    _set_options(spec, settings)
     spec.option.gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
 
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
@@ -106,6 +137,20 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     for part in dict.fromkeys(parts.values()):
         part.complete(model)
     return spec, model, parts
+
+
+def _set_options(spec: mujoco.MjSpec, settings: SettingsMuJoCo) -> None:
+    option = spec.option
+    option.timestep = settings.timestep_s
+    option.integrator = INTEGRATORS[settings.integrator]
+    option.cone = CONES[settings.cone]
+    option.solver = SOLVERS[settings.solver]
+    for name in SAME_NAME_OPTIONS:
+        setattr(option, name, getattr(settings, name))
+    for name, bit in DISABLE_FLAGS.items():
+        option.disableflags |= 0 if getattr(settings, name) else bit
+    for name, bit in ENABLE_FLAGS.items():
+        option.enableflags |= bit if getattr(settings, name) else 0
 
 
 def _collision_shape(body: RigidBody) -> Shape:
@@ -160,24 +205,6 @@ def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -
     tendon.wrap_site(f"{name}/end")
 
 
-def _contact_parameters(contact: Contact, settings: SettingsMuJoCo) -> dict[str, list[float]]:
-    """MuJoCo's solref, solreffriction and solimp of a contact.
-
-    Impacts use MuJoCo's direct solref with damping (1 + e)/h: one step then reverses the normal velocity to -e times
-    itself. The same damping would reverse the tangential velocity too, so friction gets 1/h, which stops it.
-    """
-    if contact.mode is ContactMode.SUSTAINED:
-        return {"solref": [*settings.sustained_solref], "solimp": [*settings.sustained_solimp, 0.5, 2.0]}
-    step = settings.timestep_s
-    parameters = {
-        "solref": [-settings.impact_stiffness / step**2, -(1.0 + contact.restitution) / step],
-        "solimp": [*settings.impact_solimp, 0.5, 2.0],
-    }
-    if settings.cone == "elliptic":
-        parameters["solreffriction"] = [0.0, -1.0 / step]
-    return parameters
-
-
 def _add_contact(
     spec: mujoco.MjSpec,
     scene: Scene,
@@ -186,21 +213,20 @@ def _add_contact(
     settings: SettingsMuJoCo,
     bit: int,
 ) -> None:
-    parameters = _contact_parameters(contact, settings)
+    constants = contact_constants(contact, settings)
     pairs = list(scene.colliding_pairs(contact))
-    if set(contact.first) == set(contact.second) and len(pairs) > EXPLICIT_PAIR_LIMIT:
+    # A geom has no `solreffriction`; without one a single bit says the same as all pairs.
+    if (
+        set(contact.first) == set(contact.second)
+        and len(pairs) > EXPLICIT_PAIR_LIMIT
+        and not any(constants.solreffriction)
+    ):
         for name in contact.first:
             for geom in geoms[name]:
                 geom.contype |= bit
                 geom.conaffinity |= bit
-                geom.friction = [contact.friction, 0.0, 0.0]
-                geom.solref = parameters["solref"]
-                geom.solimp = parameters["solimp"]
+                constants.put_on_geom(geom)
         return
     for first, second in pairs:
         for one, other in product(geoms[first], geoms[second]):
-            # A contact without friction has no tangential rows at all, which is exact and cheap.
-            pair = spec.add_pair(geomname1=one.name, geomname2=other.name, condim=3 if contact.friction > 0.0 else 1)
-            pair.friction = [contact.friction, contact.friction, 0.0, 0.0, 0.0]
-            for key, value in parameters.items():
-                setattr(pair, key, value)
+            constants.put_on_pair(spec.add_pair(geomname1=one.name, geomname2=other.name))

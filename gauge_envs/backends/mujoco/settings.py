@@ -7,9 +7,9 @@ not, and why, stands beside each number.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from gauge_envs.backends.presets import SteppedSettings, resolve_settings
 from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
@@ -17,8 +17,25 @@ from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
 __all__ = ["PRESETS", "SettingsMuJoCo", "settings_for"]
 
 
+def _in_one_format(solref: tuple[float, float]) -> tuple[float, float]:
+    """MuJoCo replaces a mixture by its default, and tells on its log alone."""
+    if (solref[0] > 0.0) != (solref[1] > 0.0):
+        raise ValueError("both numbers must be positive (time constant, damping ratio) or neither (direct format)")
+    return solref
+
+
+SolRef = Annotated[tuple[float, float], AfterValidator(_in_one_format)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+SolImp = tuple[float, float, float, float, float]
+Friction = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
+
+
 class SettingsMuJoCo(SteppedSettings):
     """Settings of one simulation.
+
+    Contacts follow recipes: `sustained_*` for bodies that stay in touch, `impact_*` for those that collide, which need
+    the coefficient of restitution that MuJoCo lacks. `contact_*` put constants as models state them in the place of
+    all recipes; None leaves them. Friction is the scene's unless `friction_scale` or `o_friction` says otherwise.
 
     Attributes:
         integrator: MuJoCo's name of the integrator.
@@ -27,6 +44,35 @@ class SettingsMuJoCo(SteppedSettings):
         solver: Constraint solver.
         iterations: Cap on solver iterations.
         tolerance: Solver tolerance.
+        ls_iterations: Cap on iterations of each line search.
+        ls_tolerance: Tolerance of the line search.
+        noslip_iterations: Cap on iterations of the second solve, which has hard friction and so removes creep; off.
+        noslip_tolerance: Its tolerance.
+        ccd_iterations: Cap on iterations of the collision of convex shapes.
+        ccd_tolerance: Its tolerance.
+        warmstart: Start the solver from the last step's forces.
+        refsafe: Raise a contact's time constant to two steps where it is shorter, for stability.
+        eulerdamp: Take joint damping implicitly in the Euler integrator; scenes have none.
+        nativeccd: Collide convex shapes with MuJoCo's own code, not with libccd.
+        multiccd: Look for several contact points between convex shapes; one alone lets them rock.
+        island: Solve bodies that do not touch each other apart.
+        diagexact: Compute the diagonal of the constraint inertia, which scales softness, exactly; MuJoCo estimates it.
+        sleep: Stop simulating what has come to rest.
+        sleep_tolerance: Velocity below which a body is at rest.
+        speculative: Add contacts ahead of time, so that fast bodies do not pass through thin ones.
+        contact_solref: Time constant [s] and damping ratio of every contact; or, neither positive, minus its stiffness
+            and minus its damping. Contacts then have no restitution of their own.
+        contact_solreffriction: The same along the surface, for the elliptic cone and rigid bodies; None takes
+            `contact_solref` where that is given.
+        contact_solimp: Impedance of every contact: d0, dwidth, width [m], midpoint, power.
+        contact_margin_m: Distance at which every contact holds bodies apart: with a margin they hover.
+        contact_gap_m: Further distance at which a contact is found, without force.
+        condim: Dimension of contacts with friction: 1 none, 3 sliding, 4 torsional too, 6 rolling too. None is 3.
+        torsional_friction_m: Torsional friction over normal force, from `condim` 4 on.
+        rolling_friction_m: Rolling friction over normal force, with `condim` 6.
+        friction_scale: Factor on the scene's coefficients of friction.
+        o_friction: Friction of every contact in the place of the scene's, as MuJoCo's `override` does: tangential (2),
+            torsional [m], rolling (2) [m].
         sustained_solref: Time constant [s] and damping ratio of sustained contacts.
         sustained_solimp: Impedance of sustained contacts: d0, dwidth, width [m].
         impact_stiffness: Dimensionless stiffness s of impacts; MuJoCo's direct solref is (-s/h^2, -(1+e)/h). It adds
@@ -48,6 +94,32 @@ class SettingsMuJoCo(SteppedSettings):
     solver: Literal["PGS", "CG", "Newton"] = "Newton"
     iterations: int = Field(default=100, ge=1)
     tolerance: float = Field(default=1e-8, ge=0.0)
+    ls_iterations: int = Field(default=50, ge=1)
+    ls_tolerance: float = Field(default=0.01, ge=0.0)
+    noslip_iterations: int = Field(default=0, ge=0)
+    noslip_tolerance: float = Field(default=1e-6, ge=0.0)
+    ccd_iterations: int = Field(default=35, ge=1)
+    ccd_tolerance: float = Field(default=1e-6, ge=0.0)
+    warmstart: bool = True
+    refsafe: bool = True
+    eulerdamp: bool = True
+    nativeccd: bool = True
+    multiccd: bool = True
+    island: bool = True
+    diagexact: bool = False
+    sleep: bool = False
+    sleep_tolerance: float = Field(default=1e-3, ge=0.0)
+    speculative: bool = False
+    contact_solref: SolRef | None = None
+    contact_solreffriction: SolRef | None = None
+    contact_solimp: SolImp | None = None
+    contact_margin_m: float | None = Field(default=None, ge=0.0)
+    contact_gap_m: float | None = Field(default=None, ge=0.0)
+    condim: Literal[1, 3, 4, 6] | None = None
+    torsional_friction_m: float = Field(default=0.0, ge=0.0)
+    rolling_friction_m: float = Field(default=0.0, ge=0.0)
+    friction_scale: float = Field(default=1.0, ge=0.0)
+    o_friction: Friction | None = None
     sustained_solref: tuple[float, float] = (0.002, 1.0)
     sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
     impact_stiffness: float = Field(default=0.002, gt=0.0)
@@ -101,6 +173,18 @@ PRESETS: dict[str, SettingsMuJoCo] = {
         preset="soft", timestep_s=1 / 900, integrator="discrete", cone="pyramidal", impratio=1.0, iterations=2000
     ),
     "rod": SettingsMuJoCo(preset="rod", timestep_s=1 / 1800, integrator="discrete"),
+    # MuJoCo as it comes: what a model has that states nothing. Only masses, shapes and friction are the scene's.
+    # Environments drive in intervals that this step does not divide, so they need another `drive_interval_s`.
+    "out_of_box": SettingsMuJoCo(
+        preset="out_of_box",
+        timestep_s=0.002,
+        drive_interval_s=0.002,
+        integrator="Euler",
+        cone="pyramidal",
+        impratio=1.0,
+        contact_solref=(0.02, 1.0),
+        contact_solimp=(0.9, 0.95, 0.001, 0.5, 2.0),
+    ),
 }
 
 STACK_BODY_COUNT = 20

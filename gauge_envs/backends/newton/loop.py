@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.kernels import prescribe
+from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
 __all__ = ["Loop", "warp_transform"]
@@ -47,7 +48,6 @@ class Loop(ABC):
         self.model = model
         self.solver = solver
         self.timestep_s = timestep_s
-        self._steps_per_second = round(1.0 / timestep_s)
         self._states = (model.state(), model.state())
         self._control = model.control()
         self._centres_m = model.body_com.numpy() if model.body_count else np.zeros((0, 3))
@@ -99,10 +99,18 @@ class Loop(ABC):
         w, x, y, z = pose.quaternion
         self._commands[self._rows[body]] = ([*pose.position_m, x, y, z, w], velocity, acceleration)
 
+    def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
+        """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`.
+
+        Raises:
+            BackendError: The solver is not one whose answer to them is known.
+        """
+        raise BackendError(f"{type(self.solver).__name__} takes no applied force or torque here: use SolverMuJoCo")
+
     def advance(self, seconds: float) -> None:
         """Replay the recorded step."""
         self._send_commands()
-        for _ in range(round(seconds * self._steps_per_second)):
+        for _ in range(round(seconds / self.timestep_s)):
             wp.capture_launch(self._graphs[self._current])
             self._current = 1 - self._current
 

@@ -289,7 +289,7 @@ class LoopMPM(Loop):
     def advance(self, seconds: float) -> None:
         """Run the steps one by one."""
         self._send_commands()
-        for _ in range(round(seconds * self._steps_per_second)):
+        for _ in range(round(seconds / self.timestep_s)):
             self._step(self._states[self._current], self._states[1 - self._current])
             self._current = 1 - self._current
 

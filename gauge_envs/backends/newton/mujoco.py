@@ -15,6 +15,7 @@ import newton
 import numpy as np
 import warp as wp
 from newton.solvers import SolverMuJoCo
+from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstants, carried_constants, pair_constants
 from gauge_envs.backends.newton.kernels import bodies_to_joints
@@ -121,6 +122,14 @@ class LoopMuJoCo(Loop):
                 wp.array(np.array([start[joints[body]] for body in driven], dtype=np.int32), dtype=wp.int32)
                 for start in starts
             )
+
+    def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
+        """Force and torque on a body; see `World.apply_wrench`."""
+        # Steps go to and fro between the two states, and each reads the wrenches of the one that it starts from.
+        for state in self._states:
+            wrenches = state.body_f.numpy()
+            wrenches[body] = wrench
+            state.body_f.assign(wrenches)
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(state.body_q, state.body_qd, counts=False)

@@ -36,6 +36,10 @@ class _WorldNewton(World):
         near = Pose(position_m=(x, y, z), quaternion=pose.quaternion)
         self._loop.drive(self._copy.rigid.bodies[body], near, velocity, acceleration)
 
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Force and torque on a dynamic body, where the solver takes them; see `World.apply_wrench`."""
+        self._loop.apply_wrench(self._copy.rigid.bodies[body], wrench)
+
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Poses and velocities, shape [len(names), 13]; kept in single precision. See `World.body_states`."""
         states = np.empty((len(names), 13))

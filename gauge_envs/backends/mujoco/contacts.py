@@ -1,0 +1,107 @@
+"""Constants of contacts: the backend's recipe for each kind, and what a user's settings put in its place."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import mujoco
+
+from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.scene import Contact, ContactMode
+
+__all__ = ["ContactConstants", "contact_constants", "given_constants"]
+
+IMPEDANCE_SHAPE = (0.5, 2.0)
+"""Midpoint and power of the impedance curve, MuJoCo's own; without effect where the impedance is constant."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactConstants:
+    """MuJoCo's constants of a contact, by MuJoCo's names.
+
+    Attributes:
+        condim: Dimension of the contact space: 1, 3, 4 or 6.
+        friction: Coefficients: tangential (2), torsional [m], rolling (2) [m].
+        solref: Time constant [s] and damping ratio; or, both negative, stiffness and damping.
+        solreffriction: The same along the surface; zeros take `solref`.
+        solimp: Impedance: d0, dwidth, width [m], midpoint, power.
+        margin: Distance at which the contact holds the bodies [m].
+        gap: Further distance at which it is found, without force [m].
+    """
+
+    condim: int
+    friction: tuple[float, ...]
+    solref: tuple[float, ...]
+    solreffriction: tuple[float, ...]
+    solimp: tuple[float, ...]
+    margin: float
+    gap: float
+
+    def put_on_pair(self, pair: mujoco.MjsPair) -> None:
+        """Write all constants to an explicit pair."""
+        for key, value in asdict(self).items():
+            setattr(pair, key, value)
+
+    def put_on_geom(self, geom: mujoco.MjsGeom) -> None:
+        """Write all but `solreffriction`, which geoms lack, to a geom that meets others with the same constants."""
+        values = asdict(self)
+        del values["solreffriction"]
+        _, sliding, torsional, rolling, _ = self.friction
+        # MuJoCo adds the margins and the gaps of the two geoms; all else of equals is the same.
+        values |= {"friction": [sliding, torsional, rolling], "margin": 0.5 * self.margin, "gap": 0.5 * self.gap}
+        for key, value in values.items():
+            setattr(geom, key, value)
+
+
+def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactConstants:
+    """Constants of a contact between rigid bodies."""
+    recipe: dict[str, Any] = {"solreffriction": (0.0, 0.0), "margin": 0.0, "gap": 0.0}
+    recipe |= _sustained(settings) if contact.mode is ContactMode.SUSTAINED else _impact(contact, settings)
+    if settings.contact_solref is not None:
+        # The friction of the recipe belongs to its own normal direction.
+        recipe["solreffriction"] = (0.0, 0.0)
+    if settings.contact_solreffriction is not None:
+        recipe["solreffriction"] = settings.contact_solreffriction
+    friction = _friction(contact, settings)
+    # A contact without friction has no tangential rows at all, which is exact and cheap.
+    condim = (settings.condim or 3) if friction[0] > 0.0 else 1
+    return ContactConstants(condim=condim, friction=friction, **recipe | given_constants(settings))
+
+
+def given_constants(settings: SettingsMuJoCo) -> dict[str, Any]:
+    """Those of `solref`, `solimp`, `margin`, `gap` that settings put in the place of every recipe."""
+    given = {
+        "solref": settings.contact_solref,
+        "solimp": settings.contact_solimp,
+        "margin": settings.contact_margin_m,
+        "gap": settings.contact_gap_m,
+    }
+    return {key: value for key, value in given.items() if value is not None}
+
+
+def _friction(contact: Contact, settings: SettingsMuJoCo) -> tuple[float, ...]:
+    if settings.o_friction is not None:
+        return settings.o_friction
+    sliding, rolling = settings.friction_scale * contact.friction, settings.rolling_friction_m
+    return (sliding, sliding, settings.torsional_friction_m, rolling, rolling)
+
+
+def _sustained(settings: SettingsMuJoCo) -> dict[str, Any]:
+    return {"solref": settings.sustained_solref, "solimp": (*settings.sustained_solimp, *IMPEDANCE_SHAPE)}
+
+
+def _impact(contact: Contact, settings: SettingsMuJoCo) -> dict[str, Any]:
+    """Constants that make an impact return the restitution of the contact.
+
+    They use MuJoCo's direct solref with damping (1 + e)/h: one step then reverses the normal velocity to -e times
+    itself. The same damping would reverse the tangential velocity too, so friction gets 1/h, which stops it.
+    """
+    step = settings.timestep_s
+    constants: dict[str, Any] = {
+        "solref": (-settings.impact_stiffness / step**2, -(1.0 + contact.restitution) / step),
+        "solimp": (*settings.impact_solimp, *IMPEDANCE_SHAPE),
+    }
+    if settings.cone == "elliptic":
+        constants["solreffriction"] = (0.0, -1.0 / step)
+    return constants
