@@ -1,8 +1,8 @@
 """Engines side by side: results grouped by configuration, their scores, and how far apart their trajectories are.
 
-A configuration is what was under test: the engine and its versions, the parameters of the scene, the settings that were
-given, the jitter of the start and what stands for a marker. Results that differ in nothing but their seed are repeats
-of one configuration.
+A configuration is what was under test: the engine and its versions, the parameters of the scene or the edited asset in
+their place, the settings that were given, the jitter of the start and what stands for a marker. Results that differ in
+nothing but their seed are repeats of one configuration.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.metrics import trajectory_rmse
 from gauge_envs.reference import Baseline, published_baselines
-from gauge_envs.result import Outcome, RecordedTrajectory, Result, task_sha256, versions
-from gauge_envs.task import find_variant, variants
+from gauge_envs.result import Outcome, RecordedTrajectory, Result, versions
+from gauge_envs.task import find_variant, task_sha256, variants
 from gauge_envs.task_format import FRAME_RATE_HZ
 
 __all__ = [
@@ -102,6 +102,7 @@ class Configuration:
         settings_given: Numerical settings that replace the engine's defaults.
         jitter: Standard deviations that the start was jittered by; empty for none.
         marker_proxy: What stood for a marker on a deformable body.
+        asset: File and hash of an asset that differs from the calibrated scene; empty where there is none.
         engine_versions: Versions of the engine's packages.
     """
 
@@ -110,6 +111,7 @@ class Configuration:
     settings_given: Mapping[str, Any] = field(default_factory=dict)
     jitter: Mapping[str, float] = field(default_factory=dict)
     marker_proxy: str = "node"
+    asset: Mapping[str, str] = field(default_factory=dict)
     engine_versions: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -122,6 +124,7 @@ class Configuration:
             settings_given=result.settings_given,
             jitter=result.jitter,
             marker_proxy=result.marker_proxy,
+            asset={key: result.asset[key] for key in ("file", "sha256")} if result.is_edited else {},
             engine_versions={name: text for name, text in result.versions.items() if name not in common},
         )
 
@@ -145,8 +148,8 @@ def group_by_configuration(results: Iterable[Result]) -> list[tuple[Configuratio
 
 
 def _order(one: Configuration) -> tuple[str, bool, int, str]:
-    changes = (one.settings_given, one.jitter, one.engine_versions)
-    changed = len(one.settings_given) + len(one.jitter) + (one.marker_proxy != "node")
+    changes = (one.settings_given, one.jitter, one.asset, one.engine_versions)
+    changed = len(one.settings_given) + len(one.jitter) + (one.marker_proxy != "node") + bool(one.asset)
     return (
         one.backend or "",
         one.parameters != "calibrated",
@@ -156,7 +159,7 @@ def _order(one: Configuration) -> tuple[str, bool, int, str]:
 
 
 def _same(one: Configuration, other: Configuration, *, ran: bool) -> bool:
-    keys = ("backend", "parameters", "settings_given", "jitter", "marker_proxy")
+    keys = ("backend", "parameters", "settings_given", "jitter", "marker_proxy", "asset")
     alike = all(getattr(one, key) == getattr(other, key) for key in keys)
     return alike and (not ran or one.engine_versions == other.engine_versions)
 
@@ -506,8 +509,10 @@ def compare(results: Iterable[Result]) -> Comparison:
     )
 
 
-def _list_order(name: str) -> int:
-    return variants().index(find_variant(name))
+def _list_order(name: str) -> tuple[int, str]:
+    """Place in `gauge list`; those of experiment files come after it, by name."""
+    places = {variant.id: place for place, variant in enumerate(variants())}
+    return places.get(name, len(places)), name
 
 
 def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None:
@@ -528,9 +533,12 @@ def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None
 def _mismatches(results: Sequence[Result]) -> list[str]:
     """Ways in which results do not belong together, a sentence each."""
     notes = []
-    stale = _names(results, lambda one: one.task_sha256 != task_sha256(find_variant(one.id).family))
+    stale = _names(results, _is_stale)
     if stale:
         notes.append(f"made from another task file than the installed one: {stale}")
+    for name in sorted({one.id for one in results if one.has_experiment_file}):
+        if len({one.task_sha256 for one in results if one.id == name}) > 1:
+            notes.append(f"{name.removeprefix('GAUGE/')}: made from different versions of its experiment file")
     made_with = sorted({one.versions.get("gauge-envs", "an unknown version") for one in results})
     if len(made_with) > 1:
         notes.append(f"scored by different versions of gauge-envs: {', '.join(made_with)}")
@@ -542,6 +550,12 @@ def _mismatches(results: Sequence[Result]) -> list[str]:
         if len(imports) > 1:
             notes.append(f"{name.removeprefix('GAUGE/')}: real trials or drivers are of different imports, or bundled")
     return notes
+
+
+def _is_stale(result: Result) -> bool:
+    if result.has_experiment_file:
+        return False
+    return result.task_sha256 != task_sha256(find_variant(result.id).family)
 
 
 def _names(results: Iterable[Result], wanted: Callable[[Result], bool]) -> str:

@@ -27,14 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from gauge_envs.driver import DriverSource
 from gauge_envs.episode import reference_band
 from gauge_envs.errors import GaugeError, ParameterError, ShapeError
-from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.experiment import Experiment
 from gauge_envs.metrics import release_offset
 from gauge_envs.motion import Change, Motion, MotionKind, recognized
-from gauge_envs.reference import Band, BandGrade, Baseline, load_band, published_baselines
-from gauge_envs.result import Outcome, Result, json_ready
+from gauge_envs.reference import Band, BandGrade, Baseline, load_band
+from gauge_envs.result import Outcome, Result, json_ready, recorded_experiment
 from gauge_envs.task_format import FRAME_RATE_HZ
 
 __all__ = [
@@ -296,8 +295,7 @@ def diagnose(
     if result.outcome is not Outcome.FINISHED or result.trajectory is None:
         reason = result.error or result.diverged_reason or "it holds no trajectory"
         raise DiagnosisError(f"{result.id}: {result.outcome.value}, so that there is no score to explain: {reason}")
-    drivers = result.dataset.get("drivers")
-    resolved = experiment(result.id, result.parameters, drivers=drivers if drivers in tuple(DriverSource) else None)
+    resolved = recorded_experiment(result)
     if band is None:
         band = reference_band(resolved, use_withheld=use_withheld or result.score.withheld is not None)
     times_s, values = result.trajectory.arrays()
@@ -351,11 +349,11 @@ def diagnose_trajectory(
     """
     stages = stage_order(order)
     if band is None:
-        raise DiagnosisError(f"{resolved.variant.id}: {_why_no_band(resolved.variant.name)}")
+        raise DiagnosisError(f"{resolved.id}: {_why_no_band(resolved.name)}")
     times_s, values = _checked(times_s, values, len(band.mean))
     reference = np.where(band.measured[:, None], band.mean, np.nan) if measured_only else np.array(band.mean)
     if not np.isfinite(reference).any():
-        raise DiagnosisError(f"{resolved.variant.id}: its band has no {'measured ' if measured_only else ''}frame")
+        raise DiagnosisError(f"{resolved.id}: its band has no {'measured ' if measured_only else ''}frame")
     simulated = band.project(values)
     last_s = float(np.flatnonzero(np.isfinite(reference).any(axis=1))[-1]) / FRAME_RATE_HZ
     motion = recognized(resolved, band, times_s, simulated, until_s=last_s)
@@ -628,13 +626,13 @@ def _local_minima(shifts: FloatArray, rates: FloatArray, errors: FloatArray) -> 
 def _diagnosis(
     resolved: Experiment, band: Band, budget: _Budget, order: Sequence[Stage], *, measured_only: bool
 ) -> Diagnosis:
-    baselines = published_baselines(resolved.variant.name)
+    baselines = resolved.baselines
     baseline = baselines["rmse"].mean if "rmse" in baselines else None
     whole, left = budget.fit(()), budget.fit(order)
     deviations = budget.deviations()
     extrapolated = ~band.measured[budget.known]
     return Diagnosis(
-        id=resolved.variant.id,
+        id=resolved.id,
         grade=band.grade.value,
         source=band.source,
         unit=band.unit,

@@ -1,18 +1,21 @@
-"""One variant, resolved: task file + parameters -> scene, and how it is observed."""
+"""One experiment, resolved: task file + parameters, or an asset -> scene, and how it is observed and scored."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from pydantic import ValidationError
 
+from gauge_envs.asset import Asset, AssetKind
 from gauge_envs.dataset.store import chosen_drivers, recorded_drivers
 from gauge_envs.driver import Driver, DriverSource
 from gauge_envs.errors import ParameterError, TaskFileError
+from gauge_envs.reference import Baseline, Reference, published_baselines
 from gauge_envs.scene import (
     Attachment,
     Box,
@@ -30,10 +33,13 @@ from gauge_envs.scene import (
     SoftBody,
     Tether,
 )
-from gauge_envs.task import find_variant, task_path, task_spec
-from gauge_envs.task_format import FRAME_RATE_HZ, JointSpec, Placement, TaskSpec, Variant
+from gauge_envs.task import find_variant, task_path, task_sha256, task_spec
+from gauge_envs.task_format import FRAME_RATE_HZ, JointSpec, Placement, ScoreSpec, TaskSpec, Variant
 
-__all__ = ["Experiment", "Parameters", "experiment"]
+__all__ = ["ASSET_NAME", "Experiment", "Parameters", "TaskExperiment", "driver_provenance", "experiment"]
+
+ASSET_NAME = "Asset"
+"""Name, and after `GAUGE/` the Gymnasium id, under which experiment files run."""
 
 Parameters = str | Mapping[str, Any]
 """`calibrated`, the name of another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
@@ -41,11 +47,12 @@ Parameters = str | Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One variant, resolved: its scene and how it is observed.
+    """One experiment, resolved: its scene, and how it is observed and scored.
 
     Attributes:
-        variant: Which one.
-        spec: Its task file.
+        name: `SlopeSlider-2-wood`; `Asset-crate` where a user's experiment file states it.
+        title: What it is called.
+        score: How it is observed and scored.
         scene: What a backend builds.
         recorded: Names of the bodies whose positions are observed.
         frame_count: Frames of an episode, the first included.
@@ -53,10 +60,14 @@ class Experiment:
         overrides: What differs from the calibrated constants, keyed `body.constant`.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
         drivers: Whether any driven motion is that of imported trials, or all are bundled.
+        file_sha256: Hash of the task file; of the experiment file and what it names, where a user brought it.
+        asset: File that the scene is from; None where the task file states it.
+        reference: What it is scored against; None where the package has that under its name.
     """
 
-    variant: Variant
-    spec: TaskSpec
+    name: str
+    title: str
+    score: ScoreSpec
     scene: Scene
     recorded: tuple[str, ...]
     frame_count: int
@@ -64,42 +75,145 @@ class Experiment:
     overrides: Mapping[str, Any]
     driver_provenance: str | None
     drivers: DriverSource = DriverSource.BUNDLED
+    file_sha256: str
+    asset: Asset | None = None
+    reference: Reference | None = None
+
+    @property
+    def id(self) -> str:
+        """`GAUGE/SlopeSlider-2-wood`: the Gymnasium id, and what results are filed under."""
+        return f"GAUGE/{self.name}"
+
+    @property
+    def baselines(self) -> Mapping[str, Baseline]:
+        """Scores of real trials by metric, and of three engines where they were published."""
+        return published_baselines(self.name) if self.reference is None else self.reference.baselines
+
+    @property
+    def edited(self) -> bool:
+        """Whether the scene is that of an asset which differs from the calibrated one."""
+        return self.asset is not None and self.asset.edited
+
+    @property
+    def model_file(self) -> Path | None:
+        """File in an engine's own format that stands for the scene; None where there is none."""
+        return self.asset.path if self.asset is not None and self.asset.kind is AssetKind.MODEL else None
 
 
-def experiment(name: str | Variant, parameters: Parameters = "calibrated", *, drivers: str | None = None) -> Experiment:
-    """Resolve one variant.
+@dataclass(frozen=True, kw_only=True)
+class TaskExperiment(Experiment):
+    """One variant of a task file, resolved.
+
+    Attributes:
+        variant: Which one.
+        spec: Its task file.
+    """
+
+    variant: Variant
+    spec: TaskSpec
+
+
+@overload
+def experiment(
+    name: Variant,
+    parameters: Parameters = "calibrated",
+    *,
+    drivers: str | None = None,
+    asset: str | PathLike[str] | None = None,
+) -> TaskExperiment: ...
+
+
+@overload
+def experiment(
+    name: str,
+    parameters: Parameters = "calibrated",
+    *,
+    drivers: str | None = None,
+    asset: str | PathLike[str] | None = None,
+) -> Experiment: ...
+
+
+def experiment(
+    name: str | Variant,
+    parameters: Parameters = "calibrated",
+    *,
+    drivers: str | None = None,
+    asset: str | PathLike[str] | None = None,
+) -> Experiment:
+    """Resolve one experiment.
 
     Args:
-        name: Variant, its name, or its Gymnasium id.
+        name: Variant, its name, or its Gymnasium id; or an experiment file of the user's own, as `crate.toml`.
         parameters: `calibrated`, another parameter set of the task file, or overrides keyed `body.constant`, where a
             constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`.
         drivers: `imported` drives bodies as imported trials show, where there are some; `bundled` as the task file
             states. None takes what `gauge data use` chose, `imported` unless it was asked otherwise.
+        asset: File that the scene is from: a USD layer, or a model file of an engine, as MJCF. It states constants and
+            driven motion itself, so `parameters` and `drivers` are for experiments without one. For the name `Asset`
+            it is an experiment file.
 
     Raises:
         UnknownNameError: No such variant.
-        ParameterError: No such parameter set, body, constant or kind of drivers, or a value out of range.
+        ParameterError: No such parameter set, body, constant or kind of drivers, or a value out of range; or they
+            come with an asset.
         TaskFileError: The task file is wrong.
-        ReferenceFileError: The imported drivers are damaged.
+        ReferenceFileError: The imported drivers, or the band of an experiment file, are damaged.
+        AssetError: The asset cannot be read, or does not fit the variant.
     """
+    from gauge_envs.asset import is_experiment_file, with_asset
+    from gauge_envs.experiment_file import load_experiment
+
+    path = None if asset is None else Path(asset)
+    if isinstance(name, str) and name.removeprefix("GAUGE/") == ASSET_NAME:
+        if path is None:
+            raise ParameterError(f"GAUGE/{ASSET_NAME} is what an experiment file states: asset='crate.toml'")
+        name, path = str(path), None
+    if isinstance(name, str) and is_experiment_file(Path(name)):
+        if path is not None:
+            raise ParameterError(f"{name} names its own USD layer; it goes without asset={str(asset)!r}")
+        _check_stated(Path(name), parameters, drivers)
+        return load_experiment(Path(name))
     variant = find_variant(name) if isinstance(name, str) else name
+    if path is None:
+        return _of_task(variant, parameters, drivers)
+    _check_stated(path, parameters, drivers)
+    return with_asset(_of_task(variant, "calibrated", DriverSource.BUNDLED), path)
+
+
+def _check_stated(path: Path, parameters: Parameters, drivers: str | None) -> None:
+    """Refuse what an asset states itself."""
+    if parameters and parameters != "calibrated":
+        raise ParameterError(f"parameters {parameters!r} with {path.name}: it states the constants; edit them there")
+    if drivers is not None and drivers != DriverSource.BUNDLED:
+        raise ParameterError(f"drivers {drivers!r} with {path.name}: the motion of driven bodies is the file's")
+
+
+def _of_task(variant: Variant, parameters: Parameters, drivers: str | None) -> TaskExperiment:
     path, spec = task_path(variant.family), task_spec(variant.family)
     label, overrides = _overrides(spec, variant, parameters)
     builder = _SceneBuilder(path, spec, variant, overrides)
     scene, source = _driven(variant, builder.build(), drivers)
-    recorded = tuple(b.name for b in scene.bodies if spec.bodies[builder.spec_name(b.name)].recorded)
-    provenances = {driver.provenance for driver in scene.drivers}
-    return Experiment(
+    subtask = spec.subtasks[variant.subtask] if variant.subtask else None
+    return TaskExperiment(
+        name=variant.name,
+        title=spec.title if subtask is None else f"{spec.title}, {subtask.title}",
+        score=spec.score,
         variant=variant,
         spec=spec,
         scene=scene,
-        recorded=recorded,
+        recorded=tuple(b.name for b in scene.bodies if spec.bodies[builder.spec_name(b.name)].recorded),
         frame_count=builder.frame_count,
         parameters=label,
         overrides=overrides,
-        driver_provenance=", ".join(sorted(provenances)) or None,
+        driver_provenance=driver_provenance(scene),
         drivers=source,
+        file_sha256=task_sha256(variant.family),
     )
+
+
+def driver_provenance(scene: Scene) -> str | None:
+    """Where the driven motion of a scene is from; None where nothing is driven."""
+    return ", ".join(sorted({driver.provenance for driver in scene.drivers})) or None
 
 
 def _driven(variant: Variant, scene: Scene, asked: str | None) -> tuple[Scene, DriverSource]:

@@ -23,7 +23,7 @@ from gauge_envs.comparison import (
 from gauge_envs.diagnosis import Diagnosis, Stage
 from gauge_envs.episode import reference_band
 from gauge_envs.errors import MissingExtraError, ResultFileError, ShapeError
-from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.experiment import Experiment
 from gauge_envs.reference import Band, BandGrade, published_baselines
 from gauge_envs.report import (
     ALIGNED_TITLE,
@@ -34,7 +34,7 @@ from gauge_envs.report import (
     result_label,
     score_text,
 )
-from gauge_envs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.result import Outcome, RecordedTrajectory, Result, recorded_experiment
 from gauge_envs.task_format import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
     if len(ids) != 1:
         raise ShapeError(f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}")
     series = _series(results, among or results)
-    resolved = experiment(results[0].id, series[0].results[0].parameters)
+    resolved = recorded_experiment(series[0].results[0])
     band = reference_band(resolved, use_withheld=any(result.score.withheld for result in results))
     bars = _bar_groups(results[0].id, series)
     names = band.coordinates if band is not None else _axis_names(results[0])
@@ -604,10 +604,8 @@ def _error_text(diagnosis: Diagnosis) -> str:
 
 
 def _title(resolved: Experiment, results: Sequence[Result], band: Band | None) -> str:
-    spec, variant = resolved.spec, resolved.variant
-    subtask = f", {spec.subtasks[variant.subtask].title}" if variant.subtask else ""
     reference = "" if band is not None else " (no reference trajectory)"
-    return f"{results[0].id}: {spec.title}{subtask}{reference}"
+    return f"{results[0].id}: {resolved.title}{reference}"
 
 
 def _subtitle(resolved: Experiment, band: Band | None, *, has_bars: bool) -> str:

@@ -224,7 +224,7 @@ def recognized(
             looks at all of it.
     """
     seen = slice(None) if until_s is None else slice(0, int(np.searchsorted(times_s, until_s + 1e-6, side="right")))
-    single = resolved.spec.score.observable is Observable.POSITION and len(resolved.recorded) == 1
+    single = resolved.score.observable is Observable.POSITION and len(resolved.recorded) == 1
     if single and not resolved.scene.drivers:
         motion = (
             _oscillation(resolved, band, times_s, values)

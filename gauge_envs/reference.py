@@ -11,7 +11,7 @@ import csv
 import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import cache
@@ -25,10 +25,12 @@ from gauge_envs.errors import GaugeError, ShapeError, UnknownNameError
 from gauge_envs.paths import data_folder
 
 __all__ = [
+    "ENGINES",
     "Band",
     "BandGrade",
     "Baseline",
     "Law",
+    "Reference",
     "ReferenceFileError",
     "SigmaSource",
     "band_grade",
@@ -38,14 +40,17 @@ __all__ = [
     "load_band",
     "published_baselines",
     "published_variants",
+    "read_band",
 ]
 
 Value = TypeVar("Value")
 
-_ENGINES = ("isaacsim", "genesis", "newton")
-_BASELINE_COLUMNS = ("variant", "frames", "metric", "unit", "baseline_mean", "baseline_std", *_ENGINES)
+ENGINES = ("isaacsim", "genesis", "newton")
+"""Engines whose scores were published."""
+
+_BASELINE_COLUMNS = ("variant", "frames", "metric", "unit", "baseline_mean", "baseline_std", *ENGINES)
 _METRICS = ("rmse", "dtw", "lsd", "mte", "pd", "el")
-_BAND_COLUMNS = ("frame", "time_s", "measured")
+_BAND_COLUMNS = ("time_s", "measured", "measured_trials")
 _LAW_KEYS = ("variants", "kind", "body", "carrier", "condition", "evidence")
 _LAW_KINDS = ("carried",)
 
@@ -190,6 +195,45 @@ class Band:
             )
         return trajectory @ self.projection.T
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary; None stands for what is not known."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        arrays = {name: _with_none(value) for name, value in values.items() if isinstance(value, np.ndarray)}
+        return values | arrays | {"coordinates": list(self.coordinates)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Band:
+        """Inverse of `to_dict`.
+
+        Raises:
+            ShapeError: The arrays do not agree.
+            ValueError: A value is of the wrong kind, or one is missing.
+        """
+        try:
+            return cls(
+                **{
+                    **values,
+                    "grade": BandGrade(values["grade"]),
+                    "sigma_source": SigmaSource(values["sigma_source"]),
+                    "coordinates": tuple(values["coordinates"]),
+                }
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"not a band: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What an experiment file brings to be scored against.
+
+    Attributes:
+        band: Mean and scatter of reality; None where the file has none.
+        baselines: Scores of real trials by metric, which scores are divided by.
+    """
+
+    band: Band | None
+    baselines: Mapping[str, Baseline]
+
 
 @dataclass(frozen=True)
 class Law:
@@ -210,6 +254,15 @@ class Law:
     carrier: str
     condition: str
     evidence: str
+
+
+def _with_none(values: NDArray[Any]) -> list[Any]:
+    """Nested lists with None for NaN, which JSON does not know; numpy reads None as NaN again."""
+    if values.dtype.kind != "f":
+        return values.tolist()
+    entries = values.astype(object)
+    entries[np.isnan(values)] = None
+    return entries.tolist()
 
 
 def published_baselines(variant: str) -> dict[str, Baseline]:
@@ -335,7 +388,7 @@ def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
             unit=unit,
             mean=mean,
             std=std,
-            engines={engine: number.get(engine) for engine in _ENGINES},
+            engines={engine: number.get(engine) for engine in ENGINES},
         )
     return table
 
@@ -344,9 +397,24 @@ def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
 def _bundled_band(folder: Path, variant: str) -> Band | None:
     """The band that a table `<variant>.csv` and its sidecar `<variant>.toml` describe."""
     file, facts_file = folder / f"{variant}.csv", folder / f"{variant}.toml"
+    return read_band(file, _toml(facts_file), facts_file) if file.is_file() else None
+
+
+def read_band(file: Path, facts: Mapping[str, Any], facts_file: Path) -> Band:
+    """The band of a table of numbers and what is stated of them (format: scoring/README.md).
+
+    Args:
+        file: The table, a row a frame: `frame`, `mean.*`, and where they are known `time_s`, `measured`,
+            `measured_trials`, `sigma.*`, `uncertainty.*`.
+        facts: `grade`, `sigma_source`, `unit`, `coordinates`, `projection` or `indices` and `width`, `source`, and
+            where they apply `trial_count`, `sigma`, `frames`, `withheld`.
+        facts_file: File that states them, for messages.
+
+    Raises:
+        ReferenceFileError: One of the files is missing, or wrong.
+    """
     if not file.is_file():
-        return None
-    facts = _toml(facts_file)
+        raise ReferenceFileError(file, None, "the file is missing")
     coordinates = _field(facts_file, facts, "coordinates", list)
     columns = _band_columns(file, coordinates)
     frames = _optional_field(facts_file, facts, "frames", int) or len(columns["measured"])
@@ -400,23 +468,25 @@ def _sigma(
 def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """Columns of a band's table: `measured`, shape [T, 1], and `mean`, `sigma`, `uncertainty`, each of shape [T, C].
 
-    A field of `mean` or `uncertainty` may be empty, which is NaN: not known. A quantity without columns is left out.
+    A field of `mean` or `uncertainty` may be empty, which is NaN: not known. A quantity without columns is left out,
+    and without a column `measured` a frame is measured where it has a mean.
     """
     with file.open(encoding="utf-8", newline="") as stream:
         header = next(csv.reader(stream), [])
     quantities = [q for q in ("mean", "sigma", "uncertainty") if any(name.startswith(f"{q}.") for name in header)]
     named = {q: [f"{q}.{coordinate}" for coordinate in coordinates] for q in quantities}
-    counted = ("measured_trials",) if "measured_trials" in header else ()
-    expected = [*_BAND_COLUMNS, *counted, *(name for names in named.values() for name in names)]
+    known = [name for name in _BAND_COLUMNS if name in header]
+    expected = ["frame", *known, *(name for names in named.values() for name in names)]
     if "mean" not in named:
         raise ReferenceFileError(file, 1, f"columns are {','.join(header)}, expected mean.{coordinates[0]} among them")
     rows: dict[str, list[Any]] = {"measured": [], **{q: [] for q in quantities}}
     for line, row in _rows(file, expected):
         if _count(file, line, "frame", row["frame"]) != len(rows["measured"]):
             raise ReferenceFileError(file, line, f"frame {row['frame']} where {len(rows['measured'])} is next")
-        if row["measured"] not in ("0", "1"):
-            raise ReferenceFileError(file, line, f"measured is {row['measured']!r}, neither 0 nor 1")
-        rows["measured"].append([float(row["measured"])])
+        measured = row.get("measured", "1" if any(row[name] for name in named["mean"]) else "0")
+        if measured not in ("0", "1"):
+            raise ReferenceFileError(file, line, f"measured is {measured!r}, neither 0 nor 1")
+        rows["measured"].append([float(measured)])
         for quantity, names in named.items():
             optional = quantity != "sigma"
             values = [

@@ -11,30 +11,40 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from enum import StrEnum
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.asset import Asset, AssetKind
+from gauge_envs.driver import DriverSource
+from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError
+from gauge_envs.experiment import Experiment, driver_provenance, experiment
+from gauge_envs.experiment_file import FileExperiment, experiment_record, recorded_experiment_file
+from gauge_envs.scene import Scene
 from gauge_envs.score import Score
-from gauge_envs.task import find_variant, task_path
+from gauge_envs.task import find_variant
 
 __all__ = [
     "Outcome",
     "RecordedTrajectory",
     "Result",
+    "asset_record",
     "json_ready",
     "load_result",
+    "recorded_experiment",
     "result_file_name",
-    "task_sha256",
     "versions",
     "write_result",
 ]
+
+
+BULKY = ("scene", "experiment")
+"""Parts of a result's asset that only reading it back needs."""
 
 
 def versions() -> dict[str, str]:
@@ -105,11 +115,14 @@ class Result:
         seed: Seed of the reset and of the jitter.
         jitter: How far the start was moved at random, as standard deviations; empty where it was not.
         score: Distance to reality; metrics are None where they do not apply.
-        task_sha256: Hash of the task file that the episode was built from.
+        task_sha256: Hash of the task file that the episode was built from; of an experiment file and all that it names.
         marker_proxy: What stood for a marker on a deformable body: `node` or `material`.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
         dataset: Import of real trials that score or drivers rest on: `revision`, `sha256` over its trials, `drivers`
             (`imported`, `bundled` or `none recorded`); empty where nothing was imported.
+        asset: File that the scene was from: its name `file`, `kind`, `sha256`, whether it is `edited` and in which
+            `changes`; with the `scene` as text of a USD layer where the package does not have it, and the
+            `experiment` of an experiment file. Empty where the task file stated the scene.
         created: When, ISO 8601, UTC.
         error: Why it was declined or failed.
         trajectory: What it did; None when it did not run.
@@ -134,16 +147,28 @@ class Result:
     marker_proxy: str = "node"
     driver_provenance: str | None = None
     dataset: dict[str, str] = field(default_factory=dict)
+    asset: dict[str, Any] = field(default_factory=dict)
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     error: str | None = None
     trajectory: RecordedTrajectory | None = None
 
+    @property
+    def is_edited(self) -> bool:
+        """Whether the scene was that of an asset which differs from the calibrated one."""
+        return bool(self.asset.get("edited"))
+
+    @property
+    def has_experiment_file(self) -> bool:
+        """Whether it is of an experiment that a user's file states, which the package does not have."""
+        return self.asset.get("kind") == AssetKind.EXPERIMENT
+
     def to_dict(self, *, trajectory: bool = True) -> dict[str, Any]:
-        """JSON-ready dictionary, every field present; without the bulky trajectory on request."""
+        """JSON-ready dictionary, every field present; without the bulky trajectory and scene on request."""
         kept = self if trajectory else replace(self, trajectory=None)
         values = json_ready(asdict(kept)) | {"score": json_ready(self.score.to_dict())}
         if not trajectory:
             del values["trajectory"]
+            values["asset"] = {key: value for key, value in values["asset"].items() if key not in BULKY}
         return values
 
 
@@ -158,17 +183,13 @@ def json_ready(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-@cache
-def task_sha256(family: str) -> str:
-    """Hash of the task file of a family."""
-    return hashlib.sha256(task_path(family).read_bytes()).hexdigest()
-
-
 def result_file_name(result: Result) -> str:
-    """`SlopeSlider-2-wood.mujoco.calibrated.json`; overrides, settings and jitter by a hash, seeds other than 0."""
+    """`SlopeSlider-2-wood.mujoco.calibrated.json`; what else was chosen by a hash, seeds other than 0."""
     named = result.parameters
     parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
     parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
+    if result.is_edited:
+        parts.append(f"asset-{result.asset['sha256'][:8]}")
     if result.settings_given:
         parts.append(f"settings-{_digest(result.settings_given)}")
     if result.jitter:
@@ -218,11 +239,13 @@ def load_result(file: Path) -> Result:
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", "node")
         content.setdefault("dataset", {})
+        content.setdefault("asset", {})
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")
         result = TypeAdapter(Result).validate_python(content)
-        find_variant(result.id)
+        if not result.has_experiment_file:
+            find_variant(result.id)
         if result.trajectory is None:
             raise ValueError("it has no trajectory")
     except OSError as error:
@@ -234,3 +257,66 @@ def load_result(file: Path) -> Result:
     except (ValueError, RecursionError, UnknownNameError) as error:
         raise ResultFileError(f"{file}: not a result file: {error}") from error
     return result
+
+
+# --- the experiment of a result --------------------------------------------------------------------------------------
+
+
+def asset_record(resolved: Experiment) -> dict[str, Any]:
+    """What a result keeps of the asset that an experiment was built from; empty where there was none."""
+    asset = resolved.asset
+    if asset is None:
+        return {}
+    record = asset.to_dict()
+    # A model file stands for a scene that the package has; the engine alone could read it back.
+    if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
+        record["scene"] = _scene_text(resolved.scene)
+    if isinstance(resolved, FileExperiment):
+        record["experiment"] = experiment_record(resolved)
+    return record
+
+
+def recorded_experiment(result: Result) -> Experiment:
+    """The experiment that a result is of, with the scene that it ran; needs no file but the result's.
+
+    Where an engine's own model file stood for the scene, the scene is that of the variant.
+
+    Raises:
+        GaugeError: The package no longer has the variant or its parameters, or the result's asset is damaged.
+    """
+    record = result.asset
+    if not record or "scene" not in record:
+        drivers = result.dataset.get("drivers")
+        source = drivers if drivers in tuple(DriverSource) else None
+        return experiment(result.id, result.parameters, drivers=source)
+    try:
+        scene = _scene_of_text(record["scene"])
+        asset = Asset(
+            path=Path(record["file"]),
+            kind=AssetKind(record["kind"]),
+            sha256=record["sha256"],
+            edited=record["edited"],
+            changes=tuple(record["changes"]),
+        )
+        if result.has_experiment_file:
+            return recorded_experiment_file(record["experiment"], scene, asset=asset, file_sha256=result.task_sha256)
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, GaugeError):
+            raise
+        raise ResultFileError(f"{result.id}: the asset in the result is damaged: {error}") from error
+    resolved = experiment(result.id, drivers=DriverSource.BUNDLED)
+    return replace(resolved, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
+
+
+def _scene_text(scene: Scene) -> str:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.usda"
+        scene.to_usd(path)
+        return path.read_text(encoding="utf-8")
+
+
+def _scene_of_text(text: str) -> Scene:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.usda"
+        path.write_text(text, encoding="utf-8")
+        return Scene.from_usd(path)

@@ -24,7 +24,7 @@ from gauge_envs.metrics import (
     trajectory_rmse,
     z_scores,
 )
-from gauge_envs.reference import Band, BandGrade, published_baselines
+from gauge_envs.reference import Band, BandGrade
 from gauge_envs.scene import Hinge
 from gauge_envs.task_format import FRAME_RATE_HZ
 
@@ -58,6 +58,7 @@ class Score:
         pd_normalized: Over the published mean; 1 is ideal.
         el: Energy loss, ratio; 0 is ideal.
         withheld: Why nothing is scored on this band unless it is asked for; None where it is scored on.
+        edited: Whether the scene was that of an asset which differs from the calibrated one.
     """
 
     grade: str
@@ -82,6 +83,7 @@ class Score:
     pd_normalized: float | None = None
     el: float | None = None
     withheld: str | None = None
+    edited: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary, every field present."""
@@ -115,7 +117,7 @@ def score_trajectory(
         ShapeError: A frame is missing, or values are not finite or have the wrong width.
     """
     frames = _frames(resolved, times_s, values)
-    baselines = published_baselines(resolved.variant.name)
+    baselines = resolved.baselines
     scores: dict[str, Any] = {}
     if band is not None:
         scores |= _band_scores(band, baselines, times_s, values, frames)
@@ -124,7 +126,13 @@ def score_trajectory(
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     grade = band.grade if band is not None else BandGrade.NONE
     withheld = None if band is None else band.withheld
-    return Score(grade=grade.value, unit=resolved.spec.score.observable.unit, withheld=withheld, **scores)
+    return Score(
+        grade=grade.value,
+        unit=resolved.score.observable.unit,
+        withheld=withheld,
+        edited=resolved.edited,
+        **scores,
+    )
 
 
 def _frames(resolved: Experiment, times_s: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -134,7 +142,7 @@ def _frames(resolved: Experiment, times_s: NDArray[np.float64], values: NDArray[
     if missing.any():
         frame = int(missing.argmax())
         raise ShapeError(
-            f"{resolved.variant.name} needs {resolved.frame_count} frames at 30 Hz: "
+            f"{resolved.name} needs {resolved.frame_count} frames at 30 Hz: "
             f"no sample at frame {frame} (t = {wanted[frame]:.4f} s)"
         )
     return values[index]
@@ -184,7 +192,7 @@ def _event_scores(
     resolved: Experiment, baselines: Mapping[str, Any], frames: NDArray[np.float64]
 ) -> dict[str, float | None]:
     """LSD and MTE of a cradle's last ball, period and energy loss of a pendulum, where the task file asks for them."""
-    wanted = resolved.spec.score.metrics
+    wanted = resolved.score.metrics
     scores: dict[str, float | None] = {}
     if not {"lsd", "mte", "pd", "el"} & set(wanted):
         return scores
@@ -203,7 +211,7 @@ def _event_scores(
         )
         scores |= {"mte": mte, "mte_normalized": _over(mte, baselines, "mte")}
     if "pd" in wanted:
-        axis = "xyz".index(resolved.spec.score.period_axis or "x")
+        axis = "xyz".index(resolved.score.period_axis or "x")
         count = baselines["pd"].frames if "pd" in baselines else len(frames)
         pd_s = oscillation_period(frames[:count, axis], frame_rate_hz=FRAME_RATE_HZ)
         scores |= {"pd_s": pd_s, "pd_normalized": _over(pd_s, baselines, "pd")}

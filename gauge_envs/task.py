@@ -6,6 +6,7 @@ differs between variants is data in `tasks/*.toml`; no Python file holds a numbe
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
@@ -19,7 +20,7 @@ from gauge_envs.errors import TaskFileError, UnknownNameError
 from gauge_envs.paths import data_folder
 from gauge_envs.task_format import PROVENANCES, PlaneSpec, TaskSpec, Variant
 
-__all__ = ["find_variant", "load_task", "task_files", "task_path", "task_spec", "variants"]
+__all__ = ["find_variant", "load_task", "task_files", "task_path", "task_sha256", "task_spec", "variants"]
 
 
 def task_files() -> tuple[Path, ...]:
@@ -192,6 +193,16 @@ def task_path(family: str) -> Path:
         return _headers()[family][0]
     except KeyError:
         raise UnknownNameError("family", family, _headers()) from None
+
+
+@cache
+def task_sha256(family: str) -> str:
+    """Hash of the task file of a family.
+
+    Raises:
+        UnknownNameError: No such family.
+    """
+    return hashlib.sha256(task_path(family).read_bytes()).hexdigest()
 
 
 @cache

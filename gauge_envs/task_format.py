@@ -30,13 +30,20 @@ __all__ = [
     "PROVENANCES",
     "ClothConstants",
     "ContactSpec",
+    "DriverSpec",
+    "Fraction",
     "Group",
     "JointSpec",
+    "MarkersSpec",
+    "NonNegative",
     "Observable",
     "Placement",
     "PlaneSpec",
+    "Positive",
     "RigidConstants",
+    "ScoreSpec",
     "SolidConstants",
+    "Table",
     "TaskSpec",
     "Variant",
 ]
@@ -103,11 +110,13 @@ UnitVector = Annotated[Vector3, AfterValidator(_unit)]
 DriverProvenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"]
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
+    """One TOML table: frozen, and without unknown keys."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
-class BoxSpec(_Table):
+class BoxSpec(Table):
     """`kind = "box"`."""
 
     kind: Literal["box"]
@@ -118,7 +127,7 @@ class BoxSpec(_Table):
         return Box(size_m=self.size_m)
 
 
-class SphereSpec(_Table):
+class SphereSpec(Table):
     """`kind = "sphere"`."""
 
     kind: Literal["sphere"]
@@ -129,7 +138,7 @@ class SphereSpec(_Table):
         return Sphere(radius_m=self.radius_m)
 
 
-class CylinderSpec(_Table):
+class CylinderSpec(Table):
     """`kind = "cylinder"`, axis along body z."""
 
     kind: Literal["cylinder"]
@@ -141,7 +150,7 @@ class CylinderSpec(_Table):
         return Cylinder(radius_m=self.radius_m, length_m=self.length_m)
 
 
-class PlaneSpec(_Table):
+class PlaneSpec(Table):
     """`kind = "plane"`: the half-space below the body."""
 
     kind: Literal["plane"]
@@ -151,7 +160,7 @@ class PlaneSpec(_Table):
         return Plane()
 
 
-class ConvexUnionSpec(_Table):
+class ConvexUnionSpec(Table):
     """`kind = "convex_union"`: polyhedron given as convex pieces, each by its vertices."""
 
     kind: Literal["convex_union"]
@@ -170,7 +179,7 @@ class ConvexUnionSpec(_Table):
         return self
 
 
-class PlateWithHoleSpec(_Table):
+class PlateWithHoleSpec(Table):
     """`kind = "plate_with_hole"`: plate with a round hole along z, cut into wedge-shaped convex pieces."""
 
     kind: Literal["plate_with_hole"]
@@ -209,7 +218,7 @@ ShapeSpec = Annotated[
 ]
 
 
-class BodySpec(_Table):
+class BodySpec(Table):
     """A rigid body, or `count` equal ones named `<name>-1`, `<name>-2`, ..."""
 
     shape: ShapeSpec
@@ -219,21 +228,21 @@ class BodySpec(_Table):
     count: Annotated[int, Field(ge=1)] | None = None
 
 
-class ClothSpec(_Table):
+class ClothSpec(Table):
     """A rectangular sheet."""
 
     size_m: tuple[Positive, Positive]
     material: str | None = None
 
 
-class SoftBodySpec(_Table):
+class SoftBodySpec(Table):
     """A volumetric elastic block."""
 
     size_m: tuple[Positive, Positive, Positive]
     material: str | None = None
 
 
-class LineSpec(_Table):
+class LineSpec(Table):
     """A rope or an elastic rod."""
 
     length_m: Positive
@@ -241,7 +250,7 @@ class LineSpec(_Table):
     material: str | None = None
 
 
-class Substituted(_Table):
+class Substituted(Table):
     """A calibrated constant that no simulation can use as it stands, and what is used in its place."""
 
     calibrated: Finite
@@ -249,7 +258,7 @@ class Substituted(_Table):
     reason: str
 
 
-class RigidConstants(_Table):
+class RigidConstants(Table):
     """Calibrated constants of a rigid body; friction and restitution are those of its contact in this experiment."""
 
     mass_kg: Positive
@@ -258,7 +267,7 @@ class RigidConstants(_Table):
     restitution: Fraction | None = None
 
 
-class ClothConstants(_Table):
+class ClothConstants(Table):
     """Calibrated constants of a fabric."""
 
     mass_kg: Positive
@@ -271,7 +280,7 @@ class ClothConstants(_Table):
     restitution: Fraction
 
 
-class SolidConstants(_Table):
+class SolidConstants(Table):
     """Calibrated constants of a foam, a rubber, a rope or a rod."""
 
     mass_kg: Positive
@@ -282,7 +291,7 @@ class SolidConstants(_Table):
     restitution: Fraction
 
 
-class Placement(_Table):
+class Placement(Table):
     """Where a body starts.
 
     Give `position_m`; or `positions_m` for counted bodies; or `hangs_from_m` and `length_m` for a body on a string or
@@ -314,7 +323,7 @@ class Placement(_Table):
         return [Pose.from_euler_deg(position, self.euler_deg) for position in positions if position is not None]
 
 
-class JointSpec(_Table):
+class JointSpec(Table):
     """A hinge or a string to the world at the point that the body hangs from."""
 
     kind: Literal["hinge", "tether"]
@@ -328,7 +337,7 @@ class JointSpec(_Table):
         return self
 
 
-class RegionSpec(_Table):
+class RegionSpec(Table):
     """End of a deformable body."""
 
     axis: Literal["x", "y", "z"]
@@ -336,7 +345,7 @@ class RegionSpec(_Table):
     depth_m: NonNegative = 0.0
 
 
-class AttachmentSpec(_Table):
+class AttachmentSpec(Table):
     """Glues a region of a deformable body to another body."""
 
     deformable: str
@@ -344,7 +353,7 @@ class AttachmentSpec(_Table):
     to: str
 
 
-class ContactSpec(_Table):
+class ContactSpec(Table):
     """Which bodies collide, and whose calibrated constants hold for the pair."""
 
     bodies: tuple[str, str]
@@ -354,7 +363,7 @@ class ContactSpec(_Table):
     mode: ContactMode = ContactMode.SUSTAINED
 
 
-class _MoveSpec(_Table):
+class _MoveSpec(Table):
     amount_m: Finite | None = None
     amount_deg: Finite | None = None
 
@@ -401,7 +410,7 @@ class CosineSpec(_MoveSpec):
         return CosineProfile(start_s=self.start_s, duration_s=self.duration_s, amount=self._amount())
 
 
-class SampledSpec(_Table):
+class SampledSpec(Table):
     """`kind = "sampled"`: measured at times."""
 
     kind: Literal["sampled"]
@@ -431,7 +440,7 @@ class SampledSpec(_Table):
 ProfileSpec = Annotated[TrapezoidSpec | CosineSpec | SampledSpec, Field(discriminator="kind")]
 
 
-class MotionSpec(_Table):
+class MotionSpec(Table):
     """One coordinate of a driver; `point_in_body_m` is a point of the rotation axis in the body's start frame."""
 
     kind: Literal["translate", "rotate"]
@@ -465,7 +474,7 @@ class MotionSpec(_Table):
         )
 
 
-class DriverSpec(_Table):
+class DriverSpec(Table):
     """Prescribed motion of a kinematic body, and where it is from, per material where that differs."""
 
     body: str
@@ -474,7 +483,7 @@ class DriverSpec(_Table):
     motions: tuple[MotionSpec, ...] = Field(min_length=1)
 
 
-class MarkersSpec(_Table):
+class MarkersSpec(Table):
     """Motion-capture markers; `positions_m` in the published order."""
 
     bodies: tuple[str, ...] = Field(min_length=1)
@@ -495,7 +504,7 @@ class MarkersSpec(_Table):
         return self
 
 
-class ScoreSpec(_Table):
+class ScoreSpec(Table):
     """How the experiment is observed and scored."""
 
     observable: Observable
@@ -503,14 +512,14 @@ class ScoreSpec(_Table):
     period_axis: Literal["x", "y", "z"] | None = None
 
 
-class ParameterSetSpec(_Table):
+class ParameterSetSpec(Table):
     """Named alternative values, keyed `body.constant`; per material where they differ."""
 
     summary: str
     values: dict[str, Any] = Field(min_length=1)
 
 
-class SourceSpec(_Table):
+class SourceSpec(Table):
     """What the file was transcribed from."""
 
     metadata: str
@@ -518,7 +527,7 @@ class SourceSpec(_Table):
     video: str | None = None
 
 
-class SubtaskSpec(_Table):
+class SubtaskSpec(Table):
     """What a subtask adds to, or replaces in, the family."""
 
     title: str
@@ -549,7 +558,7 @@ class Variant:
         return f"GAUGE/{self.name}"
 
 
-class TaskSpec(_Table):
+class TaskSpec(Table):
     """One task file; its keys stand in this order."""
 
     family: str

@@ -63,7 +63,7 @@ class UserTrajectory:
 
 def coordinate_names(resolved: Experiment) -> tuple[str, ...]:
     """Names of the coordinates of g(t): `cube.x`, `marker-3.x`, `marker-3` (curvature) or `face-3` (area)."""
-    observable = resolved.spec.score.observable
+    observable = resolved.score.observable
     if observable is Observable.POSITION:
         return tuple(f"{body}.{axis}" for body in resolved.recorded for axis in "xyz")
     markers = resolved.scene.markers
@@ -80,19 +80,22 @@ def coordinate_names(resolved: Experiment) -> tuple[str, ...]:
     return tuple(f"{name}.{axis}" for name in names for axis in "xyz")
 
 
-def recorded_id(file: Path) -> tuple[str | None, Any]:
+def recorded_id(file: Path) -> tuple[str | None, Any, bool]:
     """Id and parameters that a trajectory file states; None where it states none, as CSV and NPZ never do.
+
+    Returns:
+        Id, parameters, and whether it is a result whose scene was that of an asset.
 
     Raises:
         TrajectoryFileError: The file cannot be read, or its `id` is not text.
     """
     if file.suffix.lower() != ".json":
-        return None, None
+        return None, None, False
     content = _json_object(file)
     name, parameters = content.get("id"), content.get("parameters")
     if name is not None and not isinstance(name, str):
         raise TrajectoryFileError(f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'")
-    return name, parameters
+    return name, parameters, bool(content.get("asset"))
 
 
 def read_trajectory(file: Path, resolved: Experiment) -> UserTrajectory:
@@ -109,7 +112,7 @@ def read_trajectory(file: Path, resolved: Experiment) -> UserTrajectory:
     reader = readers.get(file.suffix.lower())
     if reader is None:
         raise TrajectoryFileError(f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}")
-    layout = _Layout(file, coordinate_names(resolved), resolved.spec.score.observable.unit)
+    layout = _Layout(file, coordinate_names(resolved), resolved.score.observable.unit)
     times, values = reader(layout)
     if times is None:
         times = np.arange(len(values)) / FRAME_RATE_HZ

@@ -17,8 +17,9 @@ from gauge_envs.errors import UnknownNameError
 from gauge_envs.figures import OURS, draw_experiment, draw_overview, save_comparison
 from gauge_envs.reference import published_baselines
 from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view, configuration_labels
-from gauge_envs.result import Outcome, RecordedTrajectory, Result, result_file_name, task_sha256, versions, write_result
+from gauge_envs.result import Outcome, RecordedTrajectory, Result, result_file_name, versions, write_result
 from gauge_envs.score import Score
+from gauge_envs.task import task_sha256
 
 SLIDER, PLASTIC, FOAM, CRADLE = (
     "SlopeSlider-2-wood",

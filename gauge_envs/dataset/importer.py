@@ -19,7 +19,7 @@ from gauge_envs.dataset.trial import Finding, Trial, TrialError, parse_trial
 from gauge_envs.driver import Driver, DriverSource
 from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.reference import Band, BandGrade, Baseline, published_baselines
-from gauge_envs.result import json_ready, task_sha256
+from gauge_envs.result import json_ready
 from gauge_envs.score import score_trajectory
 from gauge_envs.task_format import FRAME_RATE_HZ, Variant
 from gauge_envs.trajectory_file import coordinate_names
@@ -194,7 +194,7 @@ class _VariantImporter:
             record = self._store(statistics, rows, left_out)
         else:
             error = TrialError("(folder)", f"{used} of its trials can be used", f"{LEAST_TRIALS} or more are needed")
-            self._add_finding(self._resolved.variant.name, error, left_out=True)
+            self._add_finding(self._resolved.name, error, left_out=True)
         return ImportedTrials(
             variant=self._resolved.variant,
             record=record,
@@ -238,12 +238,12 @@ class _VariantImporter:
                 self._add_finding(file, error, left_out=False)
 
     def _rows(self, statistics: TrialStatistics | None) -> tuple[BaselineRow, ...]:
-        published = published_baselines(self._resolved.variant.name)
+        published = published_baselines(self._resolved.name)
         own: dict[str, Spread | None] = {}
         if statistics is not None:
             own = {"rmse": Spread.of(statistics.rmse), "dtw": Spread.of(statistics.dtw)}
         own |= {metric: Spread.of(np.array(values)) for metric, values in self._events.items()}
-        unit = self._resolved.spec.score.observable.unit
+        unit = self._resolved.score.observable.unit
         return tuple(
             BaselineRow(
                 metric=metric,
@@ -258,7 +258,7 @@ class _VariantImporter:
         resolved = self._resolved
         band = Band(
             grade=BandGrade.TRIALS,
-            unit=resolved.spec.score.observable.unit,
+            unit=resolved.score.observable.unit,
             coordinates=self._coordinates,
             projection=np.eye(len(self._coordinates)),
             mean=statistics.mean,
@@ -271,11 +271,11 @@ class _VariantImporter:
         return write_imported(
             band,
             {body: mean.coordinates for body, mean in drivers.items()},
-            variant=resolved.variant.name,
+            variant=resolved.name,
             left_out=left_out,
             revision=self._layout.revision,
             files=self._files,
-            task_sha256=task_sha256(resolved.variant.family),
+            task_sha256=resolved.file_sha256,
             metrics=_spread_records(rows),
             driver_records=tuple(mean.record() for mean in drivers.values()),
         )
@@ -354,7 +354,7 @@ def _largest(values: FloatArray) -> float | None:
 
 
 def _event_metrics(resolved: Experiment) -> tuple[str, ...]:
-    return tuple(metric for metric in resolved.spec.score.metrics if metric in EVENT_FIELDS)
+    return tuple(metric for metric in resolved.score.metrics if metric in EVENT_FIELDS)
 
 
 def _spread_records(rows: tuple[BaselineRow, ...]) -> Mapping[str, SpreadRecord]:

@@ -66,7 +66,7 @@ def trial_trajectory(trial: Trial, resolved: Experiment) -> FloatArray:
     Raises:
         TrialError: The trial is too short, lacks an asset or marker, or is not of this experiment.
     """
-    if resolved.spec.score.observable is Observable.POSITION:
+    if resolved.score.observable is Observable.POSITION:
         names = resolved.recorded
         tracks = [_pose(trial, name).positions_mm for name in names]
         for name, positions in zip(names, tracks, strict=True):
@@ -100,7 +100,7 @@ def driver_tracks(trial: Trial, resolved: Experiment) -> tuple[DriverTrack, ...]
 
 
 def _check_length(frame_count: int, resolved: Experiment) -> None:
-    needed = resolved.frame_count if published_baselines(resolved.variant.name) else 2
+    needed = resolved.frame_count if published_baselines(resolved.name) else 2
     if frame_count < needed:
         raise TrialError("(file)", f"it has {frame_count} frames", f"{needed} or more are needed")
 
@@ -153,7 +153,7 @@ def _marker_trajectory(trial: Trial, resolved: Experiment) -> FloatArray:
     rest_mm = 1e3 * np.asarray(markers.positions_m)
     _check_order(ids, positions_mm, rest_mm)
     try:
-        return observe_markers(1e-3 * positions_mm, markers, resolved.spec.score.observable)
+        return observe_markers(1e-3 * positions_mm, markers, resolved.score.observable)
     except ShapeError as error:
         raise TrialError("markers", str(error), "markers as in the metadata are expected") from None
 

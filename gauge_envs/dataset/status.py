@@ -10,7 +10,8 @@ from gauge_envs.dataset.store import load_imported
 from gauge_envs.experiment import experiment
 from gauge_envs.paths import data_folder
 from gauge_envs.reference import band_grade, load_band, published_baselines
-from gauge_envs.result import json_ready, task_sha256
+from gauge_envs.result import json_ready
+from gauge_envs.task import task_sha256
 from gauge_envs.task_format import Variant
 
 __all__ = ["status_rows"]

@@ -1,0 +1,391 @@
+"""Experiments from somebody else's USD and a TOML file: run, scored, read back, refused where something is missing."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+from typer.testing import CliRunner
+
+from gauge_envs.assets import assets_folder
+from gauge_envs.benchmark import run_episode, run_many, run_repeats, score_file
+from gauge_envs.cli import app
+from gauge_envs.comparison import compare
+from gauge_envs.diagnosis import diagnose
+from gauge_envs.episode import reference_band
+from gauge_envs.errors import AssetError, ParameterError, TaskFileError
+from gauge_envs.experiment import experiment
+from gauge_envs.figures import save_figures
+from gauge_envs.reference import Band, ReferenceFileError
+from gauge_envs.result import load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.scene import ContactMode
+
+ROOT = Path(__file__).parent.parent
+EXAMPLE = ROOT / "examples" / "usd_experiment"
+CRATE = EXAMPLE / "crate.toml"
+GUIDE = ROOT / "docs" / "assets.md"
+
+G, TILT, FRICTION = 9.80665, np.radians(25.0), 0.3
+ACCELERATION = G * (np.sin(TILT) - FRICTION * np.cos(TILT))
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a copy of the example with texts of a file replaced: changed((old, new), ..., file="crate.toml")."""
+
+    def make(*replacements: tuple[str, str], file: str = "crate.toml") -> Path:
+        folder = tmp_path / "example"
+        if not folder.exists():
+            shutil.copytree(EXAMPLE, folder)
+        text = (folder / file).read_text(encoding="utf-8")
+        for old, new in replacements:
+            assert old in text, old
+            text = text.replace(old, new)
+        (folder / file).write_text(text, encoding="utf-8")
+        return folder / "crate.toml"
+
+    return make
+
+
+# --- the example -----------------------------------------------------------------------------------------------------
+
+
+def test_the_band_of_the_example_is_the_closed_form() -> None:
+    band = reference_band(experiment(str(CRATE)))
+    assert band is not None
+    times_s = np.arange(31) / 30.0
+    start = np.array([np.cos(TILT), -np.sin(TILT)]) @ crate_start_m()
+    np.testing.assert_allclose(band.mean[:, 0], 1e3 * (start + 0.5 * ACCELERATION * times_s**2), atol=1e-5)
+    sigma = np.hypot(1.0, 1e3 * 0.5 * G * np.cos(TILT) * 0.01 * times_s**2)
+    np.testing.assert_allclose(band.sigma[:, 0], sigma, atol=1e-5)
+
+
+def crate_start_m() -> np.ndarray:
+    """Along x and up, from USD's own composition of the layer, which is in centimetres."""
+    stage = Usd.Stage.Open(str(EXAMPLE / "crate.usda"))
+    place = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/Yard/Incline/Crate"))
+    x, y, _ = place.ExtractTranslation()
+    return 1e-2 * np.array([x, y])
+
+
+def test_the_example_is_read_into_si_units_and_z_up() -> None:
+    found = experiment(str(CRATE))
+    assert found.id == "GAUGE/Asset-crate"
+    assert found.recorded == ("Crate",)
+    crate = found.scene.body("Crate")
+    x, y, z = crate.pose.position_m
+    np.testing.assert_allclose([x, z], crate_start_m(), atol=1e-12)
+    assert (y, crate.mass_kg) == (0.0, pytest.approx(500 * 0.2**3))
+    assert found.scene.contacts[0].friction == pytest.approx(FRICTION)
+    assert found.scene.gravity_m_per_s2 == pytest.approx(G)
+
+
+def test_the_crate_slides_as_the_law_says() -> None:
+    result = run_episode(str(CRATE))
+    assert result.trajectory is not None
+    times_s, samples = result.trajectory.arrays()
+    way = 1e-3 * samples @ [np.cos(TILT), 0.0, -np.sin(TILT)]
+    course = 0.5 * times_s**2
+    assert course @ (way - way[0]) / (course @ course) == pytest.approx(ACCELERATION, rel=1e-3)
+    assert result.score.grade == "law"
+    assert not result.score.edited
+    assert result.score.rmse == pytest.approx(0.0, abs=0.1)
+
+
+def test_gymnasium_makes_it_as_an_id() -> None:
+    env = gymnasium.make("GAUGE/Asset", asset=CRATE)
+    assert env.unwrapped.experiment.id == "GAUGE/Asset-crate"
+    env.reset(seed=0)
+    _, reward, *_, info = env.step(0)
+    assert info["reference"] == "law"
+    assert -0.1 < reward < 0.0
+    with pytest.raises(ParameterError, match="names its own USD layer"):
+        experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
+    with pytest.raises(ParameterError, match=r"with crate\.toml: it states the constants"):
+        experiment(str(CRATE), {"Crate.friction": 0.1})
+
+
+def test_repeats_scatter() -> None:
+    results = run_repeats(str(CRATE), repeats=3)
+    assert len({result.score.rmse for result in results}) == 3
+
+
+# --- results ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_result_needs_no_other_file(changed: Callable[..., Path], tmp_path: Path) -> None:
+    path = changed()
+    result = run_episode(str(path))
+    file = tmp_path / result_file_name(result)
+    assert file.name == "Asset-crate.mujoco.calibrated.json"
+    write_result(result, file)
+    original = experiment(str(path))
+    shutil.rmtree(path.parent)
+    again = load_result(file)
+    assert again == result
+    assert str(path.parent) not in file.read_text()
+    found = recorded_experiment(again)
+    assert found.scene == original.scene
+    assert (found.id, found.title, found.score, found.recorded) == (
+        original.id,
+        original.title,
+        original.score,
+        original.recorded,
+    )
+    assert score_file(file)[0].score.rmse == result.score.rmse
+    budget = diagnose(again)
+    assert budget.rmse == pytest.approx(result.score.rmse)
+    (picture,) = save_figures([again], tmp_path / "plots")
+    assert picture.name == "Asset-crate.png"
+
+
+def test_a_band_survives_json() -> None:
+    band = reference_band(experiment("SlopeContact-wood"), use_withheld=True)
+    assert band is not None
+    assert np.isnan(band.mean).any()
+    again = Band.from_dict(json.loads(json.dumps(band.to_dict(), allow_nan=False)))
+    for name, value in asdict(band).items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+
+
+def test_a_damaged_record_is_an_error(tmp_path: Path) -> None:
+    values = run_episode(str(CRATE)).to_dict()
+    del values["asset"]["experiment"]["definition"]
+    file = tmp_path / "a.json"
+    file.write_text(json.dumps(values))
+    with pytest.raises(Exception, match="the asset in the result is damaged"):
+        recorded_experiment(load_result(file))
+
+
+def test_compare_tells_versions_of_an_experiment_file_apart(changed: Callable[..., Path]) -> None:
+    first = run_episode(str(changed()))
+    second = run_episode(str(changed(("-1122.618262", "-1122.618263"), file="crate.csv")), seed=1)
+    assert first.task_sha256 != second.task_sha256
+    notes = compare([first, second, run_episode("SlopeSlider-2-wood")]).notes
+    assert notes == ("Asset-crate: made from different versions of its experiment file",)
+
+
+def test_a_mixed_run_goes_on(tmp_path: Path) -> None:
+    subjects = ["SlopeSlider-2-wood", str(CRATE)]
+    ran = [result.id for result in run_many(subjects, out=tmp_path)]
+    assert ran == ["GAUGE/SlopeSlider-2-wood", "GAUGE/Asset-crate"]
+    created = [result.created for result in run_many(subjects, out=tmp_path, resume=True)]
+    assert created == [load_result(file).created for file in sorted(tmp_path.glob("*.json"), reverse=True)]
+
+
+# --- what the file adds ----------------------------------------------------------------------------------------------
+
+
+def test_a_pair_is_overridden_by_path_or_name(changed: Callable[..., Path]) -> None:
+    constants = 'friction = 0.1\nrestitution = 0.5\nmode = "impact"\n'
+    path = changed(("[score]", f'[[contacts]]\nbodies = ["/Yard/Incline/Crate", "Deck"]\n{constants}[score]'))
+    (contact,) = experiment(str(path)).scene.contacts
+    assert (contact.friction, contact.restitution, contact.mode) == (0.1, 0.5, ContactMode.IMPACT)
+
+
+def test_scores_are_normalized_by_the_files_baseline(changed: Callable[..., Path]) -> None:
+    path = changed(("[provenance]", "[baseline.rmse]\nmean = 2.0\n[provenance]"))
+    score = run_episode(str(path)).score
+    assert score.rmse is not None
+    assert score.rmse_normalized == score.rmse / 2.0
+    assert score.dtw_normalized is None
+
+
+def test_a_file_drives_kinematic_bodies(changed: Callable[..., Path]) -> None:
+    deck = 'def Xform "Ramp"\n'
+    changed(
+        (deck, f'{deck[:-1]} (\n prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]\n)\n'),
+        file="crate.usda",
+    )
+    changed(
+        (
+            '            def Cube "Deck" (',
+            '            bool physics:kinematicEnabled = 1\n            def Cube "Deck" (',
+        ),
+        file="crate.usda",
+    )
+    motion = 'kind = "translate"\naxis = [0.0, 1.0, 0.0]\nresidual_rate_m_per_s = 0.1\n'
+    profile = '[[drivers.motions.profile]]\nkind = "cosine"\nstart_s = 0.0\nduration_s = 1.0\namount_m = 0.05\n'
+    body = 'body = "/Yard/Incline/Ramp"\nprovenance = "nominal"\nnote = "a shove"\n'
+    driver = f"[[drivers]]\n{body}[[drivers.motions]]\n{motion}{profile}"
+    path = changed(("[score]", f"{driver}[score]"))
+    env = gymnasium.make("GAUGE/Asset", asset=path)
+    assert env.action_space.shape == (1,)
+    observation, _ = env.reset(seed=0)
+    start = observation["driver"][0, 1]
+    for _ in range(30):
+        observation, *_ = env.step(np.zeros(1))
+    assert observation["driver"][0, 1] - start == pytest.approx(0.05, abs=1e-6)
+
+
+def test_our_own_layers_with_markers_can_be_experiments(tmp_path: Path) -> None:
+    name = "TextileStretching-rayon"
+    shutil.copy(assets_folder() / "usd" / f"{name}.usda", tmp_path)
+    text = f'name = "cloth"\ntitle = "Cloth"\nusd = "{name}.usda"\nframes = 4\n[score]\nobservable = "curvature"\n'
+    (tmp_path / "cloth.toml").write_text(f'{text}[provenance]\nscene = "metadata"\n')
+    result = run_episode(str(tmp_path / "cloth.toml"))
+    assert result.trajectory is not None
+    assert result.trajectory.unit == "rad"
+    assert result.score.grade == "none"
+    short, full = experiment(str(tmp_path / "cloth.toml")), experiment(name, drivers="bundled")
+    assert short.scene.bodies == full.scene.bodies
+    assert short.scene.duration_s == 0.1
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("replacement", "error", "told"),
+    [
+        (
+            ('"/Yard/Incline/Crate"', '"/Yard/Crate"'),
+            AssetError,
+            "crate.toml: recorded: '/Yard/Crate' is no body of crate.usda",
+        ),
+        (('"/Yard/Incline/Crate"', '"Deck"'), AssetError, "must move under forces"),
+        (
+            ('recorded = ["/Yard/Incline/Crate"]', ""),
+            TaskFileError,
+            "recorded: observable 'position' needs recorded bodies",
+        ),
+        (('usd = "crate.usda"', 'usd = "gone.usda"'), AssetError, "gone.usda"),
+        (('name = "crate"', 'name = "a crate/1"'), TaskFileError, "name: String should match pattern"),
+        (("frames = 31", "frames = 31\ncolour = 1"), TaskFileError, "colour: unknown key"),
+        (("frames = 31", ""), TaskFileError, "frames: missing key"),
+        (("frames = 31", "frames = 30"), ReferenceFileError, "frames is 30, but the table has 31"),
+        (("frames = 31", "frames ="), TaskFileError, "(file): Invalid value"),
+        (('file = "crate.csv"', 'file = "gone.csv"'), ReferenceFileError, "gone.csv: the file is missing"),
+        (('["downhill"]', '["uphill"]'), ReferenceFileError, "expected frame,mean.uphill,sigma.uphill"),
+        (
+            ('grade = "law"', 'grade = "guess"'),
+            TaskFileError,
+            "band.grade: Input should be 'trials', 'recording' or 'law'",
+        ),
+        (
+            ("0.0, -0.422618261740699]", "-0.422618261740699]"),
+            TaskFileError,
+            "band: it takes 2 coordinates, g(t) has 3",
+        ),
+        (("[score]", '[[contacts]]\nbodies = ["Crate", "Crate"]\n[score]'), AssetError, "do not collide"),
+        (
+            ("[score]", '[[contacts]]\nbodies = ["Crate", "Floor"]\n[score]'),
+            AssetError,
+            "contacts.0.bodies: 'Floor' is no body",
+        ),
+        (("[provenance]\nscene", "[provenances]\nscene"), TaskFileError, "provenance"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_told(
+    replacement: tuple[str, str], error: type[Exception], told: str, changed: Callable[..., Path]
+) -> None:
+    path = changed(replacement)
+    with pytest.raises(error) as caught:
+        experiment(str(path))
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("replacements", "told"),
+    [
+        ([("    metersPerUnit = 0.01\n", "")], "metersPerUnit"),
+        ([('    upAxis = "Y"\n', "")], "upAxis"),
+        ([("@./materials.usda@", "@./gone.usda@")], "crate.usda"),
+        ([('def PhysicsScene "Physics"', 'def Xform "Physics"')], "PhysicsScene"),
+        ([("gravityDirection = (0, -1, 0)", "gravityDirection = (1, 0, 0)")], "/Yard/Physics"),
+        ([('def Cube "Box"', 'def Capsule "Box"')], "/Yard/Incline/Crate/Box"),
+    ],
+)
+def test_what_is_wrong_in_the_layer_is_told(
+    replacements: list[tuple[str, str]], told: str, changed: Callable[..., Path]
+) -> None:
+    path = changed(*replacements, file="crate.usda")
+    with pytest.raises(AssetError) as caught:
+        experiment(str(path))
+    assert told in str(caught.value)
+
+
+def test_commands_take_an_experiment_file(tmp_path: Path) -> None:
+    shown = json.loads(CliRunner().invoke(app, ["show", str(CRATE), "--json"]).stdout)
+    assert shown["title"] == "Crate on a ramp"
+    assert shown["reference"]["grade"] == "law"
+    assert shown["observable"]["coordinates"] == ["Crate.x", "Crate.y", "Crate.z"]
+    assert shown["provenance"] == tomllib.loads(CRATE.read_text())["provenance"]
+    run = CliRunner().invoke(app, ["run", str(CRATE), "--out", str(tmp_path), "--json"])
+    assert run.exit_code == 0
+    (line,) = map(json.loads, run.stdout.splitlines())
+    assert line["id"] == "GAUGE/Asset-crate"
+    bad = CliRunner().invoke(app, ["run", str(tmp_path / "gone.toml"), "--out", str(tmp_path)])
+    assert (bad.exit_code, bad.stderr) == (
+        2,
+        f"error: {tmp_path}/gone.toml: cannot be read: No such file or directory\n",
+    )
+
+
+def test_a_trajectory_of_another_simulator_is_scored(tmp_path: Path) -> None:
+    times_s = np.arange(31) / 30.0
+    x, z = crate_start_m()
+    way = 0.5 * ACCELERATION * times_s**2
+    places = np.column_stack([x + np.cos(TILT) * way, np.zeros(31), z - np.sin(TILT) * way])
+    np.savetxt(tmp_path / "mine.csv", 1e3 * places, delimiter=",")
+    scored = CliRunner().invoke(app, ["score", str(tmp_path / "mine.csv"), "--id", str(CRATE), "--json"])
+    assert scored.exit_code == 0, scored.stderr
+    assert json.loads(scored.stdout)["score"]["rmse"] == pytest.approx(0.0, abs=1e-5)
+
+
+# --- the guide -------------------------------------------------------------------------------------------------------
+
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def workplace(tmp_path: Path) -> Path:
+    """A folder with the example where the guide has it."""
+    shutil.copytree(EXAMPLE, tmp_path / "examples" / "usd_experiment")
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_what_the_guide_runs_works_in_order(workplace: Path) -> None:
+    environment = os.environ | {"COLUMNS": "140"}
+    output = ""
+    for kind, text in BLOCKS:
+        if kind == "python":
+            run = subprocess.run([sys.executable, "-c", text], cwd=workplace, capture_output=True, text=True)
+            assert run.returncode == 0, run.stderr
+        elif kind == "sh":
+            for line in text.splitlines():
+                program, *arguments = shlex.split(line)
+                command = [str(Path(sys.executable).parent / program), *arguments]
+                run = subprocess.run(command, cwd=workplace, env=environment, capture_output=True, text=True)
+                assert run.returncode == 0, run.stderr
+                output += run.stdout
+        elif kind == "text":
+            for line in text.splitlines():
+                assert line.rstrip() in [shown.rstrip() for shown in output.splitlines()]
+
+
+def test_the_guide_quotes_the_experiment_file() -> None:
+    (quoted,) = (text for kind, text in BLOCKS if kind == "toml")
+    assert CRATE.read_text(encoding="utf-8").endswith(quoted)
+
+
+def test_the_guide_names_every_key() -> None:
+    table = GUIDE.read_text(encoding="utf-8").rpartition("| key | what |")[2]
+    from gauge_envs.experiment_file import ExperimentFile
+
+    for key in ExperimentFile.model_fields:
+        assert re.search(rf"`\[*{key}[\].`]", table), key

@@ -1,0 +1,301 @@
+"""MJCF files in the place of a scene: the shipped ones replay the backend bit for bit, edits count or are refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from conftest import RIGID
+
+from gauge_envs.assets import assets_folder
+from gauge_envs.backends import backend, backend_for, backend_of_suffix
+from gauge_envs.backends.mujoco.file import model_changes
+from gauge_envs.benchmark import run_episode, run_repeats
+from gauge_envs.episode import Trajectory
+from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
+from gauge_envs.experiment import experiment
+from gauge_envs.result import recorded_experiment
+from gauge_envs.task import variants
+
+ALL = tuple(variant.name for variant in variants())
+SLIDE = "SlopeSlider-2-wood"
+TILTED = "SlopeSlider-3-wood"
+
+Rollout = Callable[..., tuple[Any, Trajectory, dict]]
+
+
+def shipped(name: str) -> Path:
+    return assets_folder() / "mjcf" / f"{name}.xml"
+
+
+@pytest.fixture
+def edited(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a copy of a shipped file with texts replaced: edited(name, (old, new), ...)."""
+
+    def make(name: str, *replacements: tuple[str, str]) -> Path:
+        text = shipped(name).read_text(encoding="utf-8")
+        for old, new in replacements:
+            assert old in text, old
+            text = text.replace(old, new)
+        path = tmp_path / f"{name}.xml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return make
+
+
+# --- the shipped files -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in RIGID or "-rayon" in name else pytest.mark.slow) for name in ALL]
+)
+def test_the_shipped_file_is_the_scenes(name: str) -> None:
+    found = experiment(name, asset=shipped(name))
+    assert found.asset is not None
+    assert found.asset.changes == ()
+    assert found.scene == experiment(name, drivers="bundled").scene
+
+
+def test_the_shipped_file_states_the_settings_in_force() -> None:
+    for name in ("SlopeSlider-2-wood", "Pendulum-metal", "TextileStretching-rayon"):
+        file = gymnasium.make(f"GAUGE/{name}", asset=shipped(name)).unwrapped.simulation.settings
+        task = gymnasium.make(f"GAUGE/{name}").unwrapped.simulation.settings
+        shared = set(file) & set(task)
+        assert {"timestep_s", "integrator", "cone", "solver", "impratio", "iterations", "tolerance"} <= shared
+        assert {key: file[key] for key in shared} == {key: task[key] for key in shared}
+        assert file["model_file"] == f"{name}.xml"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name in (*RIGID[::5], TILTED) else pytest.mark.slow) for name in ALL],
+)
+def test_the_shipped_file_gives_the_same_trajectory_bit_for_bit(name: str, rollout: Rollout) -> None:
+    _, task, _ = rollout(name)
+    _, mjcf, info = rollout(name, asset=shipped(name))
+    np.testing.assert_array_equal(mjcf.samples, task.samples)
+    assert not info["score"].edited
+
+
+@pytest.mark.parametrize("name", ["TextileStretching-rayon", "FoamShearing-soft", "StickStack-soft"])
+def test_deformable_bodies_are_read_from_a_file(name: str) -> None:
+    runs = []
+    for asset in (None, shipped(name)):
+        env = gymnasium.make(f"GAUGE/{name}", asset=asset)
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(np.zeros(env.action_space.shape))
+        runs.append(env.unwrapped.trajectory())
+    np.testing.assert_array_equal(runs[1].samples, runs[0].samples)
+    assert np.abs(np.diff(runs[0].samples, axis=0)).max() > 0.0
+
+
+def test_actions_add_to_the_motion_of_a_file() -> None:
+    angles = []
+    for asset in (None, shipped(TILTED)):
+        env = gymnasium.make(f"GAUGE/{TILTED}", asset=asset)
+        env.reset(seed=0)
+        for _ in range(10):
+            env.step(np.full(1, 0.5))
+        angles.append(env.unwrapped.simulation.body_states(["board"]))
+    np.testing.assert_array_equal(*angles)
+
+
+# --- edits -----------------------------------------------------------------------------------------------------------
+
+
+def test_half_the_friction_changes_the_slide_as_the_law_says(edited: Callable[..., Path], rollout: Rollout) -> None:
+    path = edited(
+        SLIDE,
+        ('friction="0.273673 0.273673 0 0 0" solref="0.002"', 'friction="0.1368365 0.1368365 0 0 0" solref="0.002"'),
+    )
+    accelerations = []
+    for asset in (None, path):
+        env, trajectory, info = rollout(SLIDE, asset=asset)
+        on_board = trajectory.times_s < 0.4
+        way = 1e-3 * trajectory.samples[on_board] @ [np.sqrt(0.75), 0.0, -0.5]
+        course = 0.5 * trajectory.times_s[on_board] ** 2
+        accelerations.append(course @ (way - way[0]) / (course @ course))
+    assert np.diff(accelerations)[0] == pytest.approx(9.80665 * np.sqrt(0.75) * 0.1368365, rel=5e-3)
+    assert info["score"].edited
+    assert env.experiment.asset.changes == (
+        "contact cube/board: pair_friction 0.273673 0.273673 0 0 0 -> 0.1368365 0.1368365 0 0 0",
+    )
+
+
+def test_an_edited_mass_and_pose_reach_scene_and_model(edited: Callable[..., Path]) -> None:
+    path = edited(SLIDE, ('mass="0.0903"', 'mass="0.2"'), ('name="cube" pos="0.097247', 'name="cube" pos="0.098247'))
+    env = gymnasium.make(f"GAUGE/{SLIDE}", asset=path)
+    cube = env.unwrapped.experiment.scene.body("cube")
+    assert (cube.mass_kg, cube.pose.position_m[0]) == (0.2, 0.098247)
+    observation, _ = env.reset(seed=0)
+    assert observation["observable"][0] == pytest.approx(98.247)
+    assert [line.split(" ")[1] for line in env.unwrapped.experiment.asset.changes] == [
+        "body_mass",
+        "body_inertia",
+        "body_pos",
+    ]
+
+
+def test_a_longer_step_is_the_files(edited: Callable[..., Path]) -> None:
+    path = edited(SLIDE, ('timestep="0.00011111111111111112"', f'timestep="{1 / 1800!r}"'))
+    result = run_episode(SLIDE, asset=path)
+    assert result.settings["timestep_s"] == 1 / 1800
+    assert result.asset["changes"] == ["option: timestep 0.0001111111111 -> 0.0005555555556"]
+    assert recorded_experiment(result).scene == experiment(SLIDE).scene
+
+
+def test_an_edited_table_is_a_change(edited: Callable[..., Path]) -> None:
+    text = shipped("TextileStretching-rayon").read_text(encoding="utf-8")
+    numbers = re.search(r'name="flex_bending/textile/weight" size="\d+" data="([^ ]*)', text)
+    assert numbers is not None
+    old = numbers.group(0)
+    path = edited("TextileStretching-rayon", (old, f"{old[: -len(numbers.group(1))]}7"))
+    changes = experiment("TextileStretching-rayon", asset=path).asset.changes  # type: ignore[union-attr]
+    assert len(changes) == 1
+    assert changes[0].startswith("flex_bending: ")
+
+
+def rows_text(change: Callable[[np.ndarray], None]) -> tuple[str, str]:
+    """The driven motion of the tilted board as it stands in its file, and changed."""
+    text = shipped(TILTED).read_text(encoding="utf-8")
+    match = re.search(r'name="driver/board" size="\d+" data="([^"]*)"', text)
+    assert match is not None
+    rows = np.array(match.group(1).split(), dtype=np.float64).reshape(-1, 19)
+    change(rows)
+    return match.group(1), " ".join(map(repr, rows.ravel().tolist()))
+
+
+def test_other_rows_become_a_sampled_driver(edited: Callable[..., Path], rollout: Rollout) -> None:
+    def lift(rows: np.ndarray) -> None:
+        rows[:, 2] += 1e-3 * np.minimum(np.arange(len(rows)) / 100.0, 1.0)
+
+    path = edited(TILTED, rows_text(lift))
+    before, _, _ = rollout(TILTED)
+    after, _, _ = rollout(TILTED, asset=path)
+    moved = [env.simulation.body_states(["board"])[0, :3] for env in (before, after)]
+    np.testing.assert_allclose(moved[1] - moved[0], [0.0, 0.0, 1e-3], atol=1e-6)
+    assert "driver of board: its motion is sampled from other rows" in after.experiment.asset.changes
+    assert after.experiment.driver_provenance == f"nominal: edited in {TILTED}.xml, was nominal"
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "replacement", "told"),
+    [
+        (SLIDE, ('mass="0.0903"', 'mas="0.1"'), "unrecognized attribute: 'mas'.* line 15"),
+        (SLIDE, ("</worldbody>", ""), "MuJoCo cannot load it: XML parse error"),
+        (
+            SLIDE,
+            ('<body name="cube"', '<body name="box"'),
+            "cube: no body of that name; the file has: box, board, ground",
+        ),
+        (
+            SLIDE,
+            ('<joint name="cube" type="free" />', ""),
+            "cube: it is dynamic and needs a free joint of its own name",
+        ),
+        (TILTED, ('<joint name="board" type="free" />', ""), "board: it is kinematic and needs a free joint"),
+        (
+            TILTED,
+            ('diaginertia="1000 1000 1000"', 'diaginertia="1 1 1"'),
+            "board: a driven body needs moments of inertia",
+        ),
+        (TILTED, ('"driver/board"', '"driver/plate"'), "driver/board: the custom numbers .* are missing"),
+        (SLIDE, ('timestep="0.00011111111111111112"', 'timestep="0.001"'), "1/180 s is 5.55556 steps of 0.001 s"),
+        (
+            "TextileStretching-rayon",
+            ('"flex_stiffness/textile/kind"', '"kind"'),
+            "flex_stiffness/textile/kind' is missing",
+        ),
+        ("TextileStretching-rayon", ('"flex_bending/textile/', '"flex_bending/cloth/'), "flex_bending/cloth: no flex"),
+    ],
+)
+def test_what_a_file_lacks_is_told(
+    name: str, replacement: tuple[str, str], told: str, edited: Callable[..., Path]
+) -> None:
+    with pytest.raises(AssetError, match=told) as caught:
+        experiment(name, asset=edited(name, replacement))
+    assert str(caught.value).startswith(f"{caught.value.file}: ")
+
+
+def test_velocities_without_poses_are_refused(edited: Callable[..., Path]) -> None:
+    def faster(rows: np.ndarray) -> None:
+        rows[:, 7:13] *= 2.0
+
+    with pytest.raises(AssetError, match="velocities or forces differ and poses do not"):
+        experiment(TILTED, asset=edited(TILTED, rows_text(faster)))
+
+
+def test_rows_that_start_elsewhere_are_refused(edited: Callable[..., Path]) -> None:
+    def shift(rows: np.ndarray) -> None:
+        rows[:, 0] += 0.01
+
+    with pytest.raises(AssetError, match="its rows start at"):
+        experiment(TILTED, asset=edited(TILTED, rows_text(shift)))
+
+
+def test_nodes_of_cloth_stay_where_they_are(edited: Callable[..., Path]) -> None:
+    text = shipped("TextileStretching-rayon").read_text(encoding="utf-8")
+    node = re.search(r'<body name="textile/\d+" pos="', text)
+    assert node is not None
+    with pytest.raises(AssetError, match="nodes of a deformable body cannot be moved in MJCF"):
+        experiment(
+            "TextileStretching-rayon", asset=edited("TextileStretching-rayon", (node.group(0), f"{node.group(0)}1"))
+        )
+
+
+def test_a_file_of_another_experiment_is_refused() -> None:
+    with pytest.raises(AssetError, match="cube: no body of that name; the file has: ball, ground"):
+        experiment(SLIDE, asset=shipped("Pendulum-metal"))
+
+
+def test_settings_and_jitter_need_a_scene() -> None:
+    with pytest.raises(ParameterError, match="an MJCF file states its settings itself"):
+        gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800})
+    with pytest.raises(AssetError, match="another start, as of a jitter, needs USD"):
+        run_repeats(SLIDE, repeats=2, asset=shipped(SLIDE))
+
+
+# --- the hook --------------------------------------------------------------------------------------------------------
+
+
+def test_only_mujoco_has_model_files() -> None:
+    assert backend_of_suffix(".xml") is backend("mujoco")
+    assert backend_of_suffix(".stl") is None
+    scene = experiment(SLIDE).scene
+    engine = backend_for("mujoco", shipped(SLIDE))
+    assert engine.name == "mujoco"
+    assert engine.versions() == backend("mujoco").versions()
+    assert engine.supports(scene)
+    newton = pytest.importorskip("newton") and backend("newton")
+    assert not backend_for("newton", shipped(SLIDE)).supports(scene)
+    for refused in (newton.read_file, newton.build_file):
+        with pytest.raises(UnsupportedSceneError, match="'newton'"):
+            refused(shipped(SLIDE), scene)
+
+
+def test_changes_of_a_model_find_every_kind_of_edit() -> None:
+    text = shipped(SLIDE).read_text(encoding="utf-8")
+    built = mujoco.MjModel.from_xml_string(text)
+    for old, new, told in (
+        ("<worldbody>", '<worldbody><geom name="wall" type="plane" size="1 1 1"/>', "wall: added"),
+        ("<worldbody>", '<option wind="1 0 0" density="1.2"/><worldbody>', "option: density 0 -> 1.2"),
+        ('<geom name="cube"', '<geom name="cube" margin="0.001"', "cube: geom_margin 0 -> 0.001"),
+        ('type="free" />', 'type="free" damping="0.1" />', "dof_damping: 6 of 6 numbers differ"),
+        ('<body name="cube"', '<body name="cube" gravcomp="1"', "cube: body_gravcomp 0 -> 1"),
+    ):
+        lines = list(model_changes(mujoco.MjModel.from_xml_string(text.replace(old, new)), built))
+        assert any(line.startswith(told) for line in lines), (told, lines)
+    assert list(model_changes(built, built)) == []
+    recoloured = text.replace('<geom name="cube"', '<geom name="cube" rgba="1 0 0 1"')
+    assert list(model_changes(mujoco.MjModel.from_xml_string(recoloured), built)) == []

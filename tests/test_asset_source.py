@@ -1,0 +1,451 @@
+"""USD layers as the source of a scene: the shipped ones change nothing, edits count, and what does not fit is told."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from conftest import RIGID
+from pxr import Gf, Sdf, Usd, Vt
+from typer.testing import CliRunner
+
+from gauge_envs.asset import scene_changes
+from gauge_envs.assets import assets_folder
+from gauge_envs.benchmark import run_episode, run_many, run_repeats, score_file
+from gauge_envs.cli import app
+from gauge_envs.comparison import compare
+from gauge_envs.episode import Trajectory, reference_band
+from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
+from gauge_envs.experiment import experiment
+from gauge_envs.report import comparison_rows
+from gauge_envs.result import Result, load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.scene import Motion
+from gauge_envs.task import variants
+
+ALL = tuple(variant.name for variant in variants())
+SLIDE = "SlopeSlider-2-wood"
+TILTED = "SlopeSlider-3-wood"
+G = 9.80665
+
+Rollout = Callable[..., tuple[Any, Trajectory, dict]]
+Edit = Callable[[Usd.Stage], None]
+
+
+def shipped(name: str) -> Path:
+    return assets_folder() / "usd" / f"{name}.usda"
+
+
+@pytest.fixture
+def edited(tmp_path: Path) -> Callable[[str, Edit], Path]:
+    """Writes a changed copy of a shipped layer: edited(name, change)."""
+
+    def make(name: str, change: Edit) -> Path:
+        stage = Usd.Stage.Open(str(shipped(name)))
+        change(stage)
+        path = tmp_path / f"{name}.usda"
+        stage.GetRootLayer().Export(str(path))
+        stage.Reload()
+        return path
+
+    return make
+
+
+def setting(**values: Any) -> Edit:
+    """An edit that sets attributes, by prim path and name with `__` for the colon of the one or the other."""
+
+    def change(stage: Usd.Stage) -> None:
+        for place, value in values.items():
+            prim, _, name = place.partition("__")
+            attribute = stage.GetPrimAtPath(f"/World/{prim.replace('_at_', '/')}").GetAttribute(name.replace("__", ":"))
+            assert attribute, place
+            attribute.Set(value)
+
+    return change
+
+
+# --- the shipped layers ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
+    found = experiment(name, asset=shipped(name))
+    assert found.scene == experiment(name, drivers="bundled").scene
+    assert found.asset is not None
+    assert (found.asset.edited, found.asset.changes) == (False, ())
+    assert len(found.asset.sha256) == 64
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in RIGID[::4] else pytest.mark.slow) for name in ALL]
+)
+def test_the_shipped_layer_gives_the_same_trajectory_bit_for_bit(name: str, rollout: Rollout) -> None:
+    _, task, _ = rollout(name)
+    _, usd, info = rollout(name, asset=shipped(name))
+    np.testing.assert_array_equal(usd.samples, task.samples)
+    assert not info["score"].edited
+    assert "edited" not in info
+
+
+# --- edits reach the simulation --------------------------------------------------------------------------------------
+
+
+def downhill_acceleration(trajectory: Trajectory) -> float:
+    """Acceleration of a slide from rest down 30 degrees [m/s^2], while the whole cube is on the board."""
+    on_board = trajectory.times_s < 0.4
+    way = 1e-3 * trajectory.samples[on_board] @ [np.sqrt(0.75), 0.0, -0.5]
+    course = 0.5 * trajectory.times_s[on_board] ** 2
+    return float(course @ (way - way[0]) / (course @ course))
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"Contacts_at_contact_0__gauge__friction": 0.5},
+        {
+            "Materials_at_contact_0__physics__staticFriction": 0.5,
+            "Materials_at_contact_0__physics__dynamicFriction": 0.5,
+        },
+    ],
+    ids=["gauge double", "standard attribute"],
+)
+def test_half_the_friction_changes_the_slide_as_the_law_says(
+    attributes: dict[str, float], edited: Callable[[str, Edit], Path], rollout: Rollout
+) -> None:
+    friction = experiment(SLIDE).scene.contacts[0].friction
+    path = edited(SLIDE, setting(**{place: share * friction for place, share in attributes.items()}))
+    _, before, _ = rollout(SLIDE)
+    env, after, info = rollout(SLIDE, asset=path)
+    law = G * np.sqrt(0.75) * 0.5 * friction
+    assert downhill_acceleration(after) - downhill_acceleration(before) == pytest.approx(law, rel=5e-3)
+    assert info["score"].edited
+    assert info["edited"]
+    (change,) = env.experiment.asset.changes
+    assert change.startswith("contact cube/board: friction 0.273673 -> 0.1368")
+
+
+def test_an_edited_mass_reaches_the_simulation(edited: Callable[[str, Edit], Path]) -> None:
+    path = edited("Pendulum-metal", setting(ball__gauge__mass_kg=0.5))
+    env = gymnasium.make("GAUGE/Pendulum-metal", asset=path)
+    assert env.unwrapped.simulation.model.body("ball").mass[0] == 0.5
+    assert len(env.unwrapped.experiment.asset.changes) == 1
+    assert env.unwrapped.experiment.asset.changes[0].startswith("ball: mass_kg ")
+    assert env.unwrapped.experiment.asset.changes[0].endswith(" -> 0.5")
+
+
+def test_an_edited_pose_moves_the_start(edited: Callable[[str, Edit], Path], rollout: Rollout) -> None:
+    start = experiment("BouncingBall-rubber").scene.body("ball").pose.position_m
+    higher = (start[0], start[1], start[2] + 0.1)
+    path = edited("BouncingBall-rubber", setting(ball__xformOp__translate=Gf.Vec3d(*higher)))
+    _, trajectory, _ = rollout("BouncingBall-rubber", asset=path)
+    np.testing.assert_allclose(trajectory.samples[0], 1e3 * np.array(higher), atol=1e-9)
+
+
+def test_an_edited_mesh_changes_the_shape(edited: Callable[[str, Edit], Path]) -> None:
+    name = "NonsmoothContact-1-wood"
+
+    def taller(stage: Usd.Stage) -> None:
+        points = stage.GetPrimAtPath("/World/pyramid/collision_0").GetAttribute("points")
+        points.Set(Vt.Vec3fArray([Gf.Vec3f(x, y, 1.25 * z) for x, y, z in points.Get()]))
+
+    before = experiment(name).scene.body("pyramid").shape
+    found = experiment(name, asset=edited(name, taller))
+    after = found.scene.body("pyramid").shape
+    assert after.volume_m3 > 1.001 * before.volume_m3
+    assert found.asset is not None
+    assert "numbers differ, by up to" in found.asset.changes[0]
+
+
+def test_edited_samples_drive_the_body(edited: Callable[[str, Edit], Path], rollout: Rollout) -> None:
+    def higher(stage: Usd.Stage) -> None:
+        translate = stage.GetPrimAtPath("/World/board").GetAttribute("xformOp:translate")
+        for frame in translate.GetTimeSamples()[1:]:
+            translate.Set(translate.Get(frame) + Gf.Vec3d(0.0, 0.0, 1e-3 * min(frame, 20)), frame)
+
+    path = edited(TILTED, higher)
+    before, _, _ = rollout(TILTED)
+    after, _, _ = rollout(TILTED, asset=path)
+    driven = [env.simulation.body_states(["board"])[0, :3] for env in (before, after)]
+    np.testing.assert_allclose(driven[1] - driven[0], [0.0, 0.0, 0.02], atol=1e-6)
+    assert after.experiment.asset.edited
+
+
+def test_actions_still_add_to_the_motion_of_a_layer(rollout: Rollout) -> None:
+    env = gymnasium.make(f"GAUGE/{TILTED}", asset=shipped(TILTED))
+    assert env.action_space == gymnasium.make(f"GAUGE/{TILTED}").action_space
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.ones(1))
+    turned = env.unwrapped.simulation.body_states(["board"])[0, 3:7]
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros(1))
+    assert np.abs(turned - env.unwrapped.simulation.body_states(["board"])[0, 3:7]).max() > 1e-3
+
+
+@pytest.mark.slow
+def test_newton_takes_an_edited_layer(edited: Callable[[str, Edit], Path]) -> None:
+    pytest.importorskip("newton")
+    path = edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
+    plain, changed = (run_episode(SLIDE, backend="newton", asset=asset) for asset in (None, path))
+    assert changed.score.edited
+    assert changed.trajectory is not None
+    assert plain.trajectory is not None
+    assert changed.trajectory.samples[-1][0] > plain.trajectory.samples[-1][0] + 50.0
+
+
+def test_jitter_and_repeats_start_from_the_layer(edited: Callable[[str, Edit], Path]) -> None:
+    path = edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
+    results = run_repeats(SLIDE, repeats=2, asset=path)
+    assert all(result.is_edited for result in results)
+    starts = [result.trajectory.samples[0] for result in results if result.trajectory is not None]
+    assert 0.0 < np.abs(np.subtract(*starts)).max() < 10.0
+
+
+def test_the_reference_stays_that_of_the_calibrated_scene(edited: Callable[[str, Edit], Path]) -> None:
+    name = "SlopeSlider-1-wood"
+    start = experiment(name).scene.body("cube").pose.position_m
+    moved = Gf.Vec3d(start[0] + 0.01, start[1], start[2])
+    found = experiment(name, asset=edited(name, setting(cube__xformOp__translate=moved)))
+    bands = [reference_band(one) for one in (found, experiment(name))]
+    assert bands[0] is not None
+    assert bands[1] is not None
+    np.testing.assert_array_equal(bands[0].mean, bands[1].mean)
+
+
+# --- what differs, in words ------------------------------------------------------------------------------------------
+
+
+def test_changes_name_what_was_changed() -> None:
+    scene = experiment("SlopeSlider-3-wood").scene
+    cube = replace(scene.body("cube"), mass_kg=0.2, motion=Motion.FIXED)
+    contact = replace(scene.contacts[1], restitution=0.5)
+    after = replace(
+        scene,
+        bodies=(cube, *(body for body in scene.bodies[1:] if body.name != "ground")),
+        contacts=(scene.contacts[0], contact),
+        gravity_m_per_s2=1.62,
+    )
+    assert list(scene_changes(scene, after)) == [
+        "ground: removed",
+        "cube: motion dynamic -> fixed",
+        "cube: mass_kg 0.0903 -> 0.2",
+        "contact cube/ground: restitution 0.223583 -> 0.5",
+        "scene: gravity_m_per_s2 9.80665 -> 1.62",
+    ]
+    assert list(scene_changes(scene, scene)) == []
+    assert list(scene_changes(scene, replace(scene, bodies=scene.bodies[::-1]))) == ["bodies: in another order"]
+
+
+@pytest.mark.parametrize("name", ALL[::7])
+def test_every_scene_that_differs_has_changes(name: str) -> None:
+    scene = experiment(name).scene
+    for other in (experiment(one).scene for one in ALL[::5]):
+        assert bool(list(scene_changes(scene, other))) is (scene != other)
+
+
+# --- results ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def slippery(edited: Callable[[str, Edit], Path]) -> Path:
+    return edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
+
+
+def test_a_result_says_what_it_ran_and_reads_back(slippery: Path, tmp_path: Path) -> None:
+    result = run_episode(SLIDE, asset=slippery)
+    file = tmp_path / result_file_name(result)
+    assert f".asset-{result.asset['sha256'][:8]}." in file.name
+    write_result(result, file)
+    again = load_result(file)
+    assert again == result
+    assert str(tmp_path) not in file.read_text()
+    found = recorded_experiment(again)
+    assert found.scene == experiment(SLIDE, asset=slippery).scene
+    assert found.edited
+    scored = score_file(file)[0].score
+    assert (scored.rmse, scored.edited) == (result.score.rmse, True)
+    assert "scene" not in result.to_dict(trajectory=False)["asset"]
+
+
+def test_a_layer_without_changes_is_filed_as_the_task_files(tmp_path: Path) -> None:
+    results = [run_episode(SLIDE, asset=asset) for asset in (None, shipped(SLIDE))]
+    assert len({result_file_name(result) for result in results}) == 1
+    assert len(compare(results).configurations) == 1
+
+
+def test_results_of_before_have_no_asset(tmp_path: Path) -> None:
+    result = run_episode(SLIDE)
+    values = result.to_dict()
+    del values["asset"], values["score"]["edited"]
+    file = tmp_path / "old.json"
+    file.write_text(json.dumps(values))
+    assert load_result(file) == result
+
+
+def test_compare_keeps_edited_scenes_apart(slippery: Path) -> None:
+    comparison = compare([run_episode(SLIDE), run_episode(SLIDE, asset=slippery)])
+    assert [bool(one.asset) for one in comparison.configurations] == [False, True]
+    told = json.dumps(comparison_rows(comparison, ("rmse",)))
+    assert f"edited scene {slippery.name}" in told
+
+
+def test_resume_takes_only_a_result_of_the_same_file(slippery: Path, tmp_path: Path) -> None:
+    def run(asset: Path, notes: list[str]) -> Result:
+        return next(run_many([SLIDE], asset=asset, out=tmp_path / "out", resume=True, notify=notes.append))
+
+    first, notes = run(slippery, []), []
+    assert run(slippery, notes).created == first.created
+    assert not notes
+    run(shipped(SLIDE), notes)
+    assert len(list((tmp_path / "out").iterdir())) == 2
+
+
+# --- what does not fit -----------------------------------------------------------------------------------------------
+
+
+def without(path: str) -> Edit:
+    def change(stage: Usd.Stage) -> None:
+        for found in (path, "/World/Contacts", "/World/Materials"):
+            stage.RemovePrim(found)
+        for prim in stage.Traverse():
+            for relationship in prim.GetRelationships():
+                relationship.ClearTargets(True)
+
+    return change
+
+
+def unnamed(name: str) -> Edit:
+    """A layer that names another variant, or none."""
+
+    def change(stage: Usd.Stage) -> None:
+        layer = stage.GetRootLayer()
+        data = dict(layer.customLayerData)
+        data["gauge"] = {key: value for key, value in data["gauge"].items() if key != "variant"} | (
+            {"variant": name} if name else {}
+        )
+        layer.customLayerData = data
+
+    return change
+
+
+def longer(stage: Usd.Stage) -> None:
+    stage.GetPrimAtPath("/World/PhysicsScene").GetAttribute("gauge:duration_s").Set(2.0)
+    stage.SetEndTimeCode(60)
+
+
+def fixed(stage: Usd.Stage) -> None:
+    stage.GetPrimAtPath("/World/cube").GetAttribute("gauge:motion").Set("kinematic")
+    stage.GetPrimAtPath("/World/cube").GetAttribute("physics:kinematicEnabled").Set(True)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (without("/World/cube"), "cube: no body of that name, which SlopeSlider-2-wood records; it has: board, ground"),
+        (
+            unnamed("SlopeSlider-2-metal"),
+            "it is the scene of SlopeSlider-2-metal, and SlopeSlider-2-wood was asked for",
+        ),
+        (longer, "it lasts 2 s, but an episode of SlopeSlider-2-wood 0.6 s"),
+        (fixed, "it must move under forces"),
+    ],
+    ids=["recorded body missing", "another variant", "longer", "does not move"],
+)
+def test_what_does_not_fit_the_id_is_told(change: Edit, told: str, edited: Callable[[str, Edit], Path]) -> None:
+    with pytest.raises(AssetError) as caught:
+        experiment(SLIDE, asset=edited(SLIDE, change))
+    assert told in str(caught.value)
+    assert f"{SLIDE}.usda" in str(caught.value)
+
+
+def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited: Callable[[str, Edit], Path]) -> None:
+    path = edited("SlopeSlider-2-plastic", unnamed(""))
+    # Metal has as many frames as wood, plastic two fewer: a layer also says how long it lasts.
+    with pytest.raises(AssetError, match="it lasts"):
+        experiment(SLIDE, asset=path)
+    found = experiment(SLIDE, asset=edited("SlopeSlider-2-metal", unnamed("")))
+    assert found.asset is not None
+    assert "cube: mass_kg 0.0903 -> 0.3397" in found.asset.changes
+
+
+def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) -> None:
+    name = "TextileStretching-rayon"
+    with pytest.raises(AssetError, match="no markers, which TextileStretching-rayon records"):
+        experiment(name, asset=edited(name, lambda stage: stage.RemovePrim("/World/Markers")))
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "told"),
+    [
+        (None, "gone.usda", "cannot be read: No such file"),
+        (b"", "empty.usda", "empty.usda"),
+        (b"PXR-USDC and then nothing", "damaged.usdc", "damaged.usdc"),
+        (b"solid", "cube.stl", "suffix '.stl' is neither USD"),
+        (b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef Xform "World" {\n', "cut.usda", "cut.usda"),
+        (b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef PhysicsScene "P" {}\n', "nounits.usda", "metersPerUnit"),
+        (b'#usda 1.0\n(\n metersPerUnit = 1\n)\ndef PhysicsScene "P" {}\n', "noup.usda", "upAxis"),
+    ],
+)
+def test_a_bad_file_is_an_error_of_one_line(content: bytes | None, name: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    result = CliRunner().invoke(app, ["run", SLIDE, "--asset", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith(f"error: {path}: ")
+    assert told in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_body_without_mass_is_an_error(edited: Callable[[str, Edit], Path]) -> None:
+    def massless(stage: Usd.Stage) -> None:
+        prim = stage.GetPrimAtPath("/World/cube")
+        for name in ("gauge:mass_kg", "physics:mass"):
+            prim.RemoveProperty(name)
+
+    with pytest.raises(AssetError, match=r"/World/cube.*mass"):
+        experiment(SLIDE, asset=edited(SLIDE, massless))
+
+
+def test_a_joint_that_scenes_do_not_have_is_an_error(edited: Callable[[str, Edit], Path]) -> None:
+    def slider(stage: Usd.Stage) -> None:
+        joint = stage.DefinePrim("/World/slider", "PhysicsPrismaticJoint")
+        joint.CreateRelationship("physics:body1").SetTargets([Sdf.Path("/World/cube")])
+
+    with pytest.raises(AssetError, match="/World/slider"):
+        experiment(SLIDE, asset=edited(SLIDE, slider))
+
+
+@pytest.mark.parametrize("options", [{"parameters": {"cube.friction": 0.1}}, {"drivers": "imported"}])
+def test_what_the_file_states_cannot_be_given_too(options: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
+        gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)
+    assert experiment(SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)).asset is not None
+
+
+def test_an_asset_alone_is_no_experiment() -> None:
+    with pytest.raises(ParameterError, match=r"asset='crate\.toml'"):
+        gymnasium.make("GAUGE/Asset")
+
+
+def test_a_model_file_is_for_its_engine_alone() -> None:
+    pytest.importorskip("newton")
+    path = assets_folder() / "mjcf" / f"{SLIDE}.xml"
+    with pytest.raises(UnsupportedSceneError, match=r"model of another engine.*backend='mujoco' can"):
+        gymnasium.make(f"GAUGE/{SLIDE}", asset=path, backend="newton")
+
+
+def test_commands_show_and_mark_an_edited_scene(slippery: Path, tmp_path: Path) -> None:
+    shown = CliRunner().invoke(app, ["show", SLIDE, "--asset", str(slippery), "--json"])
+    assert json.loads(shown.stdout)["asset"]["changes"] == ["contact cube/board: friction 0.273673 -> 0.1"]
+    run = CliRunner().invoke(app, ["run", SLIDE, "--asset", str(slippery), "--out", str(tmp_path / "out")])
+    assert run.exit_code == 0
+    assert "calibrated, edited scene" in run.stdout
+    assert "friction 0.273673 -> 0.1" in run.stdout
