@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from enum import Enum
+from os import PathLike, fspath
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.registry import backend as find_backend
-from gauge_envs.backends.registry import backend_names
+from gauge_envs.backends.base import Backend, Simulation
+from gauge_envs.backends.registry import backend_for, backend_names
 from gauge_envs.episode import Episode, Observation, Trajectory, reference_band
-from gauge_envs.errors import EpisodeError, GaugeError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import BackendError, EpisodeError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.jitter import Jitter, jittered
 from gauge_envs.observer import checked_proxy
+from gauge_envs.score import Score
 from gauge_envs.task_format import FRAME_RATE_HZ
 
-__all__ = ["GaugeEnv", "check_support"]
+__all__ = ["GaugeEnv", "check_support", "jitter_option", "plain_spec"]
 
 
 class GaugeEnv(gymnasium.Env[Observation, Any]):
@@ -44,7 +47,11 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
 
     Reward: minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 where there is no reference.
 
-    `info`: `frame`, `time_s`, `reference` (grade of the band) and, when the simulation diverged, `diverged` (why).
+    `info`: `frame`, `time_s`, `reference` (grade of the band), where the scene is that of an edited asset `edited`, and
+    when the simulation diverged `diverged` (why).
+
+    Copies and pickles are environments of their own that go on bit for bit from where this one is, also in another
+    process, where the same versions of the engine are installed.
 
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
@@ -56,6 +63,9 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             `material`, its own material point between the nodes.
         drivers: `imported` drives bodies as imported trials show, `bundled` as the task file states; None takes what
             `gauge data use` chose, `imported` unless it was asked otherwise.
+        asset: File that the scene is from, instead of the task file: a USD layer for any backend, an MJCF file for
+            `mujoco`. It states constants and driven motion; what is observed, and what it is scored against, stay the
+            variant's. For `GAUGE/Asset` it is an experiment file, as `crate.toml`; docs/assets.md.
         use_withheld: Score on a band too that is withheld by default; `gauge show` tells why it is.
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
@@ -65,6 +75,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         UnknownNameError: No such variant or backend.
         ParameterError: A parameter or setting does not exist or is out of range.
         UnsupportedSceneError: The backend cannot build the scene.
+        AssetError: The asset cannot be used; the message names file, place and reason.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -81,6 +92,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         "render_modes": ["rgb_array"],
         "render_fps": int(FRAME_RATE_HZ),
     }
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -92,13 +104,14 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         marker_proxy: str = "node",
         use_withheld: bool = False,
         drivers: str | None = None,
+        asset: str | PathLike[str] | None = None,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
-        self.experiment = experiment(variant, parameters, drivers=drivers)
+        self.experiment = experiment(variant, parameters, drivers=drivers, asset=asset)
         self.backend_name = backend
         self.render_mode = render_mode
         self.band = reference_band(self.experiment, use_withheld=use_withheld)
@@ -108,16 +121,59 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self._marker_proxy = checked_proxy(marker_proxy)
         self._picture_size = (width, height)
         self._renderer: Any = None
-        self._over = False
         check_support(self.experiment, backend)
-        self.versions = find_backend(backend).versions()
+        self.versions = self._engine.versions()
         self._build(self.experiment)
         self.action_space = self.episode.action_space
         self.observation_space = self.episode.observation_space
 
+    @property
+    def _engine(self) -> Backend:
+        return backend_for(self.backend_name, self.experiment.model_file)
+
     def _build(self, resolved: Experiment) -> None:
-        self.simulation: Simulation = find_backend(self.backend_name).build(resolved.scene, self._settings)
+        self.simulation: Simulation = self._engine.build(resolved.scene, self._settings)
         self.episode = Episode(resolved, self.simulation, band=self.band, marker_proxy=self._marker_proxy)
+
+    # --- copies ---
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What `__setstate__` needs to build the same run again and to put it where it was."""
+        # An engine's model does not pickle, and what it is built from does.
+        built = ("simulation", "episode", "_renderer")
+        return {
+            "attributes": {name: value for name, value in vars(self).items() if name not in built},
+            "experiment": self.episode.experiment,
+            "simulation": self.simulation.state(),
+            "episode": self.episode.state(),
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build the same run again, and go on from where it was.
+
+        Raises:
+            BackendError: Other versions of the engine are installed here.
+            MissingExtraError: The engine is not installed here.
+        """
+        vars(self).update(state["attributes"], _renderer=None)
+        installed = self._engine.versions()
+        if installed != self.versions:
+            raise BackendError(
+                f"{self.experiment.id}: pickled with {self.versions}, but here are {installed}: "
+                "a state goes on only in the engine that it is from"
+            )
+        self._build(state["experiment"])
+        self.simulation.restore(state["simulation"])
+        self.episode.restore(state["episode"])
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # gymnasium declares a variable, and assigns to it
+        """How `gymnasium.make` makes this environment again; its arguments are plain enough for JSON."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = plain_spec(spec)
 
     # --- episode ---
 
@@ -135,7 +191,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         """
         super().reset(seed=seed)
         self.seed_used = 0 if seed is None else seed
-        jitter = _jitter_option(options or {})
+        jitter = jitter_option(options or {})
         if jitter is not None or self.jitter is not None:
             scene = self.experiment.scene
             if jitter is not None:
@@ -147,7 +203,6 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             self._build(resolved)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)
-        self._over = False
         self.episode.begin()
         return self.episode.observation(), self.episode.info()
 
@@ -160,13 +215,12 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         """
         episode = self.episode
         if episode.frame is None:
-            raise EpisodeError(f"{self.experiment.variant.id}: call reset before step")
-        if self._over:
-            raise EpisodeError(f"{self.experiment.variant.id}: the episode is over, call reset")
+            raise EpisodeError(f"{self.experiment.id}: call reset before step")
+        if episode.is_over:
+            raise EpisodeError(f"{self.experiment.id}: the episode is over, call reset")
         episode.advance(self.simulation, episode.checked(action))
         fault = episode.end_frame()
         truncated = not fault and episode.is_complete
-        self._over = bool(fault) or truncated
         info = episode.info()
         if fault:
             info["diverged"] = fault
@@ -180,6 +234,10 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         """
         return self.episode.trajectory()
 
+    def score(self) -> Score | None:
+        """Score of the episode; None until it is over. One that diverged has a grade and nothing else."""
+        return self.episode.score() if self.episode.is_over else None
+
     def render(self) -> NDArray[np.uint8] | None:
         """Picture of the scene now, shape [height, width, 3]; None without `render_mode="rgb_array"`.
 
@@ -191,13 +249,12 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             return None
         episode = self.episode
         if episode.frame is None:
-            raise EpisodeError(f"{self.experiment.variant.id}: call reset before render")
+            raise EpisodeError(f"{self.experiment.id}: call reset before render")
         if self._renderer is None:
             from gauge_envs.rendering import SceneRenderer
 
             self._renderer = SceneRenderer(self.experiment.scene, episode.rest_nodes_m, *self._picture_size)
-        poses = dict(zip(episode.moving, self.simulation.body_states(episode.moving)[:, :7], strict=True))
-        return self._renderer.picture(poses, episode.nodes_m())
+        return self._renderer.picture(episode.poses(), episode.nodes_m())
 
     def close(self) -> None:
         """Free the simulation and the renderer."""
@@ -210,7 +267,43 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             self._renderer = None
 
 
-def _jitter_option(options: Mapping[str, Any]) -> Jitter | None:
+def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
+    """A copy of a spec whose arguments are such that `EnvSpec.to_json` takes them.
+
+    Raises:
+        ParameterError: An argument has no plain form.
+    """
+    if spec is None:
+        return None
+    return replace(spec, kwargs={name: _plain(name, value) for name, value in spec.kwargs.items()})
+
+
+def _plain(name: str, value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        entries = [_plain(name, entry) for entry in value]
+        return tuple(entries) if isinstance(value, tuple) else entries
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise ParameterError(
+        f"argument {name} = {value!r} has no place in the spec of an environment: "
+        "expected numbers, text, paths, or lists and mappings of them"
+    )
+
+
+def jitter_option(options: Mapping[str, Any]) -> Jitter | None:
+    """How far the options of a reset let starts scatter; None where they do not.
+
+    Raises:
+        ParameterError: There is no such option, or its value is of another kind.
+    """
     unknown = [repr(key) for key in options if key != "jitter"]
     if unknown:
         raise ParameterError(f"reset knows the option 'jitter' alone, got {', '.join(unknown)}")
@@ -230,7 +323,7 @@ def check_support(resolved: Experiment, backend: str) -> None:
         MissingExtraError: Its engine is not installed.
         UnsupportedSceneError: It declines; the message gives its reasons, and a backend that can.
     """
-    support = find_backend(backend).supports(resolved.scene)
+    support = backend_for(backend, resolved.model_file).supports(resolved.scene)
     if not support:
         raise UnsupportedSceneError(_unsupported_message(resolved, backend, support.missing))
 
@@ -239,10 +332,10 @@ def _unsupported_message(resolved: Experiment, asked: str, missing: tuple[str, .
     able = []
     for name in backend_names():
         try:
-            if name != asked and find_backend(name).supports(resolved.scene):
+            if name != asked and backend_for(name, resolved.model_file).supports(resolved.scene):
                 able.append(name)
         except GaugeError:
             continue
     reasons = "; ".join(missing)
     others = f"backend={able[0]!r} can" if able else "no installed backend can run this experiment yet"
-    return f"{resolved.variant.id}: backend {asked!r} cannot build it: {reasons}; {others}"
+    return f"{resolved.id}: backend {asked!r} cannot build it: {reasons}; {others}"

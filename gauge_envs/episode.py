@@ -6,6 +6,7 @@ once) calls `drive`, advances by `SAMPLE_INTERVAL_S`, and calls `observe`, six t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, cast
@@ -14,10 +15,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, World
-from gauge_envs.driver import Driver, mean_velocity
+from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.presets import check_drive_interval
+from gauge_envs.driver import Driver, DriverSource, mean_velocity
 from gauge_envs.errors import ActionError, EpisodeError
-from gauge_envs.experiment import Experiment
+from gauge_envs.experiment import Experiment, experiment
 from gauge_envs.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
 from gauge_envs.reference import Band, BandGrade, carried_band, law_for, load_band
 from gauge_envs.scene import Pose, Scene
@@ -31,8 +33,8 @@ __all__ = [
     "Episode",
     "Observation",
     "Trajectory",
+    "advance_together",
     "reference_band",
-    "score_episode",
 ]
 
 SAMPLES_PER_FRAME = 6
@@ -74,15 +76,19 @@ def reference_band(resolved: Experiment, *, use_withheld: bool = False) -> Band 
         use_withheld: Take a band too that is withheld by default, as it may be of another material or covers too
             little; `Band.withheld` gives the reason.
     """
-    band = load_band(resolved.variant.name)
+    if resolved.reference is not None:
+        return resolved.reference.band
+    band = load_band(resolved.name)
     if band is not None and (use_withheld or band.withheld is None):
         return band
-    law = law_for(resolved.variant.name)
+    law = law_for(resolved.name)
     if law is None:
         return None
+    # An asset changes what is simulated, not what it is held against.
+    scene = resolved.scene if resolved.asset is None else experiment(resolved.name, drivers=DriverSource.BUNDLED).scene
     return carried_band(
-        variant=resolved.variant.name,
-        positions_mm=_carried_positions_mm(resolved.scene, law.body, law.carrier, resolved.frame_count),
+        variant=resolved.name,
+        positions_mm=_carried_positions_mm(scene, law.body, law.carrier, resolved.frame_count),
     )
 
 
@@ -109,17 +115,23 @@ class Episode:
         band: What the reward is measured against.
         marker_proxy: What stands for a marker on a deformable body.
         frame: Number of the current frame; None before `begin`.
+        fault: Why the simulation counts as diverged, or None.
         action_space: As the environment's.
         observation_space: As the environment's.
         rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
+
+    Raises:
+        ParameterError: The world was built for another drive interval than `SAMPLE_INTERVAL_S`.
     """
 
     def __init__(self, resolved: Experiment, world: World, *, band: Band | None, marker_proxy: MarkerProxy) -> None:
+        check_drive_interval(world.settings)
         scene = resolved.scene
         self.experiment = resolved
         self.band = band
         self.marker_proxy = marker_proxy
         self.frame: int | None = None
+        self.fault: str | None = None
         self._world = world
         self._drivers = [DriverPath(driver, scene, resolved.frame_count) for driver in scene.drivers]
         self._driven = tuple(driver.body for driver in scene.drivers)
@@ -140,7 +152,7 @@ class Episode:
         self._band_rows = _band_rows(band)
         self.rest_nodes_m = self.nodes_m()
         self._deformables = [_DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
-        observable = resolved.spec.score.observable
+        observable = resolved.score.observable
         self._observer: Observer = (
             ObserverPositions(resolved.recorded)
             if observable is Observable.POSITION
@@ -184,20 +196,20 @@ class Episode:
     # --- course ---
 
     @property
-    def moving(self) -> tuple[str, ...]:
-        """Names of the rigid bodies that move, driven ones last."""
-        return (*self._dynamic, *self._driven)
-
-    @property
     def is_complete(self) -> bool:
         """Whether the last frame is reached."""
         return self.frame == self.experiment.frame_count - 1
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it is complete or has diverged."""
+        return self.fault is not None or self.is_complete
 
     def begin(self) -> None:
         """Record frame 0; the world stands at the start."""
         for path in self._drivers:
             path.reset()
-        self.frame = 0
+        self.frame, self.fault = 0, None
         self._samples[0] = self._observer.now(self._world)
         self._record()
 
@@ -233,7 +245,28 @@ class Episode:
     def end_frame(self) -> str | None:
         """Record the frame; why the simulation counts as diverged, or None."""
         self.frame = (self.frame or 0) + 1
-        return self._fault(self._record())
+        self.fault = self._fault(self._record())
+        return self.fault
+
+    def state(self) -> dict[str, Any]:
+        """Everything that `restore` needs to go on from here; the world has a state of its own."""
+        return {
+            "frame": self.frame,
+            "fault": self.fault,
+            "offsets": [path.offsets.copy() for path in self._drivers],
+            "recorded": [record.copy() for record in self._records()],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go back to a state that `state` returned, of this episode or of another one of the same experiment."""
+        self.frame, self.fault = state["frame"], state["fault"]
+        for path, offsets in zip(self._drivers, state["offsets"], strict=True):
+            path.offsets = offsets.copy()
+        for record, kept in zip(self._records(), state["recorded"], strict=True):
+            record[:] = kept
+
+    def _records(self) -> tuple[NDArray[np.float64], ...]:
+        return self._samples, self._bodies, self._markers_m
 
     def trajectory(self) -> Trajectory:
         """What the current episode recorded so far.
@@ -242,7 +275,7 @@ class Episode:
             EpisodeError: The environment was not reset.
         """
         if self.frame is None:
-            raise EpisodeError(f"{self.experiment.variant.id}: no trajectory before reset")
+            raise EpisodeError(f"{self.experiment.id}: no trajectory before reset")
         last = self.frame * SAMPLES_PER_FRAME + 1
         return Trajectory(
             times_s=np.arange(last, dtype=np.float64) * SAMPLE_INTERVAL_S,
@@ -252,7 +285,25 @@ class Episode:
             markers_m=self._markers_m[: self.frame + 1].copy(),
         )
 
+    def score(self) -> Score:
+        """Score of the episode, which is over; one that diverged has a grade and nothing else.
+
+        Raises:
+            EpisodeError: It is not over.
+        """
+        if not self.is_over:
+            raise EpisodeError(f"{self.experiment.id}: no score before the episode is over")
+        if self.fault is not None:
+            return Score(grade=self._grade, unit=self.experiment.score.observable.unit, edited=self.experiment.edited)
+        trajectory = self.trajectory()
+        return score_trajectory(self.experiment, self.band, times_s=trajectory.times_s, values=trajectory.samples)
+
     # --- reading ---
+
+    def poses(self) -> dict[str, NDArray[np.float64]]:
+        """Poses of the rigid bodies that move now: position [m] and quaternion w x y z, each of shape [7]."""
+        moving = (*self._dynamic, *self._driven)
+        return dict(zip(moving, self._world.body_states(moving)[:, :7], strict=True))
 
     def nodes_m(self) -> dict[str, NDArray[np.float64]]:
         """Nodes of the deformable bodies now [m], each of shape [node_count, 3]."""
@@ -308,7 +359,8 @@ class Episode:
     def info(self) -> dict[str, Any]:
         """Frame, time and grade of the reference."""
         frame = self.frame or 0
-        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, "reference": self._grade}
+        info = {"frame": frame, "time_s": frame / FRAME_RATE_HZ, "reference": self._grade}
+        return info | {"edited": True} if self.experiment.edited else info
 
     def reward(self) -> float:
         """Minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a band."""
@@ -344,14 +396,27 @@ class Episode:
         return f"kinetic energy is {energy:.3g} J, more than was there ({self._energy_limit_j:.3g} J)"
 
 
-def score_episode(episode: Episode, *, diverged: bool) -> Score:
-    """Score of an episode that has ended; one that diverged has a grade and nothing else."""
-    resolved, band = episode.experiment, episode.band
-    if diverged:
-        grade = BandGrade.NONE if band is None else band.grade
-        return Score(grade=grade.value, unit=resolved.spec.score.observable.unit)
-    trajectory = episode.trajectory()
-    return score_trajectory(resolved, band, times_s=trajectory.times_s, values=trajectory.samples)
+def advance_together(episodes: Mapping[int, Episode], worlds: Worlds, rates: Mapping[int, NDArray[np.float64]]) -> None:
+    """Drive, advance and observe the coming frame of episodes whose worlds run together.
+
+    Worlds that are simulations of their own advance as in an environment of one, with the same bits.
+
+    Args:
+        episodes: Those that go on, by the number of their world.
+        worlds: All worlds.
+        rates: For each of the episodes what `Episode.checked` returned.
+    """
+    simulations = [world for world in worlds.worlds if isinstance(world, Simulation)]
+    if len(simulations) == len(worlds.worlds):
+        for number, episode in episodes.items():
+            episode.advance(simulations[number], rates[number])
+        return
+    for sample in range(SAMPLES_PER_FRAME):
+        for number, episode in episodes.items():
+            episode.drive(sample, rates[number])
+        worlds.advance(SAMPLE_INTERVAL_S)
+        for episode in episodes.values():
+            episode.observe(sample)
 
 
 def _band_rows(band: Band | None) -> tuple[NDArray, NDArray, NDArray] | None:
@@ -390,39 +455,56 @@ class _DeformableBounds:
 
 
 class DriverPath:
-    """A driver's motion cut into sample intervals; the undisturbed path is computed once."""
+    """A driver's motion cut into intervals; the undisturbed path is computed once.
 
-    def __init__(self, driver: Driver, scene: Scene, frame_count: int) -> None:
+    Args:
+        driver: The driver.
+        scene: Its scene.
+        frame_count: Frames that are driven, the first included.
+        interval_s: Length of an interval [s].
+
+    Attributes:
+        offsets: Where actions have led each motion so far [m or rad], shape [motion_count].
+    """
+
+    def __init__(
+        self, driver: Driver, scene: Scene, frame_count: int, *, interval_s: float = SAMPLE_INTERVAL_S
+    ) -> None:
         self.body = driver.body
+        self.interval_s = interval_s
         self.motion_count = len(driver.motions)
         self._driver = driver
         self._start = scene.body(driver.body).pose
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
-        self._offsets = np.zeros(self.motion_count)
-        count = (frame_count - 1) * SAMPLES_PER_FRAME
-        states = [driver.state(self._start, k * SAMPLE_INTERVAL_S) for k in range(count + 1)]
-        self._path = [_interval(*a, *b) for a, b in pairwise(states)]
+        self.offsets = np.zeros(self.motion_count)
+        count = round((frame_count - 1) / FRAME_RATE_HZ / interval_s)
+        states = [driver.state(self._start, k * interval_s) for k in range(count + 1)]
+        self._path = [_interval(*a, *b, interval_s) for a, b in pairwise(states)]
 
     def reset(self) -> None:
         """Back to the recorded motion."""
-        self._offsets[:] = 0.0
+        self.offsets[:] = 0.0
 
     def interval(
         self, sample: int, action: NDArray[np.float64]
     ) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
-        """Pose, velocity and acceleration that lead through a sample interval; see `Simulation.drive`."""
-        if not self._offsets.any() and not action.any():
+        """Pose, velocity and acceleration that lead through an interval; see `Simulation.drive`."""
+        if not self.offsets.any() and not action.any():
             return self._path[sample]
         rates = action * self._scale
-        before = self._driver.state(self._start, sample * SAMPLE_INTERVAL_S, self._offsets, rates)
-        self._offsets = self._offsets + rates * SAMPLE_INTERVAL_S
-        after = self._driver.state(self._start, (sample + 1) * SAMPLE_INTERVAL_S, self._offsets, rates)
-        return _interval(*before, *after)
+        before = self._driver.state(self._start, sample * self.interval_s, self.offsets, rates)
+        self.offsets = self.offsets + rates * self.interval_s
+        after = self._driver.state(self._start, (sample + 1) * self.interval_s, self.offsets, rates)
+        return _interval(*before, *after, self.interval_s)
 
 
 def _interval(
-    start: Pose, start_velocity: NDArray[np.float64], end: Pose, end_velocity: NDArray[np.float64]
+    start: Pose,
+    start_velocity: NDArray[np.float64],
+    end: Pose,
+    end_velocity: NDArray[np.float64],
+    interval_s: float,
 ) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
     """Uniformly accelerated motion between two poses, as close to their velocities as ending at the pose allows."""
-    miss = mean_velocity(start, end, SAMPLE_INTERVAL_S) - 0.5 * (start_velocity + end_velocity)
-    return start, start_velocity + miss, (end_velocity - start_velocity) / SAMPLE_INTERVAL_S
+    miss = mean_velocity(start, end, interval_s) - 0.5 * (start_velocity + end_velocity)
+    return start, start_velocity + miss, (end_velocity - start_velocity) / interval_s

@@ -1,0 +1,371 @@
+"""What Gymnasium's ecosystem does with environments: copies, pickles, specs, checkers, wrappers, videos."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import re
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from ctypes.util import find_library
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import wrappers
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, experiment, find_variant, reference_band
+from gauge_envs.driver import DriverSource
+from gauge_envs.errors import BackendError, EpisodeError, ParameterError
+from gauge_envs.observer import MarkerProxy
+from gauge_envs.vector import GaugeVectorEnv
+
+RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
+ALL_KINDS = (RIGID, DRIVEN, SOFT)
+GUIDE = Path(__file__).parent.parent / "docs" / "ecosystem.md"
+
+needs_opengl = pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library")
+
+
+def step_on(env: gymnasium.Env, count: int, *, seed: int = 0) -> list[tuple]:
+    """Steps with the same random actions each time; where an action has nothing to say, with that."""
+    space = copy.deepcopy(env.action_space)
+    space.seed(seed)
+    return [env.step(space.sample()) for _ in range(count)]
+
+
+def run_to_end(env: gymnasium.Env) -> tuple[float, dict[str, Any]]:
+    """Sum of rewards and last info of an episode with zero actions."""
+    env.reset(seed=0)
+    total, over, info = 0.0, False, {}
+    zero = np.zeros(env.action_space.shape, dtype=env.action_space.dtype)
+    while not over:
+        _, reward, terminated, truncated, info = env.step(zero)
+        total, over = total + float(reward), terminated or truncated
+    return total, info
+
+
+def same_steps(ours: list[tuple], theirs: list[tuple]) -> bool:
+    return all(
+        a[1:] == b[1:] and a[0].keys() == b[0].keys() and all(np.array_equal(a[0][key], b[0][key]) for key in a[0])
+        for a, b in zip(ours, theirs, strict=True)
+    )
+
+
+# --- copies ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, copy.copy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", [*ALL_KINDS, "FoamBending-soft"])
+def test_a_copy_goes_on_bit_for_bit(name: str, copied: Callable[[gymnasium.Env], gymnasium.Env]) -> None:
+    env = gymnasium.make(f"GAUGE/{name}").unwrapped
+    env.reset(seed=4, options={} if name.endswith("-soft") else {"jitter": True})
+    step_on(env, 3)
+    other = copied(env)
+    ours = step_on(env, 3, seed=1)
+    assert same_steps(ours, step_on(other, 3, seed=1))
+    assert np.array_equal(env.trajectory().samples, other.trajectory().samples)
+    assert (other.seed_used, other.jitter, other.versions) == (env.seed_used, env.jitter, env.versions)
+
+
+def test_a_copy_has_a_life_of_its_own() -> None:
+    env = gymnasium.make(f"GAUGE/{RIGID}")
+    env.reset(seed=0)
+    step_on(env, 2)
+    other = copy.deepcopy(env)
+    step_on(other, 4)
+    assert (env.unwrapped.episode.frame, other.unwrapped.episode.frame) == (2, 6)
+    expected = run_to_end(env)
+    assert run_to_end(other) == expected
+    other.close()
+    assert run_to_end(env) == expected
+
+
+def test_a_pickle_within_wrappers_keeps_backend_settings_and_parameters() -> None:
+    env = wrappers.RecordEpisodeStatistics(
+        gymnasium.make(f"GAUGE/{RIGID}", settings={"impratio": 1.0}, parameters={"cube.friction": 0.2})
+    )
+    env.reset(seed=0)
+    step_on(env, 5)
+    other = pickle.loads(pickle.dumps(env))
+    assert [type(layer).__name__ for layer in layers(other)] == [type(layer).__name__ for layer in layers(env)]
+    assert other.unwrapped.simulation.settings == env.unwrapped.simulation.settings
+    assert other.unwrapped.experiment == env.unwrapped.experiment
+    assert other.spec.kwargs == env.spec.kwargs
+    ours, theirs = step_on(env, 13)[-1][4], step_on(other, 13)[-1][4]
+    assert theirs["score"] == ours["score"]
+    assert theirs["episode"]["l"] == ours["episode"]["l"] == 18
+
+
+def layers(env: gymnasium.Env) -> list[gymnasium.Env]:
+    found = [env]
+    while isinstance(found[-1], gymnasium.Wrapper):
+        found.append(found[-1].env)
+    return found
+
+
+@pytest.mark.parametrize("name", [RIGID, DRIVEN])
+def test_a_pickle_goes_on_in_another_process(name: str, tmp_path: Path) -> None:
+    env = gymnasium.make(f"GAUGE/{name}")
+    env.reset(seed=4, options={"jitter": True})
+    step_on(env, 3)
+    (tmp_path / "env").write_bytes(pickle.dumps(env))
+    code = (
+        "import pathlib, pickle, numpy as np\n"
+        "env = pickle.loads(pathlib.Path('env').read_bytes())\n"
+        "for _ in range(5): env.step(np.zeros(env.action_space.shape, dtype=env.action_space.dtype))\n"
+        "np.save('samples', env.unwrapped.trajectory().samples)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    for _ in range(5):
+        env.step(np.zeros(env.action_space.shape, dtype=env.action_space.dtype))
+    assert np.array_equal(np.load(tmp_path / "samples.npy"), env.unwrapped.trajectory().samples)
+
+
+def test_random_numbers_go_on_too() -> None:
+    env = GaugeEnv(RIGID)
+    env.reset(seed=3)
+    other = pickle.loads(pickle.dumps(env))
+    assert other.np_random_seed == env.np_random_seed == 3
+    assert np.array_equal(other.np_random.random(5), env.np_random.random(5))
+
+
+def test_pickles_before_the_start_and_after_the_end() -> None:
+    env = pickle.loads(pickle.dumps(GaugeEnv(RIGID)))
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(0)
+    run_to_end(env)
+    other = pickle.loads(pickle.dumps(env))
+    assert other.score() == env.score()
+    with pytest.raises(EpisodeError, match="over"):
+        other.step(0)
+    env.reset()
+    env.simulation.data.qvel[0] = 900.0
+    assert env.step(0)[2]
+    diverged = pickle.loads(pickle.dumps(env))
+    assert diverged.episode.fault == env.episode.fault
+    assert diverged.score().rmse is None
+
+
+def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
+    env = GaugeEnv(RIGID)
+    env.versions = {"mujoco": "3.0.0"}
+    with pytest.raises(BackendError, match=r"3\.0\.0"):
+        pickle.loads(pickle.dumps(env))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [RIGID, DRIVEN, SOFT, "TextileFlinging-satin", "FoamStretching-soft"])
+def test_newton_environments_pickle(name: str) -> None:
+    pytest.importorskip("newton")
+    env = gymnasium.make(f"GAUGE/{name}", backend="newton")
+    env.reset(seed=0)
+    step_on(env, 3)
+    other = pickle.loads(pickle.dumps(env))
+    assert same_steps(step_on(env, 3), step_on(other, 3))
+
+
+def test_what_the_package_returns_pickles() -> None:
+    env = gymnasium.make(f"GAUGE/{RIGID}")
+    _, info = run_to_end(env)
+    resolved = experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
+    for value in (info["score"], resolved, resolved.scene, find_variant(RIGID), Jitter()):
+        assert pickle.loads(pickle.dumps(value)) == value
+    band = reference_band(resolved)
+    assert np.array_equal(pickle.loads(pickle.dumps(band)).mean, band.mean, equal_nan=True)
+    trajectory = env.unwrapped.trajectory()
+    assert np.array_equal(pickle.loads(pickle.dumps(trajectory)).samples, trajectory.samples)
+
+
+# --- specs -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_spec_rebuilds_the_run_with_all_its_arguments() -> None:
+    env = gymnasium.make(
+        "GAUGE/FoamStretching-soft",
+        parameters=MappingProxyType({"foam.young_modulus_pa": np.float32(50000.0)}),
+        settings={"timestep_s": 1 / 3600},
+        marker_proxy=MarkerProxy.MATERIAL,
+        drivers=DriverSource.BUNDLED,
+        use_withheld=True,
+        render_mode="rgb_array",
+        width=np.int64(80),
+        height=60,
+    )
+    text = env.spec.to_json()
+    assert json.loads(text)["kwargs"]["marker_proxy"] == "material"
+    for again in (gymnasium.make(env.spec), gymnasium.make(EnvSpec.from_json(text))):
+        ours, theirs = env.unwrapped, again.unwrapped
+        assert theirs.experiment == ours.experiment
+        assert theirs.simulation.settings == ours.simulation.settings
+        assert theirs.episode.marker_proxy is MarkerProxy.MATERIAL
+        assert theirs.band.withheld == ours.band.withheld is not None
+        assert theirs.spec.kwargs == ours.spec.kwargs
+        assert (theirs.render_mode, theirs.spec.kwargs["width"]) == ("rgb_array", 80)
+        assert [type(layer) for layer in layers(again)] == [type(layer) for layer in layers(env)]
+
+
+def test_what_was_not_made_by_make_has_no_spec() -> None:
+    assert GaugeEnv(RIGID).spec is None
+    assert str(GaugeEnv(RIGID)) == "<GaugeEnv instance>"
+    assert GaugeVectorEnv(RIGID).spec is None
+    assert str(GaugeVectorEnv(RIGID)) == "GaugeVectorEnv(num_envs=1)"
+
+
+def test_an_array_among_the_parameters_becomes_numbers() -> None:
+    place = np.array(experiment(RIGID).scene.body("cube").pose.position_m)
+    env = gymnasium.make(f"GAUGE/{RIGID}", parameters={"cube.position_m": place})
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.experiment.scene == experiment(RIGID).scene
+
+
+def test_what_no_spec_can_hold_is_named() -> None:
+    with pytest.raises(ParameterError, match=r"settings\['impratio'\].*1j"):
+        gymnasium.make(f"GAUGE/{RIGID}").unwrapped.spec = EnvSpec(
+            id=f"GAUGE/{RIGID}", entry_point="x:y", kwargs={"settings": {"impratio": 1j}}
+        )
+
+
+# --- checkers --------------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+@pytest.mark.parametrize("name", ALL_KINDS)
+@pytest.mark.parametrize("wrapped", [True, False])
+def test_gymnasiums_checker_passes_with_pictures(name: str, wrapped: bool) -> None:
+    env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=80, height=60)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Spins have no physical bound, and the checker prefers to be given what make has not wrapped.
+        warnings.filterwarnings("ignore", message=".*(infinity|different from the unwrapped version).*")
+        check_env(env if wrapped else env.unwrapped)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALL_KINDS)
+def test_stable_baselines_checker_is_content_with_what_the_guide_makes(name: str) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="extra 'rl' is not installed")
+    scope: dict[str, Any] = {"gym": gymnasium, "np": np}
+    exec(next(block for block in fenced("python") if "def for_learning" in block), scope)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(scope["for_learning"](f"GAUGE/{name}"))
+
+
+# --- wrappers --------------------------------------------------------------------------------------------------------
+
+
+def flat(env: gymnasium.Env) -> gymnasium.Env:
+    return wrappers.FlattenObservation(env)
+
+
+def flat_halved(env: gymnasium.Env) -> gymnasium.Env:
+    space = gymnasium.spaces.flatten_space(env.observation_space)
+    halved = gymnasium.spaces.Box(0.5 * space.low, 0.5 * space.high, dtype=space.dtype)
+    return wrappers.TransformObservation(flat(env), lambda observation: 0.5 * observation, halved)
+
+
+def flat_normalized(env: gymnasium.Env) -> gymnasium.Env:
+    return wrappers.NormalizeObservation(flat(env))
+
+
+LAYERS = (wrappers.RecordEpisodeStatistics, flat, flat_halved, flat_normalized, wrappers.Autoreset)
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+@pytest.mark.parametrize("name", ALL_KINDS)
+def test_wrappers_go_before_and_after_the_score(name: str, layer: Callable[[gymnasium.Env], gymnasium.Env]) -> None:
+    after = layer(gymnasium.make(f"GAUGE/{name}"))
+    before = ScoreEpisode(layer(GaugeEnv(name)))
+    infos = []
+    for env in (after, before):
+        observation, _ = env.reset(seed=0)
+        assert observation in env.observation_space
+        infos.append(run_to_end(env)[1])
+    plain = run_to_end(gymnasium.make(f"GAUGE/{name}"))[1]
+    assert infos[0]["score"] == infos[1]["score"] == plain["score"]
+
+
+def test_episode_statistics_are_those_of_the_episode() -> None:
+    total, info = run_to_end(wrappers.RecordEpisodeStatistics(gymnasium.make(f"GAUGE/{RIGID}")))
+    assert info["episode"]["l"] == 18
+    assert info["episode"]["r"] == pytest.approx(total, abs=1e-5)
+
+
+def test_a_flat_observation_is_all_entries_by_name() -> None:
+    env = gymnasium.make(f"GAUGE/{DRIVEN}")
+    dictionary, _ = env.reset(seed=0)
+    vector, _ = flat(env).reset(seed=0)
+    assert np.array_equal(vector, np.concatenate([dictionary[key].ravel() for key in sorted(dictionary)]))
+
+
+def test_an_episode_that_is_cut_short_has_no_score() -> None:
+    limited = gymnasium.make(f"GAUGE/{RIGID}", max_episode_steps=5)
+    for env in (limited, ScoreEpisode(wrappers.TimeLimit(GaugeEnv(RIGID), 5))):
+        info = run_to_end(env)[1]
+        assert info["frame"] == 5
+        assert "score" not in info
+
+
+@needs_opengl
+def test_a_list_of_pictures_can_be_asked_for() -> None:
+    env = gymnasium.make(f"GAUGE/{RIGID}", render_mode="rgb_array_list", width=80, height=60)
+    run_to_end(env)
+    assert len(env.render()) == 19
+
+
+@needs_opengl
+def test_a_video_shows_the_fall(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="extra 'video' is not installed")
+    import imageio_ffmpeg  # comes with moviepy
+
+    env = gymnasium.make("GAUGE/BouncingBall-rubber", render_mode="rgb_array", width=160, height=120)
+    env = wrappers.RecordVideo(env, str(tmp_path / "video"), disable_logger=True)
+    info = run_to_end(env)[1]
+    env.close()
+    assert info["score"].grade == "trials"
+    (file,) = tmp_path.glob("video/*.mp4")
+    video = imageio_ffmpeg.read_frames(file)
+    described = next(video)
+    assert (described["fps"], described["size"]) == (30, (160, 120))
+    frames = [np.frombuffer(frame, np.uint8).reshape(120, 160, 3).astype(int) for frame in video]
+    assert len(frames) == env.unwrapped.experiment.frame_count
+    rows = [ball_row(frame) for frame in (frames[0], frames[-1])]
+    # In 120 rows the ball falls by 70, and has risen by 10 of them again in the last picture.
+    assert rows[1] > rows[0] + 40
+    assert np.abs(frames[0] - frames[-1]).max() > 80
+
+
+def ball_row(picture: np.ndarray) -> float:
+    """Mean row of what is drawn in the saturated orange of bodies that move."""
+    rows = np.nonzero(picture[..., 0] - picture[..., 2] > 60)[0]
+    assert len(rows) > 20
+    return float(rows.mean())
+
+
+# --- the guide -------------------------------------------------------------------------------------------------------
+
+
+def fenced(language: str) -> list[str]:
+    """Code blocks of the guide in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", GUIDE.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def test_blocks_of_the_guide_run(tmp_path: Path) -> None:
+    blocks = fenced("python")
+    assert len(blocks) > 6
+    if not find_library("EGL") and not find_library("OSMesa"):
+        blocks = [block for block in blocks if "RecordVideo" not in block]
+    code = "\n".join(blocks)
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    stated = re.findall(r"print\(.*\)  # (.*)", code)
+    assert run.stdout.splitlines() == stated
