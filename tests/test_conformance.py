@@ -152,6 +152,19 @@ class RestoreForgetsVelocity(Wrapped):
         self.inner.data.qvel[:] = 0.0
 
 
+class StateStaysBehind(Wrapped):
+    """Keeps its state to itself, and returns nothing of it."""
+
+    kept: Any = None
+
+    def state(self) -> None:
+        self.kept = self.inner.state()
+
+    def restore(self, state: None) -> None:
+        if self.kept is not None:
+            self.inner.restore(self.kept)
+
+
 class Explosion(Wrapped):
     """Gains energy all the time, and stays finite."""
 
@@ -342,6 +355,8 @@ FAULTS: dict[str, tuple[Faulty, str, str]] = {
     "no reset of cloth": (Faulty(simulation=NoReset), "cloth-reset", "positions and velocities of the nodes"),
     "restore forgets velocity": (Faulty(simulation=RestoreForgetsVelocity), "restore", "velocities"),
     "restore forgets velocity of cloth": (Faulty(simulation=RestoreForgetsVelocity), "cloth-restore", "velocities"),
+    "state stays behind": (Faulty(simulation=StateStaysBehind), "copy", "must pickle"),
+    "state of cloth stays behind": (Faulty(simulation=StateStaysBehind), "cloth-copy", "must pickle"),
     "random": (Faulty(random_friction), "determinism", "random numbers"),
     "order of the scene": (Faulty(simulation=SceneOrder), "order-of-names", "order asked for"),
     "one step a call": (Faulty(simulation=OneStepPerCall), "time", "count steps"),

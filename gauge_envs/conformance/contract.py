@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends import Simulation
 from gauge_envs.conformance.kit import Mark, Reading, check
 from gauge_envs.conformance.lab import SAMPLE_INTERVAL_S, Course, Lab, PathsOfDrivers, record, states_now
 from gauge_envs.conformance.parts import ball, body, box, driver, fixed_box, ground, ramp, strip_on_rod
@@ -328,32 +331,34 @@ def _determinism(lab: Lab) -> Reading:
     return Reading(measured=_difference(lab.once(_bounce), _bounce(lab)), expected=0.0)
 
 
-def _continued(lab: Lab, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """All numbers 0.1 s after a state, and again after going back to it from elsewhere."""
+def _continued(lab: Lab, scene: Scene, *, in_copy: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """All numbers 0.1 s after a state, and again after going back to it from elsewhere, or in another simulation."""
     names = [one.name for one in scene.bodies if one.motion is Motion.DYNAMIC]
-    simulation = lab.build(scene)
     paths = PathsOfDrivers(scene, 1.0)
 
-    def run_on(first: int, count: int) -> None:
+    def run_on(simulation: Simulation, first: int, count: int) -> None:
         for sample in range(first, first + count):
             paths.drive(simulation, sample)
             simulation.advance(SAMPLE_INTERVAL_S)
 
-    def after() -> NDArray[np.float64]:
-        run_on(18, 18)
+    def after(simulation: Simulation) -> NDArray[np.float64]:
+        run_on(simulation, 18, 18)
         nodes = [np.array(simulation.nodes(one.name)).ravel() for one in scene.deformables]
         return np.concatenate([states_now(simulation, names).ravel(), *nodes])
 
+    simulation = lab.build(scene)
+    other = lab.build(scene) if in_copy else simulation
     try:
         simulation.reset(0)
-        run_on(0, 18)
+        run_on(simulation, 0, 18)
         kept = simulation.state()
-        first = after()
-        run_on(36, 6)
-        simulation.restore(kept)
-        return first, after()
+        first = after(simulation)
+        run_on(simulation, 36, 6)
+        other.restore(pickle.loads(pickle.dumps(kept)) if in_copy else kept)
+        return first, after(other)
     finally:
         simulation.close()
+        other.close()
 
 
 @check(
@@ -368,6 +373,21 @@ def _continued(lab: Lab, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.
 )
 def _restore(lab: Lab) -> Reading:
     first, second = _continued(lab, _bounces(lab))
+    return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
+
+
+@check(
+    "copy",
+    title="a copy goes on bit for bit",
+    measures="largest difference of any state 0.1 s after a state that another simulation restored from its pickle",
+    law="same state, same course",
+    source="contract (Simulation.state)",
+    unit="1",
+    mark=EXACT,
+    diagnosis="state() must pickle, and hold what the next step reads, not where this one simulation keeps it",
+)
+def _copy(lab: Lab) -> Reading:
+    first, second = _continued(lab, _bounces(lab), in_copy=True)
     return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
 
 
@@ -411,4 +431,19 @@ def _cloth_determinism(lab: Lab) -> Reading:
 )
 def _cloth_restore(lab: Lab) -> Reading:
     first, second = _continued(lab, strip_on_rod())
+    return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
+
+
+@check(
+    "cloth-copy",
+    title="cloth: a copy goes on bit for bit",
+    measures="largest difference of any node [m] 0.1 s after a state that another simulation restored from its pickle",
+    law="same state, same course",
+    source="contract (Simulation.state)",
+    unit="1",
+    mark=EXACT,
+    diagnosis="state() must pickle, and hold what the next step reads, not where this one simulation keeps it",
+)
+def _cloth_copy(lab: Lab) -> Reading:
+    first, second = _continued(lab, strip_on_rod(), in_copy=True)
     return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
