@@ -6,14 +6,17 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
     import gauge_envs
 
     env = gym.make("GAUGE/SlopeSlider-2-wood")
+
+and extra to them seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.control`.
 """
 
-from gymnasium.envs.registration import WrapperSpec, register, registry
+from gymnasium.envs.registration import register, registry
 
+from gauge_envs.control.tasks import register_control_tasks
 from gauge_envs.env import GaugeEnv
 from gauge_envs.episode import Trajectory, reference_band
 from gauge_envs.errors import GaugeError
-from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.experiment import ASSET_NAME, Experiment, experiment
 from gauge_envs.jitter import Jitter
 from gauge_envs.score import Score, score_trajectory
 from gauge_envs.task import find_variant, load_task, variants
@@ -40,15 +43,16 @@ __all__ = [
 
 
 def register_all() -> None:
-    """Register every variant with Gymnasium; importing the package has done so already."""
-    for variant in variants():
-        if variant.id not in registry:
+    """Register every variant, and `GAUGE/Asset`, with Gymnasium; importing the package has done so already."""
+    for name in (*(variant.name for variant in variants()), ASSET_NAME):
+        if f"GAUGE/{name}" not in registry:
             register(
-                id=variant.id,
-                entry_point="gauge_envs.env:GaugeEnv",
-                kwargs={"variant": variant.name},
-                additional_wrappers=(WrapperSpec("ScoreEpisode", "gauge_envs.wrappers:ScoreEpisode", {}),),
+                id=f"GAUGE/{name}",
+                entry_point="gauge_envs.wrappers:scored_env",
+                vector_entry_point="gauge_envs.vector:scored_vector_env",
+                kwargs={"variant": name},
             )
 
 
 register_all()
+register_control_tasks()

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from enum import StrEnum
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,6 +38,14 @@ PIPE_WIDTH = 140
 """Width of tables where there is no terminal [characters]; rich would take 80, and cut them."""
 
 GLOB_CHARACTERS = "*?["
+
+
+class FailOn(StrEnum):
+    """From which verdict on a sanity check fails."""
+
+    WRONG = "wrong"
+    VISIBLE = "visible"
+    NEVER = "never"
 
 
 class _Group(typer.core.TyperGroup):
@@ -70,6 +79,12 @@ data_app = typer.Typer(help="The dataset of real trials: bands and drivers from 
 app.add_typer(data_app, name="data")
 
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, one object a line.")]
+AssetOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--asset", help="File that the scene is from, instead of the task file: a USD layer, or MJCF for mujoco."
+    ),
+]
 ParametersOption = Annotated[
     str | None,
     typer.Option("--parameters", help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1"),
@@ -90,7 +105,7 @@ def list_(
     json_lines: Json = False,
 ) -> None:
     """List experiments: what they observe, how good their reference is, and which backends can run them."""
-    from gauge_envs.report import list_rows, list_table
+    from gauge_envs.report import control_summary, list_rows, list_table
 
     rows = list_rows(_matching(pattern))
     if json_lines:
@@ -99,30 +114,47 @@ def list_(
     families = len({row["family"] for row in rows})
     console = _stdout()
     console.print(list_table(rows))
+    if pattern == "*":
+        console.print(control_summary(), soft_wrap=True)
     console.print(f"{_count(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
 
 
 @app.command()
 def show(
-    name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/.")],
+    name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/; or an experiment file.")],
+    asset: AssetOption = None,
     json_lines: Json = False,
 ) -> None:
-    """Show one experiment: scene, constants and where each number is from, reference, published scores."""
-    from gauge_envs.report import description, description_view
+    """Show one experiment: scene, constants and where each number is from, reference, published scores.
 
-    values = description(find_variant(name))
+    Of a control task: its law, limit and reward.
+    """
+    from gauge_envs.control import control_tasks, find_control_task
+    from gauge_envs.experiment import experiment
+    from gauge_envs.report import control_description, control_view, description, description_view
+
+    if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
+        values = control_description(find_control_task(name))
+        view = control_view(values)
+    else:
+        values = description(experiment(name, asset=asset))
+        view = description_view(values)
     if json_lines:
         _print_lines([values])
     else:
-        _stdout().print(description_view(values))
+        _stdout().print(view)
 
 
 @app.command()
 def run(
-    ids: Annotated[list[str] | None, typer.Argument(metavar="[ID or pattern]...", help="As 'SlopeSlider-*'.")] = None,
+    ids: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[ID or pattern]...", help="As 'SlopeSlider-*'; or experiment files, as crate.toml."),
+    ] = None,
     every: Annotated[bool, typer.Option("--all", help="All experiments that the backend can run.")] = False,
     backends: Annotated[list[str] | None, typer.Option("--backend", help="Repeatable; mujoco by default.")] = None,
     parameters: ParametersOption = None,
+    asset: AssetOption = None,
     changes: Annotated[
         list[str] | None, typer.Option("--set", help="Numerical setting of the backend, as timestep_s=0.0005.")
     ] = None,
@@ -150,6 +182,7 @@ def run(
     pattern or --all adds may be declined.
     """
     from gauge_envs.benchmark import check_request, run_many
+    from gauge_envs.experiment import experiment
     from gauge_envs.observer import checked_proxy
     from gauge_envs.report import summary_view
     from gauge_envs.result import Outcome
@@ -157,11 +190,12 @@ def run(
     if not ids and not every:
         raise ParameterError("nothing to run: give ids, patterns or --all; gauge list shows them")
     patterns = ["*"] if every else ids or []
-    chosen = list(dict.fromkeys(variant for pattern in patterns for variant in _matching(pattern)))
-    by_name = {find_variant(pattern).id for pattern in ids or [] if not _is_glob(pattern)}
+    chosen = list(dict.fromkeys(subject for pattern in patterns for subject in _subjects(pattern)))
+    named = dict.fromkeys(subject for pattern in ids or [] if not _is_glob(pattern) for subject in _subjects(pattern))
     engines = list(dict.fromkeys(backends or ["mujoco"]))
     values, settings = _parameters(parameters) or "calibrated", _settings(changes or [])
-    check_request(chosen, backends=engines, parameters=values, settings=settings)
+    check_request(chosen, backends=engines, parameters=values, settings=settings, asset=asset)
+    by_name = {experiment(subject, asset=asset).id for subject in named}
 
     stderr = _stderr()
     results: list[Result] = []
@@ -171,6 +205,7 @@ def run(
         parameters=values,
         settings=settings,
         marker_proxy=checked_proxy(marker_proxy).value,
+        asset=asset,
         seed=seed,
         repeats=repeats,
         jitter=_jitter(jitter_mm, jitter_deg),
@@ -200,7 +235,9 @@ def run(
 @app.command()
 def score(
     file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
-    name: Annotated[str | None, typer.Option("--id", help="Experiment; a JSON file may state it itself.")] = None,
+    name: Annotated[
+        str | None, typer.Option("--id", help="Experiment, or experiment file; a JSON file may state it itself.")
+    ] = None,
     parameters: ParametersOption = None,
     use_withheld: Annotated[
         bool, typer.Option("--use-withheld", help="Score on a band that is withheld; gauge show tells why it is.")
@@ -337,6 +374,65 @@ def diagnose(
 
         _stderr().print(_plain(str(save_diagnoses(pairs, out))), soft_wrap=True)
     if skipped:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def sanity(
+    target: Annotated[
+        str,
+        typer.Argument(
+            help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
+            "(robot.xml), a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box, newton)."
+        ),
+    ],
+    pair: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GEOM1,GEOM2", help="Contact whose constants are used, instead of the most frequent on ground."
+        ),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="Id or pattern of phenomena, as 'creep-*'; repeatable.")
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="Cloth, foam and rope too, which take longer.")] = False,
+    fail_on: Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")] = (
+        FailOn.NEVER
+    ),
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Page with pictures, in one file; none is written without it.")
+    ] = None,
+    json_lines: Json = False,
+) -> None:
+    """Tell what physics a training configuration gets wrong, and which of its settings are responsible.
+
+    Runs measured objects with the numerical settings of the target and of its backend's default, and compares both
+    with real trials. Exit code 1 also when nothing could be measured.
+    """
+    from gauge_envs.report.sanity import sanity_rows, sanity_view
+    from gauge_envs.report.sanity_page import check_can_draw, save_sanity_page
+    from gauge_envs.sanity import Row, Verdict, check, configuration
+    from gauge_envs.sanity.phenomena import phenomena
+
+    if html is not None:
+        check_can_draw()
+    checked = configuration(target, pair=_geom_pair(pair))
+    patterns = only or []
+    with _progress(_stderr()) as progress:
+        bar = progress.add_task("phenomena", total=len(phenomena(patterns, include_deformables=every)))
+
+        def notify(row: Row) -> None:
+            progress.update(bar, advance=1, description=row.phenomenon)
+
+        report = check(checked, only=patterns, include_deformables=every, notify=notify)
+    if json_lines:
+        _print_lines(sanity_rows(report))
+    else:
+        _stdout().print(sanity_view(report))
+    if html is not None:
+        _stderr().print(_plain(str(save_sanity_page(report, html))), soft_wrap=True)
+    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
+    if report.worst in (*bad[fail_on], Verdict.DECLINED):
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -555,6 +651,13 @@ def _matching(pattern: str) -> list[Variant]:
     return found
 
 
+def _subjects(pattern: str) -> Sequence[Variant | str]:
+    """Variants of an id or a pattern, or the path of an experiment file."""
+    from gauge_envs.asset import is_experiment_file
+
+    return [pattern] if is_experiment_file(Path(pattern)) else _matching(pattern)
+
+
 def _split(text: str) -> list[str]:
     """Split at the commas that are outside brackets."""
     parts, depth = [""], 0
@@ -581,6 +684,15 @@ def _parameters(text: str | None) -> Parameters | None:
     if text is None or "=" not in text:
         return text
     return dict(_assigned(part) for part in _split(text))
+
+
+def _geom_pair(text: str | None) -> tuple[str, str] | None:
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names):
+        raise ParameterError(f"--pair {text!r}: expected the names of two geoms, as floor,foot")
+    return names[0], names[1]
 
 
 def _settings(changes: Sequence[str]) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 """What the command line prints: rows for JSON, and the same as tables for reading."""
 
 from gauge_envs.report.comparison import comparison_markdown, comparison_rows, comparison_view
+from gauge_envs.report.control import control_description, control_summary, control_view
 from gauge_envs.report.diagnosis import diagnosis_rows, diagnosis_view
 from gauge_envs.report.listing import backend_rows, backend_table, description, description_view, list_rows, list_table
 from gauge_envs.report.materials import material_values, material_view
@@ -19,6 +20,9 @@ __all__ = [
     "comparison_rows",
     "comparison_view",
     "configuration_labels",
+    "control_description",
+    "control_summary",
+    "control_view",
     "description",
     "description_view",
     "diagnosis_rows",

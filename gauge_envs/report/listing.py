@@ -12,12 +12,15 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.backends import backend, backend_names
+from gauge_envs.asset import AssetKind
+from gauge_envs.backends import backend, backend_for, backend_names
 from gauge_envs.dataset.store import DriverRecord, load_imported
-from gauge_envs.driver import DriverSource, Profile, SampledProfile
+from gauge_envs.driver import Driver, DriverSource, Profile, SampledProfile
+from gauge_envs.episode import reference_band
 from gauge_envs.errors import BackendError, MissingExtraError
-from gauge_envs.experiment import Experiment, experiment
-from gauge_envs.reference import BandGrade, SigmaSource, band_grade, law_for, load_band, published_baselines
+from gauge_envs.experiment import Experiment, TaskExperiment, experiment
+from gauge_envs.experiment_file import FileExperiment
+from gauge_envs.reference import BandGrade, SigmaSource, band_grade, law_for, load_band
 from gauge_envs.report.text import (
     ENGINE_TITLES,
     GRADE_NOTES,
@@ -51,7 +54,7 @@ def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
                 "id": variant.id,
                 "family": variant.family,
                 "group": resolved.spec.group.value,
-                "observable": resolved.spec.score.observable.value,
+                "observable": resolved.score.observable.value,
                 "frames": resolved.frame_count,
                 "grade": band_grade(variant.name).value,
                 "imported": load_imported(variant.name) is not None,
@@ -63,7 +66,7 @@ def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
 
 def _lacks(name: str, resolved: Experiment) -> list[str]:
     try:
-        return list(backend(name).supports(resolved.scene).missing)
+        return list(backend_for(name, resolved.model_file).supports(resolved.scene).missing)
     except (BackendError, MissingExtraError) as error:
         return [str(error)]
 
@@ -85,26 +88,20 @@ def _yes_no(yes: bool) -> str:
     return "[green]yes[/]" if yes else "[dim]no[/]"
 
 
-def description(variant: Variant) -> dict[str, Any]:
+def description(resolved: Experiment) -> dict[str, Any]:
     """Everything that defines one experiment, JSON-ready, with where each number is from."""
-    resolved = experiment(variant)
-    spec, scene = resolved.spec, resolved.scene
-    subtask = spec.subtasks[variant.subtask] if variant.subtask else None
-    band, imported = load_band(variant.name), load_imported(variant.name)
-    law = law_for(variant.name)
+    scene = resolved.scene
     return json_ready(
         {
-            "id": variant.id,
-            "title": spec.title if subtask is None else f"{spec.title}, {subtask.title}",
-            "summary": spec.summary,
-            "group": spec.group.value,
-            "evaluates": spec.evaluates,
-            "source": spec.source.model_dump(exclude_none=True),
+            "id": resolved.id,
+            "title": resolved.title,
+            **(_of_file(resolved) if isinstance(resolved, FileExperiment) else _of_task(resolved)),
+            "asset": None if resolved.asset is None else resolved.asset.to_dict(),
             "frames": resolved.frame_count,
             "duration_s": scene.duration_s,
             "observable": {
-                "kind": spec.score.observable.value,
-                "unit": resolved.spec.score.observable.unit,
+                "kind": resolved.score.observable.value,
+                "unit": resolved.score.observable.unit,
                 "coordinates": coordinate_names(resolved),
             },
             "bodies": [_body(body, resolved) for body in (*scene.bodies, *scene.deformables)],
@@ -116,33 +113,69 @@ def description(variant: Variant) -> dict[str, Any]:
             "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
             "drivers": [_driver(resolved, index) for index in range(len(scene.drivers))],
             "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
-            "constants": {
-                name: tables.get(variant.material, next(iter(tables.values()), {}))
-                for name, tables in spec.constants.items()
-            },
-            "parameter_sets": {
-                "calibrated": {"summary": "calibrated constants of the metadata", "values": {}},
-                **{
-                    name: {"summary": chosen.summary, "values": dict(experiment(variant, name).overrides)}
-                    for name, chosen in spec.parameters.items()
-                },
-            },
-            "provenance": spec.provenance,
-            "decisions": spec.decisions,
-            "reference": {
-                "grade": band_grade(variant.name).value,
-                "trial_count": None if band is None else band.trial_count,
-                "source": None if band is None else band.source,
-                "imported": imported is not None,
-                "law": None if law is None else law.condition,
-                "sigma_source": None if band is None else band.sigma_source.value,
-                "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
-                "withheld": None if band is None else band.withheld,
-            },
-            "baselines": [dataclasses.asdict(line) for line in published_baselines(variant.name).values()],
+            "reference": _reference(resolved),
+            "baselines": [dataclasses.asdict(line) for line in resolved.baselines.values()],
             "backends": {name: _lacks(name, resolved) for name in backend_names()},
         }
     )
+
+
+def _of_task(resolved: Experiment) -> dict[str, Any]:
+    """What a task file says beside the scene."""
+    assert isinstance(resolved, TaskExperiment)
+    spec, variant = resolved.spec, resolved.variant
+    return {
+        "summary": spec.summary,
+        "group": spec.group.value,
+        "evaluates": spec.evaluates,
+        "source": spec.source.model_dump(exclude_none=True),
+        "constants": {
+            name: tables.get(variant.material, next(iter(tables.values()), {}))
+            for name, tables in spec.constants.items()
+        },
+        "parameter_sets": {
+            "calibrated": {"summary": "calibrated constants of the metadata", "values": {}},
+            **{
+                name: {"summary": chosen.summary, "values": dict(experiment(variant, name).overrides)}
+                for name, chosen in spec.parameters.items()
+            },
+        },
+        "provenance": spec.provenance,
+        "decisions": spec.decisions,
+    }
+
+
+def _of_file(resolved: FileExperiment) -> dict[str, Any]:
+    """What an experiment file says beside the scene."""
+    definition = resolved.definition
+    return {
+        "summary": definition.summary,
+        "group": None,
+        "evaluates": definition.evaluates,
+        "source": {"usd": definition.usd},
+        "constants": {},
+        "parameter_sets": {},
+        "provenance": definition.provenance,
+        "decisions": [],
+    }
+
+
+def _reference(resolved: Experiment) -> dict[str, Any]:
+    """What an experiment is scored against, or could be."""
+    own = resolved.reference
+    band = load_band(resolved.name) if own is None else own.band
+    law = law_for(resolved.name) if own is None else None
+    used = reference_band(resolved)
+    return {
+        "grade": (BandGrade.NONE if used is None else used.grade).value,
+        "trial_count": None if band is None else band.trial_count,
+        "source": None if band is None else band.source,
+        "imported": load_imported(resolved.name) is not None,
+        "law": None if law is None else law.condition,
+        "sigma_source": None if band is None else band.sigma_source.value,
+        "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
+        "withheld": None if band is None else band.withheld,
+    }
 
 
 def _body(body: RigidBody | Deformable, resolved: Experiment) -> dict[str, Any]:
@@ -160,7 +193,10 @@ def _body(body: RigidBody | Deformable, resolved: Experiment) -> dict[str, Any]:
 
 
 def _driver(resolved: Experiment, index: int) -> dict[str, Any]:
-    variant, spec, driver = resolved.variant, resolved.spec, resolved.scene.drivers[index]
+    driver = resolved.scene.drivers[index]
+    if not isinstance(resolved, TaskExperiment) or resolved.asset is not None:
+        return _driver_of_asset(driver)
+    variant, spec = resolved.variant, resolved.spec
     own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
     stated = (own if own is not None else spec.drivers)[index]
     motions = [motion.model_dump(exclude_none=True) for motion in stated.motions]
@@ -181,9 +217,26 @@ def _driver(resolved: Experiment, index: int) -> dict[str, Any]:
     }
 
 
+def _driver_of_asset(driver: Driver) -> dict[str, Any]:
+    """A driver as its asset states it."""
+    motions = [
+        {
+            "kind": motion.kind,
+            "axis": motion.axis,
+            "point_m": motion.point_m,
+            "largest_rate": motion.largest_rate,
+            "residual_rate": motion.residual_rate,
+            "profile": [type(profile).__name__ for profile in motion.profiles],
+        }
+        for motion in driver.motions
+    ]
+    note = "as the asset states it; rates in m/s or rad/s"
+    return {"body": driver.body, "provenance": driver.provenance, "imported": False, "note": note, "motions": motions}
+
+
 def _recorded_driver(resolved: Experiment, body: str) -> DriverRecord | None:
     """The imported driver of a body, in use or not."""
-    imported = load_imported(resolved.variant.name)
+    imported = load_imported(resolved.name)
     if imported is None:
         return None
     return next((record for record in imported.record.drivers if record.body == body), None)
@@ -223,6 +276,7 @@ def description_view(values: Mapping[str, Any]) -> Group:
                 "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
                 "grade": f"{grade.value}{trials} ({GRADE_NOTES[grade]})" + (", recording withheld" * withheld),
                 "reference": reference["source"] or reference["law"] or "none",
+                **_asset_facts(values),
                 **_band_facts(values),
                 **{f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()},
             }
@@ -295,6 +349,17 @@ def description_view(values: Mapping[str, Any]) -> Group:
         Text(NORMALIZED_NOTE, style="dim"),
     ]
     return Group(*parts)
+
+
+def _asset_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Which file the scene is from, and how it differs from the calibrated one."""
+    asset = values["asset"]
+    if asset is None:
+        return {}
+    facts = {"asset": f"{asset['file']}, sha256 {asset['sha256'][:8]}"}
+    if asset["kind"] != AssetKind.EXPERIMENT:
+        facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
+    return facts
 
 
 def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:

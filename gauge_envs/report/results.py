@@ -77,7 +77,12 @@ def configuration_parts(configuration: Configuration, *, digits: int = 4) -> lis
         *(("setting", text) for text in told(configuration.settings_given)),
         *([("jitter", f"jitter {' '.join(told(configuration.jitter))}")] if configuration.jitter else []),
         *([("markers", f"markers by {configuration.marker_proxy}")] if configuration.marker_proxy != "node" else []),
+        *([("asset", _asset_text(configuration.asset))] if configuration.asset else []),
     ]
+
+
+def _asset_text(asset: Mapping[str, str]) -> str:
+    return f"edited scene {asset['file']} ({asset['sha256'][:8]})"
 
 
 def versions_text(configuration: Configuration) -> str:
@@ -111,6 +116,11 @@ def summary_view(results: Sequence[Result]) -> Group:
             Text(f"{result.id.removeprefix('GAUGE/')} is scored on a band that is withheld: {result.score.withheld}.")
             for result in ran
             if result.score.withheld
+        ]
+        parts += [
+            Text(f"{result.id.removeprefix('GAUGE/')}, {result.asset['file']}: {shortened(result.asset['changes'])}.")
+            for result in ran
+            if result.is_edited
         ]
     for outcome, style in ((Outcome.DIVERGED, "red"), (Outcome.FAILED, "red"), (Outcome.DECLINED, "yellow")):
         # One line for each reason: a backend declines many experiments for the same one.

@@ -54,7 +54,7 @@ NORMALIZED_NOTE = (
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
-    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline",
+    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline where there is one",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
 }
 
@@ -138,6 +138,7 @@ def score_text(value: float | None) -> str:
 
 def quantity_text(value: float) -> str:
     """Three digits, without an exponent where the number is neither tiny nor huge."""
-    if 1e3 <= value < 1e5:
+    size = abs(value)
+    if 1e3 <= size < 1e5:
         return f"{value:.0f}"
-    return f"{value:.3g}" if value >= 1e-3 or value == 0.0 else f"{value:.1e}"
+    return f"{value:.3g}" if size >= 1e-3 or size == 0.0 else f"{value:.1e}"

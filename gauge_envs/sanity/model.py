@@ -53,7 +53,7 @@ class Configuration:
         settings: Settings of that backend, given to every scene; what they leave out is the backend's default.
         origins: Where each setting is from, as `option`, `floor with torso, ...`; by name of the setting.
         frame_skip: Steps of the engine for one action; None where nothing says.
-        contact_groups: Contact constants of a model, the most frequent first.
+        contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
         notes: What could not be carried over, or deserves a look.
     """
 
@@ -112,10 +112,12 @@ class Trial:
     Attributes:
         changes: Settings that were changed, with the values that they were given.
         value: What the phenomenon measured then; None where the run was declined or diverged.
+        on_default: Whether the backend's default was changed, instead of the configuration.
     """
 
     changes: Mapping[str, Any]
     value: float | None
+    on_default: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +166,13 @@ class Row:
     cause: Cause | None = None
     remark: str = ""
     curve: Curve | None = None
+
+    @property
+    def sigmas(self) -> float | None:
+        """Distance of this configuration from reality in standard deviations; None where it has none."""
+        if self.configured is None or not self.reality.scatter:
+            return None
+        return abs(self.configured - self.reality.value) / self.reality.scatter
 
     def to_dict(self) -> dict[str, Any]:
         """All attributes, JSON-ready."""

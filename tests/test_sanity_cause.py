@@ -1,0 +1,227 @@
+"""Which setting is responsible: planted settings in MuJoCo, and the search itself on responses that are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from gauge_envs.backends import backend
+from gauge_envs.errors import ParameterError
+from gauge_envs.sanity import check
+from gauge_envs.sanity.cause import differing_settings, find_cause
+from gauge_envs.sanity.measure import Measured, Measurements
+from gauge_envs.sanity.model import Cause, Configuration, Report, Row, Verdict
+from gauge_envs.sanity.phenomena import phenomena
+
+GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
+"""A training configuration that leaves the constants of contacts to the backend."""
+
+CHEETAH = {
+    "timestep_s": 0.01,
+    "integrator": "Euler",
+    "cone": "pyramidal",
+    "impratio": 1.0,
+    "contact_solref": (0.02, 1.0),
+    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
+}
+
+QUICK = ("creep-wood", "rest-height", "slide-wood", "rebound", "momentum", "carry-wood", "seam", "point")
+"""All but a wall of bricks, a hundred seconds of a pendulum, and further materials."""
+
+PLANTS = {
+    "timestep_s": (0.01, "rebound"),
+    "cone": ("pyramidal", "rebound"),
+    "impratio": (0.01, "creep-wood"),
+    "iterations": (1, "carry-wood"),
+    "integrator": ("RK4", "rebound"),
+    "contact_solref": ((0.02, 1.0), "rebound"),
+    "contact_solimp": ((0.0, 0.8, 0.01, 0.5, 2.0), "rest-height"),
+    "contact_margin_m": (0.002, "rest-height"),
+    "friction_scale": (0.9, "slide-wood"),
+    "condim": (1, "creep-wood"),
+}
+"""One bad setting each, and a phenomenon in which it must show."""
+
+
+def report(settings: Mapping[str, Any], only: Sequence[str] = QUICK) -> Report:
+    return check(Configuration(name="planted", source="test", backend="mujoco", settings=settings), only=only)
+
+
+def flagged(rows: Sequence[Row]) -> dict[str, Row]:
+    return {row.phenomenon: row for row in rows if row.verdict in (Verdict.VISIBLE, Verdict.WRONG)}
+
+
+# --- planted in MuJoCo -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_planted_setting_is_found(name: str) -> None:
+    bad, shows_in = PLANTS[name]
+    bad_rows = flagged(report({**GOOD, name: bad}, only=[shows_in]).rows)
+    assert bad_rows[shows_in].cause is not None
+    assert bad_rows[shows_in].cause.settings == (name,)
+    assert bad_rows[shows_in].cause.line.startswith(f"{name}: ")
+
+
+def test_settings_that_need_each_other_are_both_told() -> None:
+    # Without refsafe a time constant of 0.002 s is too short for a step of 0.002 s: either of them mends it.
+    (row,) = report({**GOOD, "refsafe": False}, only=["creep-wood"]).rows
+    assert row.verdict is Verdict.WRONG
+    assert row.cause is not None
+    assert "refsafe" in row.cause.line and "timestep_s" in row.cause.line
+
+
+def test_good_configuration_raises_no_flag() -> None:
+    found = report(GOOD)
+    assert flagged(found.rows) == {}
+    assert found.worst is Verdict.INSIDE
+    assert all(row.cause is None for row in found.rows)
+    assert {row.experiment for row in found.rows} >= {"GAUGE/SlopeSlider-1-wood", "GAUGE/NewtonsCradle-metal"}
+    assert found.versions["mujoco"]
+
+
+def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
+    seen = []
+    found = check(
+        Configuration(name="HalfCheetah", source="test", backend="mujoco", settings=CHEETAH),
+        only=["creep-wood", "rest-height", "rebound", "slide-wood"],
+        notify=seen.append,
+    )
+    assert seen == list(found.rows)
+    bad = flagged(found.rows)
+    assert set(bad) == {"creep-wood", "rest-height", "rebound"}
+    assert all(row.cause is not None and row.cause.settings and row.cause.tried for row in bad.values())
+    creep = bad["creep-wood"].cause
+    assert creep is not None
+    tried = {tuple(trial.changes): trial.value for trial in creep.tried}
+    assert tried[("cone",)] is not None and tried[("cone",)] < 10.0
+    assert bad["creep-wood"].curve is not None
+    assert bad["creep-wood"].curve.configured[-1] == pytest.approx(58.0, rel=0.1)
+    assert len(bad["creep-wood"].curve.reality) == len(bad["creep-wood"].curve.default) <= 200
+    assert found.worst is Verdict.WRONG
+    assert found.to_dict()["rows"][0]["phenomenon"] == "creep-wood"
+
+
+def test_a_preset_is_taken_apart_into_its_settings() -> None:
+    (row,) = report({"preset": "out_of_box"}, only=["rebound"]).rows
+    assert row.verdict is Verdict.WRONG
+    assert row.cause is not None and row.cause.settings == ("contact_solref",)
+    stage = phenomena(["rebound"])[0].stage
+    names = differing_settings(Measurements(backend("mujoco")), stage, {"preset": "out_of_box"})
+    assert set(names) >= {"timestep_s", "cone", "contact_solref"}
+    assert not {"preset", "drive_interval_s"} & set(names)
+
+
+def test_refused_settings_are_the_users_error() -> None:
+    with pytest.raises(ParameterError, match="colour"):
+        report({"colour": "red"}, only=["creep-wood", "rebound"])
+
+
+def test_divergence_is_a_row() -> None:
+    loose = {"timestep_s": 0.01, "contact_solref": (0.002, 1.0), "refsafe": False}
+    loose["contact_solimp"] = CHEETAH["contact_solimp"]
+    (row,) = report(loose, only=["creep-wood"]).rows
+    assert (row.verdict, row.configured) == (Verdict.WRONG, None)
+    assert row.remark.startswith("diverged")
+    assert row.cause is not None and row.cause.settings
+    assert row.curve is not None and row.curve.configured == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLANTS)
+def test_planted_setting_is_found_in_every_flagged_row(name: str) -> None:
+    """Nothing but the planted setting, or it together with others, is ever named."""
+    bad = flagged(report({**GOOD, name: PLANTS[name][0]}, only=()).rows)
+    assert PLANTS[name][1] in bad
+    assert {p: row.cause for p, row in bad.items() if row.cause is None or name not in row.cause.settings} == {}
+
+
+@pytest.mark.slow
+def test_good_configuration_raises_no_flag_anywhere() -> None:
+    assert flagged(report(GOOD, only=()).rows) == {}
+
+
+# --- the search ------------------------------------------------------------------------------------------------------
+
+
+class Made(Measurements):
+    """Measurements whose values follow a formula of five switches, 0 by default; reality is 0 +- 1."""
+
+    def __init__(self, formula: Callable[..., float]) -> None:
+        super().__init__(backend("mujoco"))
+        self._formula = formula
+
+    def in_force(self, stage: object, settings: Mapping[str, Any]) -> dict[str, Any]:
+        return dict.fromkeys("abcde", 0) | dict(settings)
+
+    def measure(self, phenomenon: object, settings: Mapping[str, Any]) -> Measured:
+        value = self._formula(**self.in_force(None, settings))
+        if math.isinf(value):
+            return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark="diverged: far")
+        verdict = Verdict.INSIDE if abs(value) <= 2.0 else Verdict.VISIBLE if abs(value) <= 5.0 else Verdict.WRONG
+        return Measured(value=value, deviation=abs(value), verdict=verdict)
+
+
+def cause_of(formula: Callable[..., float], **settings: Any) -> Cause | None:
+    made = Made(formula)
+    (phenomenon,) = phenomena(["creep-wood"])
+    return find_cause(made, phenomenon, settings, made.measure(None, settings), made.measure(None, {}))
+
+
+def test_nothing_is_responsible_for_what_is_right() -> None:
+    assert cause_of(lambda a, b, c, d, e: 1.5 * a, a=1, b=1) is None
+
+
+def test_the_closest_single_setting_is_responsible_and_others_are_told() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 20.0 * a * b + 0.5 * c - 0.4 * b, a=1, b=1, c=1)
+    assert cause is not None and cause.settings == ("a",)
+    assert cause.line == "a: 0 instead of 1 brings creep from 20.1 mm/s to 0.1 mm/s (b alone to 0.5 mm/s)"
+    assert [trial.changes for trial in cause.tried if not trial.on_default] == [{"a": 0}, {"b": 0}, {"c": 0}]
+
+
+def test_within_the_scatter_what_harms_the_default_is_responsible() -> None:
+    # Both a and b mend it, and with b put back it comes closer; but a harms alone, and b does not.
+    cause = cause_of(lambda a, b, c, d, e: 6.0 * a * (1.0 + b) - 5.0 * a + 0.3 * a * (1 - b), a=1, b=1)
+    assert cause is not None and cause.settings == ("a",)
+
+
+def test_half_the_error_is_enough_and_what_completes_it_is_told() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 20.0 * a + 10.0 * b, a=1, b=1)
+    assert cause is not None and cause.settings == ("a",)
+    assert cause.line.endswith("from 30 mm/s to 10 mm/s (with b too to 0 mm/s)")
+
+
+def test_each_of_two_suffices() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 20.0 * max(a, b), a=1, b=1, c=1)
+    assert cause is not None and cause.settings == ("a", "b")
+    assert "each alone on the default: a 20 mm/s, b 20 mm/s" in cause.line
+    assert sum(trial.on_default for trial in cause.tried) == 3
+
+
+def test_two_are_responsible_together() -> None:
+    # Three equal shares: no one takes half away, none alone is half of it, and one more than two is not needed.
+    cause = cause_of(lambda a, b, c, d, e: 8.0 * (a + b + c) + 0.0 * d, a=1, b=1, c=1, d=1)
+    assert cause is not None and len(cause.settings) == 2
+    assert "together" in cause.line and "d" not in cause.settings
+
+
+def test_more_than_a_few_are_the_configuration_as_a_whole() -> None:
+    # Any two of five suffice, so that putting three back leaves the error, and none has it alone.
+    cause = cause_of(lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1, d=1, e=1)
+    assert cause is not None and cause.settings == ()
+    assert cause.line == "no 3 settings put back together explain it: a, b, c, d, e"
+
+
+def test_what_the_default_gets_wrong_too() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 10.0 + a, a=1)
+    assert cause is not None and cause.settings == ()
+    assert cause.line == "also the backend's default: 10 mm/s"
+
+
+def test_what_ends_a_divergence_is_responsible() -> None:
+    cause = cause_of(lambda a, b, c, d, e: math.inf if a else 1.0 + b, a=1, b=1)
+    assert cause is not None and cause.settings == ("a",)
+    assert "from diverged: far to 2 mm/s" in cause.line

@@ -1,0 +1,301 @@
+"""What the sanity check measures: readings against closed forms, rollouts at a configuration's own step, verdicts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gauge_envs.backends import backend
+from gauge_envs.conformance.lab import DeclinedError, DivergedError
+from gauge_envs.episode import DriverPath
+from gauge_envs.errors import UnknownNameError
+from gauge_envs.metrics import trajectory_dtw, trajectory_rmse
+from gauge_envs.sanity.measure import Measurements
+from gauge_envs.sanity.model import Verdict
+from gauge_envs.sanity.phenomena import Phenomenon, phenomena
+from gauge_envs.sanity.phenomena.friction import PRINTED_MM, creep_scatter_mm_per_s
+from gauge_envs.sanity.rollout import Rollout, Stage, rollout
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+
+MUJOCO = backend("mujoco")
+
+CHEETAH = {
+    "timestep_s": 0.01,
+    "integrator": "Euler",
+    "cone": "pyramidal",
+    "impratio": 1.0,
+    "contact_solref": (0.02, 1.0),
+    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
+}
+"""Numerical settings of Gymnasium's HalfCheetah, feet on ground."""
+
+
+def one(name: str) -> Phenomenon:
+    (found,) = phenomena([name])
+    return found
+
+
+def value(name: str, settings: dict[str, object]) -> float:
+    measured = Measurements(MUJOCO).measure(one(name), settings)
+    assert measured.value is not None, measured.remark
+    return measured.value
+
+
+def moved(stage: Stage, times_s: NDArray, **ways_m: NDArray) -> Rollout:
+    """Rollout in which bodies have moved by given ways from their start [m], shape [sample_count, 3]."""
+    states = {}
+    for body in stage.scene.bodies:
+        rows = np.zeros((len(times_s), 13))
+        way = ways_m.get(body.name.replace("-", "_"), np.zeros((len(times_s), 3)))
+        rows[:, :3] = np.asarray(body.pose.position_m) + way
+        rows[:, 3:7] = body.pose.quaternion
+        rows[:, 7:10] = np.gradient(way, times_s, axis=0)
+        states[body.name] = rows
+    return Rollout(scene=stage.scene, times_s=times_s, states=states, settings={})
+
+
+# --- rollouts --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("step", "interval"), [(0.01, 0.01), (0.003, 0.003), (0.0007, 0.0014), (1 / 9000, 0.002)])
+def test_runs_at_its_own_step(step: float, interval: float) -> None:
+    stage = replace(one("rebound").stage, seconds=0.2)
+    run = rollout(MUJOCO, stage, {"timestep_s": step, "integrator": "Euler"})
+    steps = np.round(run.times_s / step)
+    fall = run.position("ball-2")[0, 2] - run.position("ball-2")[:, 2]
+    assert run.interval_s == pytest.approx(interval)
+    assert run.times_s[-1] == pytest.approx(0.2, abs=step)
+    # A semi-implicit step falls by g h^2 (1 + 2 + ... + n).
+    np.testing.assert_allclose(fall, 0.5 * G * step**2 * steps * (steps + 1), atol=1e-9)
+
+
+@pytest.mark.parametrize("interval", [0.01, 0.003, 1 / 600])
+def test_driver_intervals_join(interval: float) -> None:
+    scene = one("slip").stage.scene
+    (driver,) = scene.drivers
+    path = DriverPath(driver, scene, 95, interval_s=interval)
+    start = scene.body("plate").pose
+    ends = [path.interval(sample, np.zeros(path.motion_count)) for sample in range(200)]
+    for sample, ((pose, speed, gain), (after, _, _)) in enumerate(pairwise(ends)):
+        assert pose == driver.pose(start, sample * interval)
+        turn = (after.rotation * pose.rotation.inv()).as_rotvec()
+        np.testing.assert_allclose(speed[3:] * interval + 0.5 * gain[3:] * interval**2, turn, atol=1e-9)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.003])
+def test_driven_plate_is_where_its_driver_says(step: float) -> None:
+    stage = replace(one("carry-wood").stage, seconds=1.0)
+    run = rollout(MUJOCO, stage, {"timestep_s": step})
+    (driver,) = stage.scene.drivers
+    end = driver.pose(stage.scene.body("plate").pose, float(run.times_s[-1]))
+    turn = end.rotation.inv() * type(end.rotation).from_quat(run.states["plate"][-1, 3:7], scalar_first=True)
+    assert np.degrees(turn.magnitude()) < 0.01
+
+
+def test_declined_and_diverged_are_outcomes() -> None:
+    stage = one("creep-wood").stage
+    with pytest.raises(DeclinedError, match="no such setting"):
+        rollout(MUJOCO, stage, {"colour": "red"})
+    loose = {
+        "timestep_s": 0.01,
+        "contact_solref": (0.002, 1.0),
+        "refsafe": False,
+        "contact_solimp": CHEETAH["contact_solimp"],
+    }
+    with pytest.raises(DivergedError, match="m/s"):
+        rollout(MUJOCO, stage, loose)
+    measured = Measurements(MUJOCO).measure(one("creep-wood"), loose)
+    assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
+    assert measured.remark.startswith("diverged")
+
+
+# --- readings of motions that are known ------------------------------------------------------------------------------
+
+
+def test_creep_counts_after_settling() -> None:
+    creep = one("creep-wood")
+    times = np.linspace(0.0, 1.0, 401)
+    downhill = creep.stage.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
+    settling = 0.002 * (1.0 - np.exp(-times / 0.02))
+    run = moved(creep.stage, times, cube=(settling + 0.007 * times)[:, None] * downhill)
+    assert creep.read(run).value == pytest.approx(7.0, abs=1e-3)
+
+
+def test_resting_height_is_along_the_normal() -> None:
+    rest = one("rest-height")
+    times = np.linspace(0.0, 1.0, 101)
+    normal = rest.stage.scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
+    sunk = moved(rest.stage, times, cube=np.outer(np.where(times > 0.0, -0.0012, 0.0), normal))
+    flat = moved(rest.stage, times)
+    assert rest.read(flat).value == pytest.approx(0.0, abs=2e-3)
+    assert rest.read(sunk).value - rest.read(flat).value == pytest.approx(-1.2, abs=1e-9)
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+def test_slide_reads_acceleration_whatever_the_start_speed(material: str) -> None:
+    slide = one(f"slide-{material}")
+    times = np.linspace(0.0, 0.5, 126)
+    downhill = slide.stage.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
+    law = slide.reality.value
+    run = moved(slide.stage, times, cube=(0.06 * times + 0.5 * law * times**2)[:, None] * downhill)
+    assert slide.read(run).value == pytest.approx(law)
+    friction = (0.5 - law / G) / np.sqrt(0.75)
+    assert friction == pytest.approx({"wood": 0.273673, "plastic": 0.275018, "metal": 0.262758}[material])
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.577, 0.9])
+@pytest.mark.parametrize("interval", [0.002, 0.01])
+def test_rebound_of_an_ideal_ball(restitution: float, interval: float) -> None:
+    rebound = one("rebound")
+    times = np.arange(0.0, 0.85, interval)
+    ways = {}
+    for ball in rebound.stage.scene.dynamic_bodies:
+        drop = ball.pose.position_m[2] - rebound.stage.scene.body("ground").pose.position_m[2] - 0.03
+        ways[ball.name.replace("-", "_")] = np.outer(_bounces_m(times, drop, restitution) - drop, [0.0, 0.0, 1.0])
+    assert rebound.read(moved(rebound.stage, times, **ways)).value == pytest.approx(restitution, rel=2e-3)
+
+
+def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
+    """Height above contact of a ball that loses 1 - e of its speed in an instant."""
+    heights = drop_m - 0.5 * G * times_s**2
+    start, speed = np.sqrt(2.0 * drop_m / G), restitution * np.sqrt(2.0 * G * drop_m)
+    for _ in range(10):
+        since = times_s - start
+        heights = np.where(since >= 0.0, speed * since - 0.5 * G * since**2, heights)
+        start, speed = start + 2.0 * speed / G, restitution * speed
+    return heights
+
+
+def test_a_ball_that_stays_down_is_a_failure() -> None:
+    rebound = one("rebound")
+    reading = rebound.read(moved(rebound.stage, np.linspace(0.0, 0.85, 400)))
+    assert (reading.value, reading.failure) == (0.0, "5 of 5 drops do not leave the ground again")
+
+
+def test_only_the_last_ball_may_leave() -> None:
+    momentum = one("momentum")
+    times = np.linspace(0.0, 0.55, 276)
+    after = np.clip(times - 0.25, 0.0, None)
+    swing = np.outer(0.1 * np.sin(np.pi * after / 0.3) ** 2, [0.0, 0.0, 1.0])
+    fallen = np.outer(np.where(times > 0.2, -0.138251, 0.0), [0.0, 0.0, 1.0])
+    good = momentum.read(moved(momentum.stage, times, ball_1=fallen, ball_5=swing))
+    assert good.value == pytest.approx(np.sqrt(0.1 / 0.138251), rel=1e-4)
+    assert good.failure == ""
+    bad = momentum.read(moved(momentum.stage, times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing))
+    assert bad.failure.startswith("2 of 5 balls swing out")
+
+
+def test_depth_of_a_point_in_the_recess() -> None:
+    point = one("point")
+    scene = point.stage.scene
+    tip = scene.body("pyramid").pose.to_world(np.array([0.0, 0.0, -0.075]))
+    floor = scene.body("squarebase").pose.position_m[2] - 0.0125
+    way = np.array([0.0, 0.0, floor - tip[2] - 0.0031])
+    times = np.array([0.0, 0.1])
+    assert point.read(moved(point.stage, times, pyramid=np.outer([0.0, 1.0], way))).value == pytest.approx(3.1)
+
+
+# --- reality ---------------------------------------------------------------------------------------------------------
+
+
+def test_scores_of_creeping_cubes_differ_by_the_formula() -> None:
+    place, way = 0.59, 0.3
+    frames = np.column_stack([place + way * (np.linspace(0.0, 1.0, 301) - 0.5), np.zeros(301), np.zeros(301)])
+    mean = np.zeros_like(frames)
+    assert trajectory_rmse(frames, mean) - trajectory_dtw(frames, mean) == pytest.approx(
+        way**2 / (24.0 * place), rel=0.03
+    )
+
+
+@pytest.mark.parametrize(("material", "printed"), [("wood", 0.59), ("plastic", 1.90), ("metal", 0.86)])
+def test_creep_scatter_is_the_way_that_one_digit_hides(material: str, printed: float) -> None:
+    way = creep_scatter_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
+    assert way**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
+
+
+def test_reality_is_known_and_scatters() -> None:
+    chosen = phenomena(include_deformables=True)
+    assert len({p.id for p in chosen}) == len(chosen) == len(phenomena()) + 1
+    for phenomenon in chosen:
+        assert np.isfinite(phenomenon.reality.value) and phenomenon.reality.scatter > 0.0, phenomenon.id
+        assert len(phenomenon.reality.source) > 20, phenomenon.id
+    assert one("rebound").reality.scatter == pytest.approx(0.002242)
+    assert one("rebound").reality.value == pytest.approx(0.576733)
+    assert one("momentum").reality.value == pytest.approx(0.9302)
+    with pytest.raises(UnknownNameError, match="colour"):
+        phenomena(["colour-*"])
+
+
+# --- engines ---------------------------------------------------------------------------------------------------------
+
+
+def test_creep_of_half_cheetah_is_mujocos() -> None:
+    """The creep of a plain MJCF model of the same cube, on a plane in tilted gravity."""
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.01" gravity="{G * np.sin(np.radians(10))} 0 {-G * np.cos(np.radians(10))}"/>
+        <default><geom friction="0.273673 0 0" solimp="0 0.8 0.01" solref="0.02 1"/></default>
+        <worldbody><geom type="plane" size="1 1 1"/>
+        <body pos="0 0 0.025"><freejoint/><geom type="box" size="0.025 0.025 0.025" mass="0.0903"/></body>
+        </worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=50)
+    early = float(data.qpos[0])
+    mujoco.mj_step(model, data, nstep=50)
+    plain = 1e3 * (float(data.qpos[0]) - early) / 0.5
+    assert value("creep-wood", CHEETAH) == pytest.approx(plain, rel=0.02)
+    assert 50.0 < plain < 65.0
+
+
+def test_half_cheetah_by_numbers() -> None:
+    # With the friction of the model's own floor instead of the cube's, the creep is half of it.
+    assert value("creep-wood", CHEETAH | {"o_friction": (0.4, 0.4, 0.0, 0.0, 0.0)}) == pytest.approx(26.0, abs=3.0)
+    assert value("creep-wood", CHEETAH | {"cone": "elliptic", "impratio": 100.0}) < 0.1
+    # Once it has sunk in, the cube slides as Coulomb says.
+    assert value("slide-wood", CHEETAH) == pytest.approx(one("slide-wood").reality.value, rel=0.01)
+    assert 0.1 < value("rebound", CHEETAH) < 0.3
+    # At equilibrium the spring of the contact carries the weight: it is millimetres deep.
+    assert -3.0 < value("rest-height", CHEETAH) < -1.5
+
+
+def test_margin_lifts_what_rests() -> None:
+    bare, lifted = value("rest-height", {}), value("rest-height", {"contact_margin_m": 0.001})
+    assert lifted - bare == pytest.approx(1.0, abs=0.01)
+
+
+def test_three_per_cent_of_a_slide_are_visible() -> None:
+    slide = one("slide-wood")
+    assert 2.0 < 0.03 * slide.reality.value / slide.reality.scatter < 5.0
+    measured = Measurements(MUJOCO).measure(slide, {"friction_scale": 0.96})
+    assert measured.value == pytest.approx(slide.reality.value + 0.04 * 0.273673 * G * np.sqrt(0.75), rel=0.002)
+    assert measured.verdict is Verdict.VISIBLE
+
+
+def test_backend_default_raises_no_flag() -> None:
+    measurements = Measurements(MUJOCO)
+    found = {p.id: measurements.measure(p, {}) for p in phenomena()}
+    assert {name for name, one in found.items() if one.verdict is not Verdict.INSIDE} == set()
+
+
+@pytest.mark.slow
+def test_newtons_default_raises_no_flag() -> None:
+    pytest.importorskip("newton")
+    measurements = Measurements(backend("newton"))
+    found = {p.id: measurements.measure(p, {}) for p in phenomena()}
+    assert {name for name, one in found.items() if one.verdict is not Verdict.INSIDE} == set()
+
+
+@pytest.mark.slow
+def test_cloth_carries_the_cube() -> None:
+    measured = Measurements(MUJOCO).measure(one_of_cloth(), {})
+    assert measured.verdict is Verdict.INSIDE
+
+
+def one_of_cloth() -> Phenomenon:
+    (found,) = phenomena(["cloth-carry"], include_deformables=True)
+    return found
