@@ -18,6 +18,7 @@ from gauge_envs.errors import AssetError
 from gauge_envs.experiment import experiment
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Pose, RigidBody, Scene, Sphere, Tether
 from gauge_envs.task_format import FRAME_RATE_HZ
+from gauge_envs.usd import read_usd
 
 Edit = Callable[[Usd.Stage], None]
 
@@ -439,6 +440,23 @@ def test_a_pair_that_is_filtered_is_taken_out_of_its_group(tmp_path: Path) -> No
 
     scene = edited(name, tmp_path, edit)
     assert pairs(scene) == pairs(before) - {frozenset((one, other))}
+
+
+def test_balls_of_a_cradle_that_pass_each_other_leave_one_chain(tmp_path: Path) -> None:
+    before = original(CRADLE)
+    balls = [body.name for body in before.dynamic_bodies]
+    one, other = balls[0], balls[-1]
+    paths = read_usd(assets_folder() / "usd" / f"{CRADLE}.usda").paths
+    assert before.has_impact_chain
+
+    def edit(stage: Usd.Stage) -> None:
+        filtered = UsdPhysics.FilteredPairsAPI.Apply(stage.GetPrimAtPath(paths[one]))
+        filtered.CreateFilteredPairsRel().AddTarget(paths[other])
+
+    scene = edited(CRADLE, tmp_path, edit)
+    listed = [frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)]
+    assert sorted(map(sorted, listed)) == sorted(map(sorted, pairs(before) - {frozenset((one, other))}))
+    assert scene.has_impact_chain
 
 
 def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -180,12 +180,18 @@ def _pairs(contact: Contact) -> set[Pair]:
 
 
 def _without(contact: Contact, pairs: set[Pair]) -> list[Contact]:
-    """A contact less some of its pairs; split by the bodies of its first side where that takes several."""
-    if not _pairs(contact) & pairs:
+    """A contact less some of its pairs; as few contacts as its groups of bodies then take."""
+    left = _pairs(contact) - pairs
+    if left == _pairs(contact):
         return [contact]
+    if set(contact.first) == set(contact.second):
+        return [
+            replace(contact, first=group, second=group) for group in _cliques(contact.first, left, {*contact.first})
+        ]
     parts = []
     for first in contact.first:
-        second = tuple(name for name in contact.second if frozenset((first, name)) not in pairs)
+        second = tuple(name for name in contact.second if frozenset((first, name)) in left)
+        left -= {frozenset((first, name)) for name in second}
         if second:
             parts.append(replace(contact, first=(first,), second=second))
     return parts
@@ -260,13 +266,21 @@ def _from_materials(source: Source, parties: Sequence[Party], pairs: set[Pair], 
         friction, restitution = (_combined(one[key], other[key]) for key in ("friction", "restitution"))
         kinds.setdefault((friction, restitution, options.mode_of(pair)), set()).add(pair)
     moving = {party.name for party in parties if party.moves}
-    contacts = []
-    for (friction, restitution, mode), left in kinds.items():
-        while left:
-            group = _clique([party.name for party in parties], left, moving)
-            contacts.append(Contact(first=group, second=group, friction=friction, restitution=restitution, mode=mode))
-            left -= _pairs(contacts[-1])
-    return contacts
+    names = [party.name for party in parties]
+    return [
+        Contact(first=group, second=group, friction=friction, restitution=restitution, mode=mode)
+        for (friction, restitution, mode), alike in kinds.items()
+        for group in _cliques(names, alike, moving)
+    ]
+
+
+def _cliques(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> Iterator[tuple[str, ...]]:
+    """Groups of bodies whose pairs are these and no others, but for pairs that do not move; each pair once."""
+    left = set(pairs)
+    while left:
+        group = _clique(names, left, moving)
+        left -= {frozenset(pair) for pair in combinations(group, 2)}
+        yield group
 
 
 def _clique(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> tuple[str, ...]:
