@@ -14,7 +14,7 @@ from gauge_envs.control.env import ControlEnv
 from gauge_envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.driver import Driver, mean_velocity
 from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.experiment import Parameters, experiment
+from gauge_envs.experiment import experiment
 from gauge_envs.scene import Scene
 from gauge_envs.task_format import FRAME_RATE_HZ
 
