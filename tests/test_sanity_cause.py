@@ -133,10 +133,13 @@ def test_divergence_is_a_row() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTS)
 def test_planted_setting_is_found_in_every_flagged_row(name: str) -> None:
-    """Nothing but the planted setting, or it together with others, is ever named."""
+    """It is the cause, or is told among what mends it alone, wherever it is not the default of the scene."""
     bad = flagged(report({**GOOD, name: PLANTS[name][0]}, only=()).rows)
     assert PLANTS[name][1] in bad
-    assert {p: row.cause for p, row in bad.items() if row.cause is None or name not in row.cause.settings} == {}
+    causes = {phenomenon: row.cause for phenomenon, row in bad.items() if row.cause is not None}
+    assert set(causes) == set(bad)
+    differs = {p: cause for p, cause in causes.items() if any(name in trial.changes for trial in cause.tried)}
+    assert {p: cause.line for p, cause in differs.items() if name not in cause.line} == {}
 
 
 @pytest.mark.slow
@@ -183,9 +186,10 @@ def test_the_closest_single_setting_is_responsible_and_others_are_told() -> None
 
 
 def test_within_the_scatter_what_harms_the_default_is_responsible() -> None:
-    # Both a and b mend it, and with b put back it comes closer; but a harms alone, and b does not.
-    cause = cause_of(lambda a, b, c, d, e: 6.0 * a * (1.0 + b) - 5.0 * a + 0.3 * a * (1 - b), a=1, b=1)
+    # With b put back it comes closest, as c takes back what a alone does; but a harms alone, and b does not.
+    cause = cause_of(lambda a, b, c, d, e: 7.0 * a * b + a * (1 - b) * (1.5 - 1.4 * c) + c * (1 - a), a=1, b=1, c=1)
     assert cause is not None and cause.settings == ("a",)
+    assert cause.line.endswith("from 7 mm/s to 1 mm/s (b alone to 0.1 mm/s)")
 
 
 def test_half_the_error_is_enough_and_what_completes_it_is_told() -> None:

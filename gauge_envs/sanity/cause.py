@@ -50,10 +50,10 @@ def find_cause(
     """Find the settings that make a phenomenon visibly unlike reality.
 
     Settings are put back to the backend's default one at a time; the one that brings the phenomenon closest to reality,
-    into its scatter or to half the error, is responsible. Within the scatter no trial tells which is closest: of several
-    that come there, the one is responsible that alone on the default does most of the harm. Where none helps, each
-    setting is tried alone on the default, since several may suffice each, and then the fewest that do it together are
-    looked for.
+    into its scatter or to half the error, is responsible. Within the scatter no trial tells which is closest: of
+    several that come there, the one is responsible that alone on the default does most of the harm. Where none helps,
+    each setting is tried alone on the default, since several may suffice each, and then the fewest that do it together
+    are looked for.
 
     Args:
         measurements: What measures.
@@ -120,6 +120,8 @@ class _Search:
 
     def _shift(self, alone: Measured) -> float:
         default, configured = self._default.value, self._configured.value
+        if alone.verdict is Verdict.DECLINED:
+            return -math.inf
         if alone.value is None or default is None or configured is None:
             return alone.deviation
         return math.copysign(1.0, configured - default) * (alone.value - default)
