@@ -20,6 +20,7 @@ from gauge_envs.errors import BackendError, EpisodeError, GaugeError, ParameterE
 from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.jitter import Jitter, jittered
 from gauge_envs.observer import checked_proxy
+from gauge_envs.pictures import RENDER_MODES, Pictures
 from gauge_envs.score import Score
 from gauge_envs.task_format import FRAME_RATE_HZ
 
@@ -89,7 +90,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
-        "render_modes": ["rgb_array"],
+        "render_modes": [*RENDER_MODES],
         "render_fps": int(FRAME_RATE_HZ),
     }
     _spec: EnvSpec | None = None
@@ -109,8 +110,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         width: int = 640,
         height: int = 480,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        self._pictures = Pictures(render_mode, width=width, height=height)
         self.experiment = experiment(variant, parameters, drivers=drivers, asset=asset)
         self.backend_name = backend
         self.render_mode = render_mode
@@ -119,8 +119,6 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         self.jitter: Jitter | None = None
         self._settings = settings
         self._marker_proxy = checked_proxy(marker_proxy)
-        self._picture_size = (width, height)
-        self._renderer: Any = None
         check_support(self.experiment, backend)
         self.versions = self._engine.versions()
         self._build(self.experiment)
@@ -140,7 +138,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     def __getstate__(self) -> dict[str, Any]:
         """What `__setstate__` needs to build the same run again and to put it where it was."""
         # An engine's model does not pickle, and what it is built from does.
-        built = ("simulation", "episode", "_renderer")
+        built = ("simulation", "episode")
         return {
             "attributes": {name: value for name, value in vars(self).items() if name not in built},
             "experiment": self.episode.experiment,
@@ -155,7 +153,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             BackendError: Other versions of the engine are installed here.
             MissingExtraError: The engine is not installed here.
         """
-        vars(self).update(state["attributes"], _renderer=None)
+        vars(self).update(state["attributes"])
         installed = self._engine.versions()
         if installed != self.versions:
             raise BackendError(
@@ -198,7 +196,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
                 scene = jittered(scene, jitter, seed=self.seed_used)
             resolved = replace(self.experiment, scene=scene)
             check_support(resolved, self.backend_name)
-            self._close_renderer()
+            self._pictures.close()
             self.simulation.close()
             self._build(resolved)
         self.jitter = jitter
@@ -250,21 +248,14 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         episode = self.episode
         if episode.frame is None:
             raise EpisodeError(f"{self.experiment.id}: call reset before render")
-        if self._renderer is None:
-            from gauge_envs.rendering import SceneRenderer
-
-            self._renderer = SceneRenderer(self.experiment.scene, episode.rest_nodes_m, *self._picture_size)
-        return self._renderer.picture(episode.poses(), episode.nodes_m())
+        return self._pictures.draw(
+            self.experiment.scene, episode.rest_nodes_m, poses=episode.poses(), nodes_m=episode.nodes_m()
+        )
 
     def close(self) -> None:
         """Free the simulation and the renderer."""
-        self._close_renderer()
+        self._pictures.close()
         self.simulation.close()
-
-    def _close_renderer(self) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
 
 
 def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:

@@ -23,6 +23,7 @@ from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiment import Experiment, Parameters, experiment
 from gauge_envs.jitter import Jitter, jittered
 from gauge_envs.observer import checked_proxy
+from gauge_envs.pictures import Pictures
 from gauge_envs.score import Score
 
 __all__ = ["GaugeVectorEnv", "ScoreEpisodes", "scored_vector_env"]
@@ -100,8 +101,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     ) -> None:
         if num_envs < 1:
             raise ParameterError(f"num_envs is {num_envs}, expected 1 or more")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        self._pictures = Pictures(render_mode, width=width, height=height)
         self.num_envs = num_envs
         self.experiment = experiment(variant, parameters, drivers=drivers, asset=asset)
         self.backend_name = backend
@@ -111,8 +111,6 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self.jitter: Jitter | None = None
         self._settings = settings
         self._marker_proxy = checked_proxy(marker_proxy)
-        self._picture_size = (width, height)
-        self._renderer: Any = None
         check_support(self.experiment, backend)
         self._build([self.experiment] * num_envs)
         first = self.episodes[0]
@@ -184,7 +182,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         resolved = [replace(self.experiment, scene=one) for one in scenes]
         for one in resolved:
             check_support(one, self.backend_name)
-        self._close_renderer()
+        self._pictures.close()
         self.worlds.close()
         self._build(resolved)
 
@@ -256,22 +254,18 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             return None
         if not self._observations:
             raise EpisodeError(f"{self.experiment.id}: call reset before render")
-        if self._renderer is None:
-            from gauge_envs.rendering import SceneRenderer
-
-            first = self.episodes[0]
-            self._renderer = SceneRenderer(first.experiment.scene, first.rest_nodes_m, *self._picture_size)
-        return tuple(self._renderer.picture(episode.poses(), episode.nodes_m()) for episode in self.episodes)
+        first = self.episodes[0]
+        return tuple(
+            self._pictures.draw(
+                first.experiment.scene, first.rest_nodes_m, poses=episode.poses(), nodes_m=episode.nodes_m()
+            )
+            for episode in self.episodes
+        )
 
     def close_extras(self, **_: Any) -> None:
         """Free the worlds and the renderer."""
-        self._close_renderer()
+        self._pictures.close()
         self.worlds.close()
-
-    def _close_renderer(self) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
 
 
 class ScoreEpisodes(VectorWrapper):

@@ -20,6 +20,7 @@ from gauge_envs.driver import Driver
 from gauge_envs.env import check_support
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiment import Parameters, experiment
+from gauge_envs.pictures import RENDER_MODES, Pictures
 from gauge_envs.scene import Scene
 from gauge_envs.task import find_variant
 from gauge_envs.task_format import FRAME_RATE_HZ, Variant
@@ -64,7 +65,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
-        "render_modes": ["rgb_array"],
+        "render_modes": [*RENDER_MODES],
         "render_fps": int(FRAME_RATE_HZ),
     }
     FAMILY: ClassVar[str]
@@ -84,8 +85,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         width: int = 640,
         height: int = 480,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        self._pictures = Pictures(render_mode, width=width, height=height)
         self.render_mode = render_mode
         chosen = find_variant(variant)
         resolved = experiment(chosen, self._placed(chosen, parameters), drivers="bundled")
@@ -97,8 +97,6 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self._build()
         check_drive_interval(self.simulation.settings)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
-        self._picture_size = (width, height)
-        self._renderer: Any = None
         self._frame: int | None = None
         self._ending: Ending | None = None
         self._observations: list[FloatArray] = []
@@ -113,12 +111,12 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     def __getstate__(self) -> dict[str, Any]:
         """What `__setstate__` needs to build the same run again and to put it where it was."""
         # An engine's model does not pickle, and what it is built from does.
-        kept = {name: value for name, value in vars(self).items() if name not in ("simulation", "_renderer")}
+        kept = {name: value for name, value in vars(self).items() if name != "simulation"}
         return {"attributes": kept, "simulation": self.simulation.state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build the same run again, and go on from where it was."""
-        vars(self).update(state["attributes"], _renderer=None)
+        vars(self).update(state["attributes"])
         self._build()
         self.simulation.restore(state["simulation"])
 
@@ -267,17 +265,11 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         if self._frame is None:
             raise EpisodeError(f"{type(self).__name__}: call reset before render")
         scene = self.experiment.scene
-        if self._renderer is None:
-            from gauge_envs.rendering import SceneRenderer
-
-            self._renderer = SceneRenderer(scene, {}, *self._picture_size)
         moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
         poses = self.simulation.body_states(moving)[:, :7]
-        return self._renderer.picture(dict(zip(moving, poses, strict=True)), {})
+        return self._pictures.draw(scene, {}, poses=dict(zip(moving, poses, strict=True)), nodes_m={})
 
     def close(self) -> None:
         """Free the simulation and the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._pictures.close()
         self.simulation.close()
