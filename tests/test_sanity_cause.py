@@ -92,7 +92,8 @@ def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
     )
     assert seen == list(found.rows)
     bad = flagged(found.rows)
-    assert set(bad) == {"creep-wood", "rest-height", "rebound"}
+    assert set(bad) == {"creep-wood", "rest-height", "rebound", "slide-wood"}
+    assert bad["slide-wood"].cause is not None and bad["slide-wood"].cause.settings == ("contact_solimp",)
     assert all(row.cause is not None and row.cause.settings and row.cause.tried for row in bad.values())
     creep = bad["creep-wood"].cause
     assert creep is not None

@@ -20,6 +20,9 @@ LARGEST_GROUP = 3
 SEEN_DEVIATION = 0.1
 """Change of a deviation, in standard deviations, below which a setting has no effect of its own."""
 
+SAME_DEVIATION = 1.0
+"""Deviations, in standard deviations, that are no further apart than this no trial can tell apart."""
+
 NOT_NUMERICAL = ("preset", "drive_interval_s")
 """Settings that name others or follow from them."""
 
@@ -50,10 +53,10 @@ def find_cause(
     """Find the settings that make a phenomenon visibly unlike reality.
 
     Settings are put back to the backend's default one at a time; the one that brings the phenomenon closest to reality,
-    into its scatter or to half the error, is responsible. Within the scatter no trial tells which is closest: of
-    several that come there, the one is responsible that alone on the default does most of the harm. Where none helps,
-    each setting is tried alone on the default, since several may suffice each, and then the fewest that do it together
-    are looked for.
+    into its scatter or to half the error, is responsible. Within the scatter no trial tells small differences: of
+    several that come as close, the one is responsible that alone on the default does most of the harm, if any does.
+    Where none helps, each setting is tried alone on the default, since several may suffice each, and then the fewest
+    that do it together are looked for.
 
     Args:
         measurements: What measures.
@@ -106,17 +109,23 @@ class _Search:
         close = {name: changed for name, changed in self._put_back.items() if self.explains(changed)}
         if not close:
             return None
-        inside = [name for name, changed in close.items() if changed.verdict is Verdict.INSIDE]
-        best = min(close, key=lambda name: close[name].deviation) if len(inside) < 2 else self._strongest(inside)
+        best = min(close, key=lambda name: close[name].deviation)
+        if close[best].verdict is Verdict.INSIDE:
+            alike = [name for name, one in close.items() if one.deviation <= close[best].deviation + SAME_DEVIATION]
+            best = self._strongest(alike) or best if len(alike) > 1 else best
         others = [f"{name} alone to {self._value(close[name])}" for name in close if name != best]
         if close[best].verdict is not Verdict.INSIDE:
             others += self._completed(best)
         return self._cause((best,), close[best], also=f" ({', '.join(others)})" if others else "")
 
-    def _strongest(self, names: Sequence[str]) -> str:
-        """Of settings that each mend it, the one that alone takes the default furthest towards the configuration."""
+    def _strongest(self, names: Sequence[str]) -> str | None:
+        """Of settings that each mend it, the one that alone takes the default furthest towards the configuration.
+
+        None where no one alone does anything that can be seen.
+        """
         self._alone |= {name: self._on_default(name) for name in names}
-        return max(names, key=lambda name: self._shift(self._alone[name]))
+        best = max(names, key=lambda name: self._shift(self._alone[name]))
+        return best if self._shift(self._alone[best]) > SEEN_DEVIATION * self._phenomenon.reality.scatter else None
 
     def _shift(self, alone: Measured) -> float:
         default, configured = self._default.value, self._configured.value

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gauge_envs.metrics import fitted_acceleration
 from gauge_envs.reference import published_baselines
 from gauge_envs.sanity.model import Reality
 from gauge_envs.sanity.phenomena.facts import facts, position_scatter_mm
@@ -20,8 +21,8 @@ MATERIALS = ("wood", "plastic", "metal")
 HOLD_S, SETTLED_S = 1.0, 0.5
 """The cube starts in touch without load and sinks into a soft contact first; creep is what goes on after that."""
 
-SLIDE_S = (0.1, 0.5)
-"""Between settling and the board's end, which a cube 20 % too fast reaches after 0.53 s."""
+SLIDE_S = 0.5
+"""Before the board's end, which a cube 20 % too fast reaches after 0.53 s."""
 
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
@@ -133,7 +134,7 @@ def _gap_mm(scene: Scene) -> float:
 
 
 def _slide(material: str) -> Phenomenon:
-    stage = Stage(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S[1])
+    stage = Stage(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S)
     scene = stage.scene
     friction = next(c.friction for c in scene.contacts if "board" in c.second)
     downhill = scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
@@ -142,8 +143,9 @@ def _slide(material: str) -> Phenomenon:
     seen, scatter = trials["acceleration_m_s2"]["mean"], trials["acceleration_m_s2"]["std"]
 
     def read(run: Rollout) -> Reading:
-        part = run.between(*SLIDE_S)
-        return Reading(value=2e-3 * float(np.polyfit(run.times_s[part], _downhill_mm(run)[part], 2)[0]))
+        # As the paper fits real slides, from rest: what a cube gains while it sinks into soft ground counts, since a
+        # camera would see it.
+        return Reading(value=1e-3 * fitted_acceleration(run.times_s, _downhill_mm(run)))
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return 500.0 * law * times_s**2, 500.0 * scatter * times_s**2
