@@ -298,8 +298,7 @@ def compare(
     from gauge_envs.comparison import compare as compare_results
     from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view
 
-    if json_lines and markdown:
-        raise ParameterError("--json and --markdown exclude each other")
+    _check_one_format(json_lines, markdown)
     chosen = check_metrics(metrics or [])
     results, skipped = _loaded(sources)
     comparison = compare_results(results)
@@ -395,13 +394,14 @@ def sanity(
     only: Annotated[
         list[str] | None, typer.Option("--only", help="Id or pattern of phenomena, as 'creep-*'; repeatable.")
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="Cloth, foam and rope too, which take longer.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="Deformable bodies too, which take longer.")] = False,
     fail_on: Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")] = (
         FailOn.NEVER
     ),
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Page with pictures, in one file; none is written without it.")
     ] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
     json_lines: Json = False,
 ) -> None:
     """Tell what physics a training configuration gets wrong, and which of its settings are responsible.
@@ -409,11 +409,12 @@ def sanity(
     Runs measured objects with the numerical settings of the target and of its backend's default, and compares both
     with real trials. Exit code 1 also when nothing could be measured.
     """
-    from gauge_envs.report.sanity import sanity_rows, sanity_view
+    from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
     from gauge_envs.report.sanity_page import check_can_draw, save_sanity_page
     from gauge_envs.sanity import Row, Verdict, check, configuration
     from gauge_envs.sanity.phenomena import phenomena
 
+    _check_one_format(json_lines, markdown)
     if html is not None:
         check_can_draw()
     checked = configuration(target, pair=_geom_pair(pair))
@@ -427,6 +428,8 @@ def sanity(
         report = check(checked, only=patterns, include_deformables=every, notify=notify)
     if json_lines:
         _print_lines(sanity_rows(report))
+    elif markdown:
+        typer.echo(sanity_markdown(report), nl=False)
     else:
         _stdout().print(sanity_view(report))
     if html is not None:
@@ -732,6 +735,11 @@ def _result_files(source: Path) -> list[Path]:
 
 
 # --- output ----------------------------------------------------------------------------------------------------------
+
+
+def _check_one_format(json_lines: bool, markdown: bool) -> None:
+    if json_lines and markdown:
+        raise ParameterError("--json and --markdown exclude each other")
 
 
 def _stdout() -> Console:

@@ -93,6 +93,16 @@ def test_run_prints_scores_beside_the_published_ones(gauge, tmp_path):
     assert "3 finished; results in out" in result.stderr
 
 
+def test_run_in_a_narrow_terminal_cuts_no_number(gauge):
+    wide = gauge("run", NAME)
+    narrow = CliRunner(env={"COLUMNS": "80"}).invoke(app, ["run", NAME])
+    row = next(line for line in wide.stdout.splitlines() if "RMSE" in line)
+    grade, metric, score, _, normalized, *_ = row.split()[1:]
+    shown = next(line for line in narrow.stdout.splitlines() if "RMSE" in line)
+    assert shown.split()[1:6] == [grade, metric, score, "mm", normalized]
+    assert "Genesis" in wide.stdout.splitlines()[0] and "Genesis" not in narrow.stdout.splitlines()[0]
+
+
 def test_run_json_has_one_object_a_line_and_nothing_else_on_stdout(gauge):
     result = gauge("run", NAME, "SlopeSlider-1-wood", "--json", "--seed", 3, "--set", "iterations=50")
     assert result.exit_code == 0

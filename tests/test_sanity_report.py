@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from gauge_envs import sanity
 from gauge_envs.cli import app
 from gauge_envs.errors import MissingExtraError, ResultFileError
-from gauge_envs.report.sanity import sanity_rows, sanity_view
+from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
 from gauge_envs.report.sanity_page import sanity_page, save_sanity_page
 from gauge_envs.sanity.model import (
     Cause,
@@ -148,6 +148,14 @@ def test_a_narrow_terminal_loses_no_verdict() -> None:
     text = shown(WHOLE, width=80)
     assert "wrong, 56 sigma" in text
     assert "declined" in text
+
+
+def test_markdown_is_a_row_each() -> None:
+    title, rule, *rows, _, tally = sanity_markdown(WHOLE).splitlines()
+    assert title.split(" | ")[-1] == "responsible |"
+    assert rule == "| --- | --- | --- | --- | --- | --- |"
+    assert [row.split(" | ")[4].split(",")[0] for row in rows] == ["wrong", "visible", "inside", "declined"]
+    assert tally.endswith("1 wrong, 1 visible, 1 inside, 1 declined; 12 s")
 
 
 def test_json_is_the_configuration_and_then_a_row_each() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,6 +32,8 @@ from gauge_envs.report.text import (
     METRIC_TITLES,
     NORMALIZED_NOTE,
     heading,
+    markdown_row,
+    markdown_text,
     plus_minus_text,
     quantity_text,
     score_text,
@@ -134,18 +135,10 @@ def comparison_markdown(comparison: Comparison, metrics: Sequence[str] = tuple(M
     for section in _sections(comparison, metrics):
         rule = ["---" if index < section.text_columns else "---:" for index in range(len(section.titles))]
         lines += [f"**{section.heading}**", ""]
-        lines += [_markdown_row(row) for row in (section.titles, rule, *section.rows)]
+        lines += [markdown_row(row) for row in (section.titles, rule, *section.rows)]
         # Two blanks end a line in Markdown.
-        lines += ["", *(f"{_markdown(note)}  " for note in section.notes), ""]
+        lines += ["", *(f"{markdown_text(note)}  " for note in section.notes), ""]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(map(_markdown, cells))} |"
-
-
-def _markdown(text: str) -> str:
-    return re.sub(r"([|*_<\\])", r"\\\1", text)
 
 
 def _sections(comparison: Comparison, metrics: Sequence[str]) -> list[_Section]:

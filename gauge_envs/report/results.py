@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import Group
+from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
@@ -101,7 +101,7 @@ def summary_view(results: Sequence[Result]) -> Group:
     ran = [result for result in results if result.error is None]
     parts: list[Any] = []
     if ran:
-        parts += [_score_table(ran), Text("")]
+        parts += [_ScoreTable(ran), Text("")]
         parts.append(Text(NORMALIZED_NOTE, style="dim"))
         parts.append(
             Text(
@@ -137,15 +137,30 @@ def summary_view(results: Sequence[Result]) -> Group:
     return Group(*parts)
 
 
-def _score_table(results: Sequence[Result]) -> Table:
+WIDE = 110
+"""Characters from which on the published engines stand beside the scores."""
+
+
+class _ScoreTable:
+    """Scores, and where the terminal is wide enough those of the published engines: numbers must not be cut short."""
+
+    def __init__(self, results: Sequence[Result]) -> None:
+        self._results = results
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield _score_table(self._results, with_engines=options.max_width >= WIDE)
+
+
+def _score_table(results: Sequence[Result], *, with_engines: bool) -> Table:
+    engines = ENGINE_TITLES.values() if with_engines else ()
     table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("experiment", overflow="fold")
-    table.add_column("grade")
-    table.add_column("metric")
-    for title in ("score", "normalized", *ENGINE_TITLES.values(), "aligned", "|z|"):
+    table.add_column("experiment", overflow="fold", min_width=16)
+    table.add_column("grade", min_width=5)
+    table.add_column("metric", min_width=6)
+    for title in ("score", "normalized", *engines, "aligned", "|z|"):
         table.add_column(title, justify="right", no_wrap=True)
     for result in results:
-        rows = _score_rows(result)
+        rows = [(*row[:3], *(row[3:-2] if with_engines else ()), *row[-2:]) for row in _score_rows(result)]
         driven = ", nominal driver" if "nominal" in (result.driver_provenance or "") else ""
         names = [result.id.removeprefix("GAUGE/"), f"[dim]{escape(result_label(result) + driven)}[/]"]
         for index in range(max(len(rows), len(names))):

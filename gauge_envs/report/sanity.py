@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from rich.console import Group
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.report.text import facts_grid, heading, quantity_text, rows_table, vector_text
+from gauge_envs.report.text import facts_grid, heading, markdown_row, quantity_text, rows_table, vector_text
 from gauge_envs.sanity.model import Configuration, Reality, Report, Row, Verdict
 
 __all__ = [
@@ -17,6 +16,7 @@ __all__ = [
     "measured_text",
     "reality_text",
     "responsible_text",
+    "sanity_markdown",
     "sanity_rows",
     "sanity_view",
     "setting_text",
@@ -33,6 +33,8 @@ VERDICT_NOTES = {
 }
 
 STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bold red", Verdict.DECLINED: "dim"}
+
+TITLES = ("phenomenon", "reality", "default", "this", "verdict", "responsible")
 
 LEGEND = (
     "Reality: mean +- standard deviation (sigma) of real trials. Default: the backend's own settings. Responsible: "
@@ -58,6 +60,12 @@ def sanity_view(report: Report) -> Group:
     parts += [Text(""), Text(tally_text(report), style="bold"), Text(LEGEND, style="dim")]
     parts += [Text(f"{verdict.value}: {VERDICT_NOTES[verdict]}", style="dim") for verdict in _present(report)]
     return Group(*parts)
+
+
+def sanity_markdown(report: Report) -> str:
+    """The table of phenomena as GitHub Markdown, and how many rows have each verdict."""
+    rows = [TITLES, ("---",) * len(TITLES), *map(_cells, report.rows)]
+    return "\n".join([*map(markdown_row, rows), "", f"{report.configuration.name}: {tally_text(report)}"]) + "\n"
 
 
 def _facts(checked: Configuration) -> dict[str, str]:
@@ -106,21 +114,27 @@ def _groups_table(checked: Configuration) -> Table | Text:
 
 def _phenomena_table(report: Report) -> Table:
     table = Table(box=None, header_style="dim", pad_edge=False)
-    table.add_column("phenomenon", overflow="fold", ratio=3)
-    for title in ("reality", "default", "this"):
+    phenomenon, *numbers, verdict, responsible = TITLES
+    table.add_column(phenomenon, overflow="fold", ratio=3)
+    for title in numbers:
         table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("verdict", no_wrap=True)
-    table.add_column("responsible", overflow="fold", ratio=4)
+    table.add_column(verdict, no_wrap=True)
+    table.add_column(responsible, overflow="fold", ratio=4)
     for row in report.rows:
-        table.add_row(
-            escape(row.title),
-            escape(reality_text(row.reality, row.unit)),
-            Text(measured_text(row.default), style=STYLES[row.default_verdict]),
-            Text(measured_text(row.configured), style=STYLES[row.verdict]),
-            Text(verdict_text(row), style=STYLES[row.verdict]),
-            escape(responsible_text(row)),
-        )
+        styles = ("", "", STYLES[row.default_verdict], STYLES[row.verdict], STYLES[row.verdict], "")
+        table.add_row(*(Text(cell, style=style) for cell, style in zip(_cells(row), styles, strict=True)))
     return table
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    return (
+        row.title,
+        reality_text(row.reality, row.unit),
+        measured_text(row.default),
+        measured_text(row.configured),
+        verdict_text(row),
+        responsible_text(row),
+    )
 
 
 def reality_text(reality: Reality, unit: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,8 @@ __all__ = [
     "SIGMA_NOTES",
     "facts_grid",
     "heading",
+    "markdown_row",
+    "markdown_text",
     "number_text",
     "pairs_text",
     "plus_minus_text",
@@ -142,3 +145,13 @@ def quantity_text(value: float) -> str:
     if 1e3 <= size < 1e5:
         return f"{value:.0f}"
     return f"{value:.3g}" if size >= 1e-3 or size == 0.0 else f"{value:.1e}"
+
+
+def markdown_row(cells: Sequence[str]) -> str:
+    """One row of a table in GitHub Markdown."""
+    return f"| {' | '.join(map(markdown_text, cells))} |"
+
+
+def markdown_text(text: str) -> str:
+    """Text such that Markdown shows it as it is."""
+    return re.sub(r"([|*_<\\])", r"\\\1", text)
