@@ -21,12 +21,14 @@ from gauge_envs.scene import Attachment, Contact, Hinge, Motion, Scene
 
 if TYPE_CHECKING:
     from gauge_envs.experiment import Experiment, TaskExperiment
+    from gauge_envs.usd import UsdScene
 
 __all__ = [
     "USD_SUFFIXES",
     "Asset",
     "AssetKind",
     "check_fit",
+    "contents_sha256",
     "is_experiment_file",
     "read_bytes",
     "scene_changes",
@@ -63,7 +65,7 @@ class Asset:
     Attributes:
         path: Where it is, as it was given.
         kind: What it is.
-        sha256: Hash of its bytes.
+        sha256: Hash of its bytes; where it names other files, as layers that it refers to, of theirs too.
         edited: Whether it differs from the calibrated variant in what moves it. An experiment file is its own measure.
         changes: How, a line each: `contact cube/board: friction 0.273673 -> 0.136837`.
     """
@@ -102,6 +104,13 @@ def read_bytes(path: Path) -> bytes:
         raise AssetError(path, "", f"cannot be read: {error.strerror or error}") from error
 
 
+def contents_sha256(contents: Sequence[bytes]) -> str:
+    """Hash of the contents of files in a given order; of a single one the usual hash of its bytes."""
+    if len(contents) == 1:
+        return hashlib.sha256(contents[0]).hexdigest()
+    return hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in contents)).hexdigest()
+
+
 # --- the scene of a variant, from a file -----------------------------------------------------------------------------
 
 
@@ -118,10 +127,12 @@ def with_asset(resolved: TaskExperiment, path: Path) -> TaskExperiment:
     from gauge_envs.backends.registry import backend_of_suffix
     from gauge_envs.experiment import driver_provenance
 
-    digest = hashlib.sha256(read_bytes(path)).hexdigest()
+    contents = [read_bytes(path)]
     changes: tuple[str, ...]
     if path.suffix in USD_SUFFIXES:
-        kind, scene = AssetKind.USD, _usd_scene(resolved, path)
+        layer = _usd_scene(resolved, path)
+        kind, scene = AssetKind.USD, layer.scene
+        contents += map(read_bytes, layer.used_files)
         changes = tuple(scene_changes(resolved.scene, scene))
     elif (engine := backend_of_suffix(path.suffix)) is not None:
         kind, file = AssetKind.MODEL, engine.read_file(path, resolved.scene)
@@ -132,13 +143,13 @@ def with_asset(resolved: TaskExperiment, path: Path) -> TaskExperiment:
         resolved,
         scene=scene,
         driver_provenance=driver_provenance(scene),
-        asset=Asset(path=path, kind=kind, sha256=digest, edited=bool(changes), changes=changes),
+        asset=Asset(path=path, kind=kind, sha256=contents_sha256(contents), edited=bool(changes), changes=changes),
     )
     check_fit(found, resolved)
     return found
 
 
-def _usd_scene(resolved: TaskExperiment, path: Path) -> Scene:
+def _usd_scene(resolved: TaskExperiment, path: Path) -> UsdScene:
     from gauge_envs.usd import read_usd
 
     duration_s = resolved.scene.duration_s
@@ -156,7 +167,7 @@ def _usd_scene(resolved: TaskExperiment, path: Path) -> Scene:
             "gauge:duration_s",
             f"it lasts {found.scene.duration_s:.10g} s, but an episode of {resolved.name} {duration_s:.10g} s",
         )
-    return found.scene
+    return found
 
 
 def check_fit(found: Experiment, wanted: Experiment) -> None:
@@ -167,7 +178,7 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
         wanted: The same with the scene that says what is observed.
 
     Raises:
-        AssetError: A recorded body is missing or does not move, or markers are others.
+        AssetError: A recorded body is missing or does not move, or markers are others, or on a rigid body.
     """
     from gauge_envs.trajectory_file import coordinate_names
 
@@ -188,7 +199,10 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
         for name in scene.markers.bodies:
             if name not in known:
                 raise AssetError(
-                    path, name, f"no deformable body of that name carries markers; it has: {_listed(known)}"
+                    path,
+                    name,
+                    f"no deformable body of that name carries markers; it has: {_listed(known)}; markers are read off "
+                    "nodes, and rigid bodies have none: record those by position",
                 )
         count = len(coordinate_names(wanted))
         if len(coordinate_names(found)) != count:

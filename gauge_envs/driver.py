@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
@@ -24,6 +24,7 @@ __all__ = [
     "SampledProfile",
     "TrapezoidProfile",
     "mean_velocity",
+    "motion_coordinates",
     "pose_distance",
     "sampled_motions",
 ]
@@ -309,7 +310,7 @@ def sampled_motions(
     positions = np.array([pose.position_m for pose in poses])
     turned = Rotation.from_quat([pose.quaternion for pose in poses], scalar_first=True) * start.rotation.inv()
     for template in _templates(start, positions, turned, like):
-        values = _coordinates(template, start, positions, turned)
+        values, _, _ = motion_coordinates(template, start.position_m, positions, turned)
         motions = tuple(
             replace(motion, profiles=(SampledProfile(times_s=tuple(times_s), values=tuple(column)),))
             for motion, column in zip(template, values.T.tolist(), strict=True)
@@ -392,35 +393,49 @@ def _steepness(turned: Rotation, order: tuple[int, int, int]) -> float:
     return float(np.arcsin(np.clip(np.abs(matrices[:, last, first]), 0.0, 1.0)).max())
 
 
-def _coordinates(
-    motions: tuple[DriverMotion, ...], start: Pose, positions: NDArray[np.float64], turned: Rotation
-) -> NDArray[np.float64]:
-    """Coordinates nearest to poses, shape [sample_count, motion_count]; of one rotation, or three before all else."""
-    values = np.zeros((len(positions), len(motions)))
+def motion_coordinates(
+    motions: Sequence[DriverMotion], start_m: ArrayLike, positions_m: NDArray[np.float64], turned: Rotation
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Invert `Driver.pose`: coordinates whose poses are nearest to given ones, sample by sample.
+
+    Args:
+        motions: Motions with no rotation, one, or three about the body's origin that come before all else.
+        start_m: Position before anything moves [m], shape [3].
+        positions_m: Positions [m], shape [sample_count, 3].
+        turned: Rotations since the start, less than half a turn apart, sample_count of them.
+
+    Returns:
+        Coordinates [m or rad], shape [sample_count, motion_count]; the distance [m] and the angle [rad] that they leave
+        out, shape [sample_count] each.
+    """
+    values = np.zeros((len(positions_m), len(motions)))
     turns = [index for index, motion in enumerate(motions) if motion.kind == "rotate"]
-    arm = np.asarray(start.position_m)
-    made = Rotation.identity(len(positions))
+    arm = np.asarray(start_m)
+    made = Rotation.identity(len(positions_m))
     if len(turns) == 1:
         axis, point = np.asarray(motions[turns[0]].axis), np.asarray(motions[turns[0]].point_m)
         since = turned.as_quat()
+        # q and -q are one rotation, so the angle is known up to whole turns.
         values[:, turns[0]] = np.unwrap(2.0 * np.arctan2(since[:, :3] @ axis, since[:, 3]))
         made = Rotation.from_rotvec(values[:, turns] * axis)
-        missing = positions - made.apply(arm - point) - point
+        missing = positions_m - made.apply(arm - point) - point
     else:
         if turns:
             letters = "".join("xyz"[int(np.argmax(np.abs(motions[index].axis)))] for index in turns)
             signs = [float(np.sum(motions[index].axis)) for index in turns]
             values[:, turns] = np.unwrap(turned.as_euler(letters), axis=0) * signs
-        missing = positions - arm
+            made = turned
+        missing = positions_m - arm
     ways = [index for index, motion in enumerate(motions) if motion.kind == "translate"]
     if ways:
-        columns = np.empty((len(positions), 3, len(ways)))
+        columns = np.empty((len(positions_m), 3, len(ways)))
         for column, index in enumerate(ways):
             axis = np.asarray(motions[index].axis)
             # What is moved before the turn is turned along.
             columns[:, :, column] = made.apply(axis) if turns and index < turns[0] else axis
         values[:, ways] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
-    return values
+        missing = missing - (columns @ values[:, ways, None])[:, :, 0]
+    return values, np.linalg.norm(missing, axis=1), (turned * made.inv()).magnitude()
 
 
 def _reproduces(

@@ -6,16 +6,15 @@ and where that is from. The file is validated by pydantic; unknown keys are erro
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
-from gauge_envs.asset import Asset, AssetKind, check_fit, read_bytes
+from gauge_envs.asset import Asset, AssetKind, check_fit, contents_sha256, read_bytes
 from gauge_envs.driver import Driver
 from gauge_envs.errors import AssetError, TaskFileError
 from gauge_envs.experiment import ASSET_NAME, Experiment, driver_provenance
@@ -32,6 +31,7 @@ from gauge_envs.task_format import (
     Positive,
     ScoreSpec,
     Table,
+    Vector3,
 )
 from gauge_envs.trajectory_file import coordinate_names
 
@@ -51,6 +51,24 @@ class PairSpec(Table):
     friction: NonNegative | None = None
     restitution: Fraction | None = None
     mode: ContactMode | None = None
+
+
+class FileMarkersSpec(MarkersSpec):
+    """Markers on deformable bodies: listed here, or the points of a prim of the layer.
+
+    Attributes:
+        prim: Path of a Points or Mesh prim, in the place of `positions_m`.
+    """
+
+    positions_m: tuple[Vector3, ...] = ()
+    prim: str | None = None
+
+    @model_validator(mode="after")
+    def _indices(self) -> FileMarkersSpec:
+        if bool(self.positions_m) == (self.prim is not None):
+            raise ValueError("one of prim and positions_m is expected")
+        # Indices are checked where the layer is read, since only then it is known how many points a prim has.
+        return self
 
 
 class BandSpec(Table):
@@ -88,7 +106,7 @@ class ExperimentFile(Table):
         friction: Which of USD's two coefficients counts where they differ; None makes that an error.
         score: As in a task file: observable, metrics, period_axis.
         recorded: Bodies whose positions are observed, by prim path or name; empty where markers are.
-        markers: Markers on deformable bodies, where the layer has none of its own.
+        markers: Markers on deformable bodies, where the layer has none of its own, or others are to be read.
         contacts: What holds for single pairs.
         drivers: Motion of kinematic bodies that the layer does not animate.
         band: What it is scored against; None gives no score.
@@ -105,7 +123,7 @@ class ExperimentFile(Table):
     friction: Literal["dynamic", "static"] | None = None
     score: ScoreSpec
     recorded: tuple[str, ...] = ()
-    markers: MarkersSpec | None = None
+    markers: FileMarkersSpec | None = None
     contacts: tuple[PairSpec, ...] = ()
     drivers: tuple[DriverSpec, ...] = ()
     band: BandSpec | None = None
@@ -140,19 +158,19 @@ def load_experiment(path: Path) -> FileExperiment:
     except ValidationError as error:
         raise task_file_error(path, error) from error
     layer = path.parent / definition.usd
-    scene, recorded = _scene(path, layer, definition)
-    parts = [content, read_bytes(layer)]
+    scene, recorded, used_files = _scene(path, layer, definition)
+    contents = [content, read_bytes(layer), *map(read_bytes, used_files)]
     band = None
     if definition.band is not None:
         table = path.parent / definition.band.file
         band = read_band(table, _band_facts(definition), path)
-        parts.append(read_bytes(table))
+        contents.append(read_bytes(table))
     resolved = _resolved(
         definition.model_copy(update={"recorded": recorded}),
         scene,
         band,
-        asset=Asset(path=path, kind=AssetKind.EXPERIMENT, sha256=hashlib.sha256(content).hexdigest()),
-        file_sha256=hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest(),
+        asset=Asset(path=path, kind=AssetKind.EXPERIMENT, sha256=contents_sha256(contents)),
+        file_sha256=contents_sha256(contents),
     )
     check_fit(resolved, resolved)
     _check_band(path, resolved)
@@ -221,25 +239,24 @@ def recorded_experiment_file(
 # --- scene -----------------------------------------------------------------------------------------------------------
 
 
-def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, tuple[str, ...]]:
-    """The scene of the layer with what the file adds to it, and the names of the recorded bodies."""
+def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, tuple[str, ...], tuple[Path, ...]]:
+    """The scene of the layer with what the file adds to it, the names of the recorded bodies, and the layer's files."""
     from gauge_envs.usd import read_usd
 
     duration_s = (definition.frames - 1) / FRAME_RATE_HZ
-    found = read_usd(layer, duration_s=duration_s, friction=definition.friction)
+    has_markers = definition.markers is None
+    found = read_usd(layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers)
     scene = replace(found.scene, duration_s=duration_s)
     names = _Names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
         scene = _with_pair(path, f"contacts.{index}", scene, names, pair)
     scene = replace(scene, drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)))
     if definition.markers is not None:
-        stated = definition.markers.model_dump()
-        bodies = tuple(names.body("markers.bodies", name) for name in definition.markers.bodies)
-        scene = replace(scene, markers=Markers(**(stated | {"bodies": bodies})))
+        scene = replace(scene, markers=_markers(path, layer, names, definition.markers))
     if (definition.score.observable is Observable.POSITION) != bool(definition.recorded):
         needed = "recorded bodies" if not definition.recorded else "no recorded bodies, but markers"
         raise TaskFileError(path, "recorded", f"observable {definition.score.observable.value!r} needs {needed}")
-    return scene, tuple(names.body("recorded", name) for name in definition.recorded)
+    return scene, tuple(names.body("recorded", name) for name in definition.recorded), found.used_files
 
 
 class _Names:
@@ -260,6 +277,23 @@ class _Names:
             prims = ", ".join(name for name in self._names if name.startswith("/")) or "none"
             raise AssetError(self._path, key, f"{stated!r} is no body of {self._layer.name}, which has: {prims}")
         return self._names[stated]
+
+
+def _markers(path: Path, layer: Path, names: _Names, spec: FileMarkersSpec) -> Markers:
+    from gauge_envs.usd import read_points
+
+    stated = spec.model_dump(exclude={"prim"})
+    if spec.prim is not None:
+        try:
+            stated["positions_m"] = read_points(layer, spec.prim).tolist()
+        except AssetError as error:
+            raise AssetError(path, "markers.prim", f"{error.place} of {layer.name}: {error.reason}") from None
+    try:
+        whole = MarkersSpec.model_validate(stated)
+    except ValidationError as error:
+        raise task_file_error(path, error, "markers") from error
+    bodies = tuple(names.body("markers.bodies", name) for name in spec.bodies)
+    return Markers(**(whole.model_dump() | {"bodies": bodies}))
 
 
 def _with_pair(path: Path, key: str, scene: Scene, names: _Names, pair: PairSpec) -> Scene:

@@ -1,4 +1,4 @@
-"""Meshes of solids and sheets: faces of convex polyhedra, prisms, regular grids, tetrahedra."""
+"""Meshes of solids and sheets: faces of convex polyhedra, prisms, regular grids, tetrahedra; masses of solids."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from gauge_envs.scene import ConvexUnion, Cylinder, Region
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Region, Shape, Sphere
 
-__all__ = ["TOUCHING_M", "grid", "hull_faces", "nodes_in", "prism", "tetrahedra"]
+__all__ = ["TOUCHING_M", "grid", "hull_faces", "mass_properties", "nodes_in", "prism", "tetrahedra"]
 
 GRID_SPACING_M = 0.02
 """Edge length of the grids of cloth and of soft bodies; only a mesh to start from, no constant depends on it."""
@@ -90,3 +90,34 @@ def nodes_in(nodes_m: NDArray[np.float64], region: Region) -> NDArray[np.intp]:
     along = nodes_m[:, "xyz".index(region.axis)]
     depth = along - along.min() if region.side == "low" else along.max() - along
     return np.flatnonzero(depth <= region.depth_m + TOUCHING_M)
+
+
+def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centre of mass and inertia of a uniform solid.
+
+    Returns:
+        Centre of mass in the body frame [m], shape [3], and inertia about it in the body's axes [kg m^2], shape [3, 3].
+    """
+    if isinstance(shape, Box):
+        x, y, z = np.square(shape.size_m)
+        return np.zeros(3), mass_kg / 12.0 * np.diag([y + z, x + z, x + y])
+    if isinstance(shape, Sphere):
+        return np.zeros(3), 0.4 * mass_kg * shape.radius_m**2 * np.eye(3)
+    if isinstance(shape, Cylinder):
+        across = (3.0 * shape.radius_m**2 + shape.length_m**2) / 12.0
+        return np.zeros(3), mass_kg * np.diag([across, across, 0.5 * shape.radius_m**2])
+    if isinstance(shape, ConvexUnion):
+        # Imported here, since it takes a fifth of a second and most scenes have primitives alone.
+        import trimesh
+
+        pieces = [trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m]
+        density = mass_kg / sum(piece.volume for piece in pieces)
+        centre = density / mass_kg * sum(piece.volume * piece.center_mass for piece in pieces)
+        inertia = np.zeros((3, 3))
+        for piece in pieces:
+            arm = piece.center_mass - centre
+            # Steiner's theorem moves each piece's own inertia to the common centre.
+            steiner = piece.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            inertia += density * (piece.moment_inertia + steiner)
+        return centre, inertia
+    return np.zeros(3), np.zeros((3, 3))

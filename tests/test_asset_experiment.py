@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -17,7 +18,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from typer.testing import CliRunner
 
 from gauge_envs.assets import assets_folder
@@ -26,12 +27,13 @@ from gauge_envs.cli import app
 from gauge_envs.comparison import compare
 from gauge_envs.diagnosis import diagnose
 from gauge_envs.episode import reference_band
-from gauge_envs.errors import AssetError, ParameterError, TaskFileError
+from gauge_envs.errors import AssetError, ParameterError, ShapeError, TaskFileError
 from gauge_envs.experiment import experiment
 from gauge_envs.figures import save_figures
 from gauge_envs.reference import Band, ReferenceFileError
 from gauge_envs.result import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.scene import ContactMode
+from gauge_envs.usd import read_points
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "usd_experiment"
@@ -245,6 +247,178 @@ def test_our_own_layers_with_markers_can_be_experiments(tmp_path: Path) -> None:
     assert short.scene.duration_s == 0.1
 
 
+# --- markers of a prim -----------------------------------------------------------------------------------------------
+
+FLUNG = "TextileFlinging-rayon"
+EVERY_FOURTH = [9 * row + column for row in (0, 3, 6) for column in (0, 4, 8)]
+"""Every fourth marker along a row of the published nine, every third along a column of seven."""
+
+
+@pytest.fixture
+def flung(tmp_path: Path) -> Callable[..., Path]:
+    """Writes an experiment on a copy of a shipped layer: flung(change, markers="prim = ...")."""
+
+    def make(change: Callable[[Usd.Stage], None] = lambda stage: None, markers: str = "") -> Path:
+        stage = Usd.Stage.Open(str(assets_folder() / "usd" / f"{FLUNG}.usda"))
+        change(stage)
+        stage.GetRootLayer().Export(str(tmp_path / f"{FLUNG}.usda"))
+        stage.Reload()
+        table = f'[markers]\nbodies = ["/World/textile"]\n{markers}\n' if markers else ""
+        text = f'name = "cloth"\ntitle = "Cloth"\nusd = "{FLUNG}.usda"\nframes = 4\n{table}'
+        path = tmp_path / "cloth.toml"
+        path.write_text(
+            f'{text}[score]\nobservable = "marker_position"\n[provenance]\nscene = "metadata"\n', encoding="utf-8"
+        )
+        return path
+
+    return make
+
+
+def fewer(stage: Usd.Stage) -> None:
+    """Nine of the markers as somebody may place them: below a prim that is moved, turned and in millimetres."""
+    shelf = UsdGeom.Xform.Define(stage, "/World/Shelf")
+    shelf.AddTranslateOp().Set(Gf.Vec3d(0.3, -0.2, 0.1))
+    shelf.AddRotateZOp().Set(90.0)
+    shelf.AddScaleOp().Set(Gf.Vec3f(1e-3))
+    points = np.array(stage.GetPrimAtPath("/World/Markers").GetAttribute("gauge:positions_m").Get())[EVERY_FOURTH]
+    x, y, z = (points - [0.3, -0.2, 0.1]).T
+    dots = UsdGeom.Points.Define(stage, "/World/Shelf/Dots")
+    dots.CreatePointsAttr(Vt.Vec3fArray.FromNumpy((1e3 * np.column_stack([y, -x, z])).astype(np.float32)))
+
+
+def test_a_prim_of_the_layer_has_the_markers(flung: Callable[..., Path], tmp_path: Path) -> None:
+    every = run_episode(str(flung()))
+    path = flung(fewer, 'prim = "/World/Shelf/Dots"\nfaces = [[0, 1, 4]]')
+    some, scene = run_episode(str(path)), experiment(str(path)).scene
+    full = experiment(FLUNG).scene.markers
+    assert scene.markers is not None
+    assert full is not None
+    assert (scene.markers.bodies, scene.markers.faces) == (("textile",), ((0, 1, 4),))
+    wanted = np.array(full.positions_m)[EVERY_FOURTH]
+    np.testing.assert_allclose(scene.markers.positions_m, wanted, rtol=0.0, atol=1e-7)
+    assert every.trajectory is not None
+    assert some.trajectory is not None
+    all_63 = np.array(every.trajectory.samples).reshape(-1, 63, 3)
+    np.testing.assert_array_equal(np.array(some.trajectory.samples).reshape(-1, 9, 3), all_63[:, EVERY_FOURTH])
+    write_result(some, tmp_path / "some.json")
+    assert recorded_experiment(load_result(tmp_path / "some.json")).scene == scene
+
+
+def test_the_named_one_of_two_sets_of_markers_counts(flung: Callable[..., Path]) -> None:
+    def twice(stage: Usd.Stage) -> None:
+        layer = stage.GetRootLayer()
+        assert Sdf.CopySpec(layer, "/World/Markers", layer, "/World/Spare")
+        UsdGeom.Xformable(stage.GetPrimAtPath("/World/Spare")).AddTranslateOp().Set(Gf.Vec3d(0.0, 0.0, 1e-3))
+
+    with pytest.raises(AssetError, match="/World/Spare: is a second set of markers"):
+        experiment(str(flung(twice)))
+    found = experiment(str(flung(twice, 'prim = "/World/Spare"'))).scene.markers
+    first = experiment(FLUNG).scene.markers
+    assert found is not None
+    assert first is not None
+    np.testing.assert_allclose(np.subtract(found.positions_m, first.positions_m), [[0.0, 0.0, 1e-3]] * 63, atol=1e-7)
+
+
+def test_points_are_read_in_metres_with_z_up(changed: Callable[..., Path]) -> None:
+    layer = changed().parent / "crate.usda"
+    stage = Usd.Stage.Open(str(layer))
+    mesh = UsdGeom.Mesh.Define(stage, "/Yard/Incline/Crate/Dots")
+    mesh.CreatePointsAttr([(1.0, 2.0, 3.0), (-4.0, 5.0, -6.0)])
+    place = UsdGeom.XformCache().GetLocalToWorldTransform(mesh.GetPrim())
+    wanted = np.array([place.Transform(Gf.Vec3d(*point)) for point in mesh.GetPointsAttr().Get()])
+    with pytest.raises(AssetError, match=r"crate\.usda is open in this process with edits: save them"):
+        read_points(layer, "/Yard/Incline/Crate/Dots")
+    stage.Save()
+    x, y, z = 1e-2 * wanted.T
+    np.testing.assert_allclose(read_points(layer, "/Yard/Incline/Crate/Dots"), np.column_stack([x, -z, y]), atol=1e-12)
+
+
+def dots(kind: str, count: int = 0) -> Callable[[Usd.Stage], None]:
+    """A prim of a type, at the origin, with points where it has any."""
+
+    def change(stage: Usd.Stage) -> None:
+        prim = stage.DefinePrim("/World/Dots", kind)
+        if count:
+            prim.GetAttribute("points").Set([Gf.Vec3f(float(index)) for index in range(count)])
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "markers", "error", "told"),
+    [
+        (
+            dots("Points"),
+            'prim = "/World/Spots"',
+            AssetError,
+            f"cloth.toml: markers.prim: /World/Spots of {FLUNG}.usda: there is no such prim",
+        ),
+        (
+            dots("Cube"),
+            'prim = "/World/Dots"',
+            AssetError,
+            f"cloth.toml: markers.prim: /World/Dots of {FLUNG}.usda: is Cube: Points or Mesh is expected",
+        ),
+        (dots("Points"), 'prim = "/World/Dots"', AssetError, f"/World/Dots of {FLUNG}.usda: has no points"),
+        (dots("Mesh"), 'prim = "/World/Dots"', AssetError, f"/World/Dots of {FLUNG}.usda: has no points"),
+        (dots("Points", 2), 'prim = "/World/Dots"\nlines = [[0, 2]]', TaskFileError, "markers: lines: marker index 2"),
+        (dots("Points", 2), "faces = []", TaskFileError, "markers: one of prim and positions_m is expected"),
+        (
+            dots("Points", 2),
+            'prim = "/World/Dots"\npositions_m = [[0.0, 0.0, 0.0]]',
+            TaskFileError,
+            "markers: one of prim and positions_m is expected",
+        ),
+        (dots("Points", 2), 'prim = "/World/Dots"\ncolour = 1', TaskFileError, "markers.colour: unknown key"),
+    ],
+    ids=["missing", "type", "no points", "empty mesh", "index", "neither", "both", "key"],
+)
+def test_what_is_wrong_with_markers_is_told(
+    change: Callable[[Usd.Stage], None],
+    markers: str,
+    error: type[Exception],
+    told: str,
+    flung: Callable[..., Path],
+) -> None:
+    with pytest.raises(error) as caught:
+        experiment(str(flung(change, markers)))
+    assert told in str(caught.value)
+
+
+def test_markers_away_from_their_body_are_refused(flung: Callable[..., Path]) -> None:
+    path = flung(dots("Points", 2), 'prim = "/World/Dots"')
+    with pytest.raises(ShapeError, match=r"marker 0 is 727.* mm from its node"):
+        gymnasium.make("GAUGE/Asset", asset=path)
+
+
+def test_rigid_bodies_carry_no_markers(changed: Callable[..., Path]) -> None:
+    table = '[markers]\nbodies = ["/Yard/Incline/Crate"]\npositions_m = [[0.0, 0.0, 1.0]]\n'
+    path = changed(
+        ('recorded = ["/Yard/Incline/Crate"]', ""), ('observable = "position"', 'observable = "marker_position"')
+    )
+    text = path.read_text()
+    path.write_text(f"{text[: text.index('[band]')]}{table}{text[text.index('[provenance]') :]}")
+    with pytest.raises(AssetError, match=r"Crate: no deformable body of that name .*rigid bodies have none"):
+        experiment(str(path))
+
+
+# --- what the hash covers --------------------------------------------------------------------------------------------
+
+
+def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Callable[..., Path]) -> None:
+    path = changed()
+    first = experiment(str(path))
+    files = [path.parent / name for name in ("crate.toml", "crate.usda", "materials.usda", "crate.csv")]
+    digests = b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)
+    assert first.asset is not None
+    assert first.asset.sha256 == first.file_sha256 == hashlib.sha256(digests).hexdigest()
+    changed(("dynamicFriction = 0.3", "dynamicFriction = 0.31"), file="materials.usda")
+    changed(("staticFriction = 0.3", "staticFriction = 0.31"), file="materials.usda")
+    second = experiment(str(path))
+    assert second.file_sha256 != first.file_sha256
+    assert second.scene != first.scene
+
+
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 
@@ -349,6 +523,7 @@ def test_a_trajectory_of_another_simulator_is_scored(tmp_path: Path) -> None:
 # --- the guide -------------------------------------------------------------------------------------------------------
 
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+TABLES = [text for kind, text in BLOCKS if kind == "toml"]
 
 
 @pytest.fixture
@@ -379,8 +554,17 @@ def test_what_the_guide_runs_works_in_order(workplace: Path) -> None:
 
 
 def test_the_guide_quotes_the_experiment_file() -> None:
-    (quoted,) = (text for kind, text in BLOCKS if kind == "toml")
+    quoted, _ = TABLES
     assert CRATE.read_text(encoding="utf-8").endswith(quoted)
+
+
+def test_the_guide_names_markers_as_they_are_read(flung: Callable[..., Path]) -> None:
+    path = flung(fewer)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[score]", f"{TABLES[1]}[score]"), encoding="utf-8")
+    markers = experiment(str(path)).scene.markers
+    assert markers is not None
+    assert (len(markers.positions_m), markers.faces) == (9, ((0, 1, 4),))
 
 
 def test_the_guide_names_every_key() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from conftest import RIGID
-from pxr import Gf, Sdf, Usd, Vt
+from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from typer.testing import CliRunner
 
 from gauge_envs.asset import scene_changes
@@ -78,7 +79,7 @@ def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
     assert found.scene == experiment(name, drivers="bundled").scene
     assert found.asset is not None
     assert (found.asset.edited, found.asset.changes) == (False, ())
-    assert len(found.asset.sha256) == 64
+    assert found.asset.sha256 == hashlib.sha256(shipped(name).read_bytes()).hexdigest()
 
 
 @pytest.mark.parametrize(
@@ -271,6 +272,51 @@ def test_a_result_says_what_it_ran_and_reads_back(slippery: Path, tmp_path: Path
     scored = score_file(file)[0].score
     assert (scored.rmse, scored.edited) == (result.score.rmse, True)
     assert "scene" not in result.to_dict(trajectory=False)["asset"]
+
+
+def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path: Path) -> None:
+    """A layer over two others of which one refers to a third: an edit of any is another asset; a move of all is not."""
+    folder = tmp_path / "here"
+    (folder / "parts").mkdir(parents=True)
+    (folder / "base.usda").write_bytes(shipped(SLIDE).read_bytes())
+    (folder / "parts" / "looks.usda").write_text('#usda 1.0\n(defaultPrim = "Looks")\ndef Scope "Looks" {}\n')
+    (folder / "parts" / "note.usda").write_text(
+        '#usda 1.0\n(metersPerUnit = 1\nupAxis = "Z")\nover "World"\n{\n def "Looks" (payload = @./looks.usda@) {}\n}\n'
+    )
+    root = folder / "root.usda"
+    root.write_text(
+        '#usda 1.0\n(metersPerUnit = 1\nupAxis = "Z"\ntimeCodesPerSecond = 30\nstartTimeCode = 0\nendTimeCode = 18\n'
+        "kilogramsPerUnit = 1\nsubLayers = [@./parts/note.usda@, @./base.usda@])\n"
+    )
+
+    def digest(path: Path) -> str:
+        asset = experiment(SLIDE, asset=path).asset
+        assert asset is not None
+        assert not asset.changes
+        return asset.sha256
+
+    files = [root, *(folder / name for name in ("base.usda", "parts/looks.usda", "parts/note.usda"))]
+    parts = b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)
+    first = digest(root)
+    assert first == hashlib.sha256(parts).hexdigest()
+    moved = folder.rename(tmp_path / "there")
+    assert digest(moved / "root.usda") == first
+    (moved / "unused.usda").write_text("#usda 1.0\n")
+    assert digest(moved / "root.usda") == first
+    seen = {first}
+    for file in files:
+        path = moved / file.relative_to(folder)
+        path.write_text(path.read_text() + "# edited\n")
+        seen.add(digest(moved / "root.usda"))
+    assert len(seen) == 1 + len(files)
+
+
+def test_the_hash_of_a_package_is_that_of_its_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "slide.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(shipped(SLIDE)), str(path))
+    found = experiment(SLIDE, asset=path)
+    assert found.asset is not None
+    assert found.asset.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_a_layer_without_changes_is_filed_as_the_task_files(tmp_path: Path) -> None:

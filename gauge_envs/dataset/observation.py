@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.dataset.trial import PoseTrack, Trial, TrialError
-from gauge_envs.driver import Driver
+from gauge_envs.driver import Driver, motion_coordinates
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiment import Experiment
 from gauge_envs.observer import observe_markers
@@ -213,81 +213,37 @@ def _check_order(ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArr
 
 
 def _driver_track(driver: Driver, track: PoseTrack, start: Pose, frame_count: int) -> DriverTrack:
-    """Invert `Driver.state`: the coordinates whose pose is nearest to the recorded one, frame by frame."""
-    positions = np.full((frame_count, 3), np.nan)
-    count = min(len(track.positions_mm), frame_count)
-    positions[:count] = 1e-3 * track.positions_mm[:count]
+    """Coordinates of a driver whose poses are nearest to the recorded ones, frame by frame."""
     calibrated = np.asarray(start.position_m)
     _check_start(driver.body, track.positions_mm, calibrated)
-    first = positions[0]
-    turns = [number for number, motion in enumerate(driver.motions) if motion.kind == "rotate"]
-    if len(turns) > 1:
+    turning = sum(motion.kind == "rotate" for motion in driver.motions)
+    if turning > 1:
         raise TrialError(driver.body, "its driver has several rotations", "one is as many as can be told apart")
-
-    coordinates = np.full((frame_count, len(driver.motions)), np.nan)
-    angles, rest_rad = np.zeros(frame_count), np.full(frame_count, np.nan)
-    if track.quaternions_xyzw is not None:
-        axis = np.asarray(driver.motions[turns[0]].axis) if turns else np.zeros(3)
-        angles[:count], rest_rad[:count] = _twist(track.quaternions_xyzw[:count], axis)
-        angles[count:] = np.nan
-    elif turns:
+    if turning and track.quaternions_xyzw is None:
         raise TrialError(f"{driver.body}.qx", "it is missing", "the angle of a turning driver follows from qx ... qw")
 
-    if np.isnan(first).any() or np.isnan(angles[0]):
+    positions = 1e-3 * track.positions_mm[:frame_count]
+    quaternions = np.zeros((0, 4)) if track.quaternions_xyzw is None else track.quaternions_xyzw[:frame_count]
+    captured = positions if not len(quaternions) else np.column_stack([positions, quaternions])
+    known = np.flatnonzero(~np.isnan(captured).any(axis=1))
+    if known[:1].tolist() != [0]:
         raise TrialError(f"{driver.body}[0]", "frame 0 was not captured", "its driver's motion counts from there")
 
+    first = positions[0]
+    offset = first - calibrated
     # A motion's axis through a point belongs to the body: it lies as far off as the trial's start does.
-    point = np.asarray(driver.motions[turns[0]].point_m) + (first - calibrated) if turns else first
-    known = np.flatnonzero(~(np.isnan(positions).any(axis=1) | np.isnan(angles)))
-    turn = Rotation.from_rotvec(angles[known, None] * np.asarray(driver.motions[turns[0]].axis)) if turns else None
-    coordinates[known], missed_m = _translations(driver, turn, point, first, positions[known])
-    if turns:
-        coordinates[known, turns[0]] = angles[known]
-    residual_mm = np.full(frame_count, np.nan)
-    residual_mm[known] = 1e3 * missed_m
+    motions = [replace(motion, point_m=tuple((motion.point_m + offset).tolist())) for motion in driver.motions]
+    rotations = Rotation.from_quat(quaternions[known]) if len(quaternions) else Rotation.identity(len(known))
+    values, missed_m, rest_rad = motion_coordinates(motions, first, positions[known], rotations * rotations[0].inv())
+    coordinates = np.full((frame_count, len(driver.motions)), np.nan)
+    residual_mm, residual_rad = (np.full(frame_count, np.nan) for _ in range(2))
+    coordinates[known], residual_mm[known] = values, 1e3 * missed_m
+    if len(quaternions):
+        residual_rad[known] = rest_rad
     return DriverTrack(
         body=driver.body,
         coordinates=coordinates,
         residual_mm=residual_mm,
-        residual_rad=rest_rad,
-        start_offset_mm=1e3 * float(np.linalg.norm(first - calibrated)),
+        residual_rad=residual_rad,
+        start_offset_mm=1e3 * float(np.linalg.norm(offset)),
     )
-
-
-def _twist(quaternions_xyzw: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Turn about an axis since the first captured frame, unwrapped [rad], and the angle of the rest [rad]."""
-    angles, rest = (np.full(len(quaternions_xyzw), np.nan) for _ in range(2))
-    captured = np.flatnonzero(~np.isnan(quaternions_xyzw).any(axis=1))
-    if captured.size:
-        rotations = Rotation.from_quat(quaternions_xyzw[captured])
-        since = (rotations * rotations[0].inv()).as_quat()
-        half = np.arctan2(since[:, :3] @ axis, since[:, 3])
-        # q and -q are one rotation, so the angle is known up to whole turns: frames are less than half a turn apart.
-        angles[captured] = np.unwrap(2.0 * half)
-        twists = Rotation.from_rotvec(angles[captured, None] * axis)
-        rest[captured] = (Rotation.from_quat(since) * twists.inv()).magnitude()
-    return angles, rest
-
-
-def _translations(
-    driver: Driver, turn: Rotation | None, point: FloatArray, first: FloatArray, positions: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Least-squares translations that lead from the start to positions, given the turn at each of them.
-
-    Returns:
-        Coordinates [m], shape [frame_count, motion_count], 0 for a rotation; and the distance left [m], shape
-        [frame_count].
-    """
-    values = np.zeros((len(positions), len(driver.motions)))
-    missing = positions - (first if turn is None else turn.apply(first - point) + point)
-    numbers = [number for number, motion in enumerate(driver.motions) if motion.kind == "translate"]
-    if numbers:
-        turned = [number for number, motion in enumerate(driver.motions) if motion.kind == "rotate"]
-        columns = np.empty((len(positions), 3, len(numbers)))
-        for column, number in enumerate(numbers):
-            axis = np.asarray(driver.motions[number].axis)
-            # What is moved before the turn is turned along.
-            columns[:, :, column] = axis if turn is None or number > turned[0] else turn.apply(axis)
-        values[:, numbers] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
-        missing = missing - (columns @ values[:, numbers, None])[:, :, 0]
-    return values, np.linalg.norm(missing, axis=1)

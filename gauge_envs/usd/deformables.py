@@ -12,7 +12,7 @@ from gauge_envs.scene import Attachment, Box, Cloth, Deformable, Markers, Region
 from gauge_envs.usd.layer import KINDS, FloatArray
 from gauge_envs.usd.source import Source, single, vector
 
-__all__ = ["is_deformable", "read_attachments", "read_deformable", "read_markers"]
+__all__ = ["is_deformable", "read_attachments", "read_deformable", "read_markers", "world_points"]
 
 FABRIC = (
     "areal_density_kg_per_m2",
@@ -21,6 +21,9 @@ FABRIC = (
     "bend_stiffness_n_m_per_rad",
 )
 """Constants of a cloth that have no standard attribute of their own."""
+
+POINT_TYPES = ("Points", "Mesh")
+"""Types of prims whose points can be markers."""
 
 Names = Mapping[Sdf.Path, str]
 """Names of bodies in the scene by the paths of their prims."""
@@ -140,10 +143,7 @@ def read_markers(source: Source, names: Names) -> Markers | None:
     if len(prims) > 1:
         raise source.fault(prims[1], f"is a second set of markers beside {prims[0].GetPath()}: one is expected")
     (prim,) = prims
-    reading = source.reading(UsdGeom.Points(prim).GetPointsAttr(), (-1, 3), lambda p: source.to_world(prim, p))
-    positions = source.counted(prim.GetAttribute("gauge:positions_m"), [reading], (-1, 3))
-    if positions is None or not len(positions):
-        raise source.fault(prim, "has no points")
+    positions = world_points(source, prim)
     count = len(positions)
     return Markers(
         bodies=_targets(source, prim, "gauge:bodies", names),
@@ -153,6 +153,22 @@ def read_markers(source: Source, names: Names) -> Markers | None:
         corner=tuple(one for (one,) in _indices(source, prim, "corner", 1, count)),
         edge=tuple(one for (one,) in _indices(source, prim, "edge", 1, count)),
     )
+
+
+def world_points(source: Source, prim: Usd.Prim) -> FloatArray:
+    """Points of a Points or Mesh prim in the world at the start [m], shape [point_count, 3].
+
+    Raises:
+        AssetError: It is of another type, or has no points.
+    """
+    if prim.GetTypeName() not in POINT_TYPES:
+        found = prim.GetTypeName() or "a prim without a type"
+        raise source.fault(prim, f"is {found}: {' or '.join(POINT_TYPES)} is expected")
+    reading = source.reading(UsdGeom.PointBased(prim).GetPointsAttr(), (-1, 3), lambda p: source.to_world(prim, p))
+    positions = source.counted(prim.GetAttribute("gauge:positions_m"), [reading], (-1, 3))
+    if positions is None or not len(positions):
+        raise source.fault(prim, "has no points")
+    return positions
 
 
 def _targets(source: Source, prim: Usd.Prim, relationship: str, names: Names) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ where it was edited; `Source.counted` has the rule. Where there is no `gauge:` a
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,15 +19,15 @@ from pxr import Sdf, Tf, Usd, UsdPhysics
 from gauge_envs.driver import Driver
 from gauge_envs.errors import AssetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, ContactMode, Motion, Pose, RigidBody, Scene
-from gauge_envs.usd.deformables import is_deformable, read_attachments, read_deformable, read_markers
+from gauge_envs.usd.deformables import is_deformable, read_attachments, read_deformable, read_markers, world_points
 from gauge_envs.usd.driven import driven_body
 from gauge_envs.usd.joints import is_welded, joint_prims, read_joint
-from gauge_envs.usd.layer import WRITTEN
+from gauge_envs.usd.layer import WRITTEN, FloatArray
 from gauge_envs.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.usd.solids import mass_kg, solid_of
 from gauge_envs.usd.source import Reading, Source, usd_reason
 
-__all__ = ["UsdScene", "read_usd"]
+__all__ = ["UsdScene", "read_points", "read_usd"]
 
 LEVEL = 1e-6
 """How far gravity may be from vertical [rad]."""
@@ -40,11 +41,13 @@ class UsdScene:
         scene: The scene.
         paths: Prim path of each body, rigid and deformable, by its name in the scene.
         metadata: What the writer noted of the variant and its source; empty in files of others.
+        used_files: Other files that the stage is composed of, in the order of their paths relative to its own.
     """
 
     scene: Scene
     paths: Mapping[str, str]
     metadata: Mapping[str, str]
+    used_files: tuple[Path, ...]
 
 
 def read_usd(
@@ -54,12 +57,39 @@ def read_usd(
     friction: Literal["dynamic", "static"] | None = None,
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
     contacts: Sequence[Contact] = (),
+    has_markers: bool = True,
 ) -> UsdScene:
-    """Read a scene from a USD file; see `Scene.from_usd`, which is this without the rest of what the file holds."""
-    file = Path(path)
+    """Read a scene from a USD file; see `Scene.from_usd`, which is this without the rest of what the file holds.
+
+    Without `has_markers` the scene has none, however many sets of them the file has.
+    """
     options = PairOptions(friction=friction, mode=mode, contacts=tuple(contacts))
+    with _opened(Path(path)) as source:
+        return _Reader(source, options, duration_s, has_markers=has_markers).read()
+
+
+def read_points(path: Path, place: str) -> FloatArray:
+    """Points of a prim of a USD file in the world at the start [m], z up, shape [point_count, 3].
+
+    Args:
+        path: The file.
+        place: Path of a Points or Mesh prim, as `/Shelf/Markers`.
+
+    Raises:
+        AssetError: The file cannot be read, or has no such prim, or one of another type or without points.
+    """
+    with _opened(path) as source:
+        prim = next((prim for prim in source.prims() if str(prim.GetPath()) == place), None)
+        if prim is None:
+            raise source.fault(place, "there is no such prim")
+        return world_points(source, prim)
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Source]:
+    """A stage to read from; what USD raises on the way becomes an AssetError."""
     try:
-        return _Reader(Source(file), options, duration_s).read()
+        yield Source(file)
     except Tf.ErrorException as error:
         # What USD finds wrong while values are taken from it, as an attribute of another type than its schema's.
         raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None
@@ -78,8 +108,9 @@ class _Found:
 class _Reader:
     """Reads one stage."""
 
-    def __init__(self, source: Source, options: PairOptions, duration_s: float | None) -> None:
+    def __init__(self, source: Source, options: PairOptions, duration_s: float | None, *, has_markers: bool) -> None:
         self.source = source
+        self.has_markers = has_markers
         self.options = options
         self.duration_s = duration_s
         self.start = Usd.TimeCode(source.start)
@@ -110,7 +141,7 @@ class _Reader:
             attachments=tuple(read_attachments(source, self.names)),
             contacts=contacts_of(source, parties, self.options),
             drivers=tuple(driver for _, driver in sorted(drivers, key=lambda pair: pair[0])),
-            markers=read_markers(source, self.names),
+            markers=read_markers(source, self.names) if self.has_markers else None,
             duration_s=self._duration(),
             gravity_m_per_s2=self._gravity(),
         )
@@ -119,6 +150,7 @@ class _Reader:
             scene=scene,
             paths={name: str(place) for place, name in self.names.items()},
             metadata={key: str(value) for key, value in noted.items()} if isinstance(noted, dict) else {},
+            used_files=source.used_files(),
         )
 
     # --- stage ---

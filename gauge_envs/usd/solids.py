@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-import trimesh
 from pxr import Usd, UsdGeom, UsdPhysics
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.meshes import mass_properties
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, Shape, Sphere
 from gauge_envs.usd.layer import FloatArray
 from gauge_envs.usd.source import Frame, Reading, Source, single
@@ -293,7 +292,7 @@ def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim],
 
 def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame: Frame, mass: float) -> None:
     """See that a centre of mass and moments of inertia, where given, are those of uniform density."""
-    centre, inertia = _uniform(solid.shape, mass)
+    centre, inertia = mass_properties(solid.shape, mass)
     # In the prim's frame, where they are given.
     centre, inertia = solid.turn @ centre + solid.offset_m, solid.turn @ inertia @ solid.turn.T
     radius = float(np.sqrt(np.trace(inertia) / 2.0 / mass))
@@ -315,16 +314,3 @@ def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame:
             api.GetDiagonalInertiaAttr(),
             f"contradicts uniform density, whose moments are ({uniform}) kg m^2: a scene has no other",
         )
-
-
-def _uniform(shape: Shape, mass: float) -> tuple[FloatArray, FloatArray]:
-    """Centre of mass [m] and inertia about it [kg m^2] of a uniform solid, in its frame."""
-    solid: Any
-    if isinstance(shape, Sphere):
-        solid = trimesh.primitives.Sphere(radius=shape.radius_m)
-    elif isinstance(shape, Cylinder):
-        solid = trimesh.primitives.Cylinder(radius=shape.radius_m, height=shape.length_m)
-    else:
-        pieces = shape.pieces_m if isinstance(shape, ConvexUnion) else (shape.corners_m,)
-        solid = trimesh.util.concatenate([trimesh.convex.convex_hull(np.asarray(piece)) for piece in pieces])
-    return np.asarray(solid.center_mass), np.asarray(solid.moment_inertia) * mass / solid.volume

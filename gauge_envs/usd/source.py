@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
@@ -106,7 +107,8 @@ class Source:
         path: File to open, of any kind that USD reads.
 
     Raises:
-        AssetError: The file cannot be read, refers to files that cannot, or does not say its units and which way is up.
+        AssetError: The file cannot be read, refers to files that cannot, is open in this process with edits that were
+            not saved, or does not say its units and which way is up.
     """
 
     def __init__(self, path: Path) -> None:
@@ -133,9 +135,12 @@ class Source:
         try:
             stage = Usd.Stage.Open(str(self.file))
             for layer in stage.GetUsedLayers():
-                # A layer that is still open elsewhere in this process may be older than its file.
-                if not layer.anonymous and not layer.dirty:
-                    layer.Reload()
+                if layer.anonymous:
+                    continue
+                if layer.dirty:
+                    raise self.fault("", f"{layer.GetDisplayName()} is open in this process with edits: save them")
+                # One that is still open elsewhere in this process may be older than its file.
+                layer.Reload()
         except Tf.ErrorException as error:
             raise self.fault("", f"is no readable USD file: {usd_reason(error)}") from None
         broken = stage.GetCompositionErrors()
@@ -152,6 +157,14 @@ class Source:
         """The error to raise for a place in the file."""
         path = place.GetPath() if isinstance(place, Usd.Object) else place
         return AssetError(self.file, str(path), reason)
+
+    def used_files(self) -> tuple[Path, ...]:
+        """Files beside its own that the stage is composed of, in the order of their paths relative to its own."""
+        own = self.file.resolve()
+        layers = [layer for layer in self.stage.GetUsedLayers() if not layer.anonymous]
+        # A layer inside of a package is part of the package's file.
+        files = {Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve() for layer in layers} - {own}
+        return tuple(sorted(files, key=lambda file: os.path.relpath(file, own.parent)))
 
     def prims(self) -> Iterator[Usd.Prim]:
         """Every active, defined prim in the stage's order, those inside of instances included."""

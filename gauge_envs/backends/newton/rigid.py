@@ -12,8 +12,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.loop import warp_transform
-from gauge_envs.meshes import prism
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Shape, Sphere
+from gauge_envs.meshes import mass_properties, prism
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Sphere
 
 __all__ = ["RigidIndex", "add_bodies", "keep_apart", "mass_properties"]
 
@@ -121,34 +121,6 @@ def _add_shapes(
 def _hull(points_m: NDArray[np.float64]) -> newton.Mesh:
     hull = trimesh.convex.convex_hull(points_m)
     return newton.Mesh(hull.vertices, hull.faces.ravel(), compute_inertia=False)
-
-
-def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre of mass and inertia of a uniform solid.
-
-    Returns:
-        Centre of mass in the body frame [m], shape [3], and inertia about it in the body's axes [kg m^2], shape [3, 3].
-    """
-    if isinstance(shape, Box):
-        x, y, z = np.square(shape.size_m)
-        return np.zeros(3), mass_kg / 12.0 * np.diag([y + z, x + z, x + y])
-    if isinstance(shape, Sphere):
-        return np.zeros(3), 0.4 * mass_kg * shape.radius_m**2 * np.eye(3)
-    if isinstance(shape, Cylinder):
-        across = (3.0 * shape.radius_m**2 + shape.length_m**2) / 12.0
-        return np.zeros(3), mass_kg * np.diag([across, across, 0.5 * shape.radius_m**2])
-    if isinstance(shape, ConvexUnion):
-        pieces = [trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m]
-        density = mass_kg / sum(piece.volume for piece in pieces)
-        centre = density / mass_kg * sum(piece.volume * piece.center_mass for piece in pieces)
-        inertia = np.zeros((3, 3))
-        for piece in pieces:
-            arm = piece.center_mass - centre
-            # Steiner's theorem moves each piece's own inertia to the common centre.
-            steiner = piece.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-            inertia += density * (piece.moment_inertia + steiner)
-        return centre, inertia
-    return np.zeros(3), np.zeros((3, 3))
 
 
 def keep_apart(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex) -> None:
