@@ -491,7 +491,8 @@ def test_a_model_file_is_for_its_engine_alone() -> None:
 def test_commands_show_and_mark_an_edited_scene(slippery: Path, tmp_path: Path) -> None:
     shown = CliRunner().invoke(app, ["show", SLIDE, "--asset", str(slippery), "--json"])
     assert json.loads(shown.stdout)["asset"]["changes"] == ["contact cube/board: friction 0.273673 -> 0.1"]
-    run = CliRunner().invoke(app, ["run", SLIDE, "--asset", str(slippery), "--out", str(tmp_path / "out")])
+    wide = CliRunner(env={"COLUMNS": "140"})
+    run = wide.invoke(app, ["run", SLIDE, "--asset", str(slippery), "--out", str(tmp_path / "out")])
     assert run.exit_code == 0
     assert "calibrated, edited scene" in run.stdout
     assert "friction 0.273673 -> 0.1" in run.stdout
