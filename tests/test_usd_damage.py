@@ -33,6 +33,7 @@ def layer_text(name: str) -> str:
 
 
 def survives(content: str | bytes, suffix: str = ".usda") -> None:
+    """The file gives a scene that ends, or an error that names it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"damaged{suffix}"
         file.write_bytes(content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content)
@@ -42,6 +43,7 @@ def survives(content: str | bytes, suffix: str = ".usda") -> None:
             assert str(file) in str(error)
             return
         assert isinstance(scene, Scene)
+        assert 0.0 < scene.duration_s < float("inf")
 
 
 @settings(FUZZ, max_examples=60)
@@ -66,6 +68,17 @@ def test_values_that_make_no_sense(name: str, pick: int, value: str) -> None:
     i = given_[pick % len(given_)]
     lines[i] = lines[i].partition(" = ")[0] + f" = {value}"
     survives("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("key", ["startTimeCode", "endTimeCode", "timeCodesPerSecond"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e300", "-1e20", "1e-20"])
+def test_times_that_make_no_sense(key: str, value: str) -> None:
+    """Without the double beside them, so that they count."""
+    text, count = re.subn(rf"(\n    {key} = )\S+", rf"\g<1>{value}", layer_text("Turntable-1-wood"))
+    assert count == 1
+    text, count = re.subn(r"\n        custom double gauge:duration_s = \S+ \([^)]*\)", "", text)
+    assert count == 1
+    survives(text)
 
 
 @settings(FUZZ, max_examples=120)

@@ -22,6 +22,9 @@ __all__ = ["driven_body"]
 AGREES = 1e-6
 """How far time samples and `gauge:driver` may differ [m, rad] where both were edited."""
 
+LONGEST_S = 3600.0
+"""Time samples that last longer [s] are in another unit of time, or are damaged."""
+
 Track = dict[float, Pose]
 """Poses by time code."""
 
@@ -47,10 +50,14 @@ def driven_body(
         of the scene, None where the file does not say.
 
     Raises:
-        AssetError: Samples and `gauge:driver` were both edited and disagree, or only the default pose was.
+        AssetError: Samples and `gauge:driver` were both edited and disagree, or only the default pose was; or samples
+            last longer than an hour.
     """
     start = Usd.TimeCode(source.start)
     samples = {code: pose_at(Usd.TimeCode(code)) for code in source.sample_codes(prim)}
+    if samples and source.seconds(max(samples)) > LONGEST_S:
+        last_s = source.seconds(max(samples))
+        raise source.fault(prim, f"its time samples end after {last_s:.6g} s: {LONGEST_S:.6g} s at most are expected")
     track = _timeline(source, samples, pose_at)
     attribute = prim.GetAttribute("gauge:driver")
     text = source.text(attribute)

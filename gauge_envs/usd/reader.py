@@ -25,7 +25,7 @@ from gauge_envs.usd.joints import is_welded, joint_prims, read_joint
 from gauge_envs.usd.layer import WRITTEN, FloatArray
 from gauge_envs.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.usd.solids import mass_kg, solid_of
-from gauge_envs.usd.source import Reading, Source, usd_reason
+from gauge_envs.usd.source import LARGEST, Reading, Source, usd_reason
 
 __all__ = ["UsdScene", "read_points", "read_usd"]
 
@@ -196,7 +196,7 @@ class _Reader:
             raise source.fault(
                 "", "its duration is not known: give duration_s, or author startTimeCode and endTimeCode"
             )
-        if not duration > 0.0:
+        if not 0.0 < duration <= LARGEST:
             raise source.fault(
                 "endTimeCode" if stated else "", f"its duration is {duration} s: a positive one is expected"
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from gauge_envs.errors import AssetError
 from gauge_envs.scene import Pose
 from gauge_envs.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
 
-__all__ = ["Frame", "Reading", "Source", "single", "usd_reason", "vector"]
+__all__ = ["LARGEST", "Frame", "Reading", "Source", "single", "usd_reason", "vector"]
 
 SINGLE_RELATIVE = 3e-7
 """Numbers that differ by less, relative to the largest of them, agree in single precision."""
@@ -124,10 +123,10 @@ class Source:
         if up not in (UsdGeom.Tokens.y, UsdGeom.Tokens.z):
             raise self.fault("", f"upAxis is {up!r}: Y or Z is expected")
         self.up: FloatArray = np.eye(3) if up == UsdGeom.Tokens.z else Y_UP
-        self.rate = self.stage.GetTimeCodesPerSecond()
-        if not (math.isfinite(self.rate) and self.rate > 0.0):
-            raise self.fault("", f"timeCodesPerSecond is {self.rate}: a positive number is expected")
+        self.rate = self._unit("timeCodesPerSecond", self.stage.GetTimeCodesPerSecond())
         self.start = self.stage.GetStartTimeCode()
+        if not abs(self.start) <= LARGEST:
+            raise self.fault("startTimeCode", f"is {self.start}: a finite number is expected")
 
     def _open(self) -> Usd.Stage:
         if not self.file.is_file():
