@@ -48,6 +48,9 @@ class ClothPart(FlexPart):
         sheet: Its mesh.
         rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3].
         points: Its vertices.
+
+    Attributes:
+        cloth: As given.
     """
 
     def __init__(
@@ -61,14 +64,14 @@ class ClothPart(FlexPart):
         self.name = cloth.name
         self.flex = flex
         self.rest_m = rest_m
-        self._cloth = cloth
+        self.cloth = cloth
         self._sheet = sheet
         self.points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law, and weigh the bending of the diagonals."""
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, self.name)
-        membrane = _membrane(self._sheet, self._cloth.stretch_stiffness_n_per_m, self._cloth.shear_stiffness_n_per_m)
+        membrane = _membrane(self._sheet, self.cloth.stretch_stiffness_n_per_m, self.cloth.shear_stiffness_n_per_m)
         start = model.flex_stiffnessadr[flex]
         table = model.flex_stiffness[start : start + STIFFNESS_PER_TRIANGLE * len(membrane)]
         table.reshape(-1, STIFFNESS_PER_TRIANGLE)[:, :6] = membrane

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.glue import bonded_rows, glue_of
 from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
-from gauge_envs.backends.mujoco.contacts import contact_constants, given_constants
+from gauge_envs.backends.mujoco.contacts import IMPEDANCE_SHAPE, contact_constants, given_constants
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
@@ -61,6 +61,7 @@ def undoable(scene: Scene) -> Iterator[str]:
             yield f"{attachment.deformable!r} is glued to {attachment.to!r}, and one of them is not in the scene"
         elif to is not None and to.motion is Motion.DYNAMIC and isinstance(glued, Cloth | SoftBody):
             yield f"{glued.name!r} is glued to {to.name!r}, which moves under forces"
+    yield from _frictions_in_conflict(scene)
 
 
 def _touches_itself(scene: Scene, name: str) -> bool:
@@ -85,30 +86,74 @@ def add_flex_contact(
     """Let deformable bodies of a contact collide, through MuJoCo's broad phase.
 
     A flex or a rod's spheres carry the contact's bit and constants, with priority over the rigid geoms, which only
-    accept the bit; so rigid bodies that touch the same cloth do not meet each other by it. Each kind has solref and
-    solimp of its own, unless the settings give those of all contacts.
+    accept the bit; so rigid bodies that touch the same cloth do not meet each other by it. A flex has one friction:
+    where a contact has another one, its rigid geoms carry the constants, with priority over the flex. Each kind has
+    solref and solimp of its own, unless the settings give those of all contacts.
     """
     constants = contact_constants(contact, settings)
     _, sliding, torsional, rolling, _ = constants.friction
-    for name in {*contact.first, *contact.second} & set(parts):
+    rigid = [geom for name in _rigid_names(scene, contact) for geom in geoms[name]]
+    for name in _deformable_names(scene, contact):
         part = parts[name]
         colliders = part.geoms if isinstance(part, LinePart) and part.geoms else [part.flex]
         for collider in colliders:
             collider.contype |= bit
-            collider.condim = constants.condim
-            collider.friction = [sliding, torsional, rolling]
-            collider.priority = 1
         if isinstance(part, ClothPart):
             part.flex.solref = list(settings.cloth_solref)
-            part.flex.solimp = [*settings.cloth_solimp, 0.5, 2.0]
+            part.flex.solimp = _cloth_solimp(part, settings)
         for collider, (key, value) in product(colliders, given_constants(settings).items()):
             setattr(collider, key, value)
+        is_own = contact.friction == _own_friction(scene, name)
+        for carrier in colliders if is_own else rigid:
+            carrier.condim = constants.condim
+            carrier.friction = [sliding, torsional, rolling]
+            carrier.priority = 1 if is_own else 2
+            carrier.solref, carrier.solimp = list(colliders[0].solref), list(colliders[0].solimp)
         if name in contact.first and name in contact.second:
             part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
             # Without a bit that the flex both offers and accepts, MuJoCo silently skips its self-contact.
             part.flex.conaffinity |= bit
+    for geom in rigid:
+        geom.conaffinity |= bit
+
+
+def _cloth_solimp(part: ClothPart, settings: SettingsMuJoCo) -> list[float]:
+    if settings.cloth_solimp is not None:
+        return [*settings.cloth_solimp, *IMPEDANCE_SHAPE]
+    assert settings.cloth_softness_m2_per_kg is not None, "the settings check it"
+    impedance = 1.0 / (1.0 + settings.cloth_softness_m2_per_kg * part.cloth.areal_density_kg_per_m2)
+    # The width is without effect where the impedance is constant in depth.
+    return [impedance, impedance, 0.001, *IMPEDANCE_SHAPE]
+
+
+def _deformable_names(scene: Scene, contact: Contact) -> set[str]:
+    return {*contact.first, *contact.second} & {body.name for body in scene.deformables}
+
+
+def _rigid_names(scene: Scene, contact: Contact) -> set[str]:
+    """Rigid bodies that meet deformable ones by a contact."""
     # What a body is glued to is part of it, and would be in contact all along the seam.
     seams = {a.to for a in scene.attachments if a.deformable in (*contact.first, *contact.second)}
-    for name in {*contact.first, *contact.second} - set(parts) - seams:
-        for geom in geoms[name]:
-            geom.conaffinity |= bit
+    return {*contact.first, *contact.second} - _deformable_names(scene, contact) - seams
+
+
+def _own_friction(scene: Scene, name: str) -> float:
+    """Friction that the flex of a deformable body carries: that of its self-contact, or of its first contact."""
+    rows = [{body.name for body in row} for row in bonded_rows(scene)]
+    members = next((row for row in rows if name in row), {name})
+    touching = [c for c in scene.contacts if members & {*c.first, *c.second}]
+    return next((c for c in touching if members & {*c.first} & {*c.second}), touching[0]).friction
+
+
+def _frictions_in_conflict(scene: Scene) -> Iterator[str]:
+    """Contacts of deformable bodies whose friction neither a flex nor a rigid geom can carry."""
+    for contact in scene.contacts:
+        soft = _deformable_names(scene, contact)
+        if all(contact.friction == _own_friction(scene, name) for name in soft):
+            continue
+        if len(soft) > 1:
+            yield f"{sorted(soft)} touch with another friction than they touch other bodies"
+        for name in sorted(_rigid_names(scene, contact)):
+            touching = [c for c in scene.contacts if name in _rigid_names(scene, c) and _deformable_names(scene, c)]
+            if len({c.friction for c in touching}) > 1:
+                yield f"{name!r} touches deformable bodies with several frictions, and so do they"
