@@ -231,7 +231,7 @@ def test_creep_scatter_is_the_way_that_one_digit_hides(material: str, printed: f
 
 def test_reality_is_known_and_scatters() -> None:
     chosen = phenomena(include_deformables=True)
-    assert len({p.id for p in chosen}) == len(chosen) == len(phenomena()) + 1
+    assert len({p.id for p in chosen}) == len(chosen) == len(phenomena()) + 8
     for phenomenon in chosen:
         assert np.isfinite(phenomenon.reality.value) and phenomenon.reality.scatter > 0.0, phenomenon.id
         assert len(phenomenon.reality.source) > 20, phenomenon.id

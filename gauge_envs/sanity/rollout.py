@@ -16,9 +16,10 @@ from gauge_envs.conformance.lab import DeclinedError, DivergedError
 from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiment import Parameters, experiment
+from gauge_envs.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.task import find_variant
-from gauge_envs.task_format import FRAME_RATE_HZ
+from gauge_envs.task_format import FRAME_RATE_HZ, Observable
 
 __all__ = ["Rollout", "Stage", "rollout", "settings_in_force"]
 
@@ -38,6 +39,7 @@ class Stage:
         parameters: Parameter set of the variant.
         interval_s: Longest time between samples, unless a step is longer [s].
         change: What is left of the scene, as a wall without the ball that strikes it.
+        nodes_of: Deformable bodies of which all nodes are kept, and not markers alone.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Stage:
     parameters: Parameters = "calibrated"
     interval_s: float = 0.002
     change: Callable[[Scene], Scene] = field(default=_unchanged)
+    nodes_of: tuple[str, ...] = ()
 
     @property
     def id(self) -> str:
@@ -67,12 +70,16 @@ class Rollout:
         times_s: Times of the samples, shape [sample_count]; evenly spaced.
         states: States of each body that can move, by name, shape [sample_count, 13]; see `World.body_states`.
         settings: Settings in force.
+        nodes_m: Nodes of deformable bodies that the stage names [m], shape [sample_count, node_count, 3].
+        markers_m: The scene's markers as points of the material [m], shape [sample_count, marker_count, 3].
     """
 
     scene: Scene
     times_s: NDArray[np.float64]
     states: Mapping[str, NDArray[np.float64]]
     settings: Mapping[str, Any]
+    nodes_m: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    markers_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0, 3)))
 
     @property
     def interval_s(self) -> float:
@@ -101,7 +108,7 @@ def rollout(backend: Backend, stage: Stage, settings: Mapping[str, Any]) -> Roll
 
     Raises:
         DeclinedError: The backend cannot build the scene, or refuses the settings for it.
-        DivergedError: A body is not where, or not as fast as, the scene's energy allows.
+        DivergedError: A body or a node is not where, or not as fast as, the scene's energy allows.
     """
     simulation = _built(backend, stage, settings)
     try:
@@ -154,13 +161,14 @@ def _recorded(simulation: Simulation, stage: Stage) -> Rollout:
     names = [body.name for body in scene.bodies if body.motion is not Motion.FIXED]
     dynamic = [index for index, name in enumerate(names) if scene.body(name).motion is Motion.DYNAMIC]
     states = np.empty((count + 1, len(names), 13))
+    soft = _SoftRecord(simulation, stage, count)
     states[0] = simulation.body_states(names)
     for sample in range(count):
         for path in paths:
             simulation.drive(path.body, *path.interval(sample, np.zeros(path.motion_count)))
-        simulation.advance(interval)
+        _advance(simulation, interval, sample)
         states[sample + 1] = simulation.body_states(names)
-        fault = _fault(states[sample : sample + 2, dynamic], scene, interval)
+        fault = _fault(states[sample : sample + 2, dynamic], scene, interval) or soft.take(sample + 1, interval)
         if fault:
             raise DivergedError(f"after {(sample + 1) * interval:.3g} s {fault}")
     return Rollout(
@@ -168,7 +176,60 @@ def _recorded(simulation: Simulation, stage: Stage) -> Rollout:
         times_s=interval * np.arange(count + 1, dtype=np.float64),
         states={name: states[:, index] for index, name in enumerate(names)},
         settings=dict(simulation.settings),
+        nodes_m=soft.nodes_m,
+        markers_m=soft.markers_m,
     )
+
+
+def _advance(simulation: Simulation, interval_s: float, sample: int) -> None:
+    try:
+        simulation.advance(interval_s)
+    # An engine gives up in its own words, as MuJoCo where what blows up makes more contacts than it has memory for.
+    except Exception as error:
+        cause = " ".join(str(error).split())
+        raise DivergedError(f"after {sample * interval_s:.3g} s the engine gives up: {cause}") from error
+
+
+class _SoftRecord:
+    """What deformable bodies do in a rollout.
+
+    Args:
+        simulation: The simulation, at the start.
+        stage: The stage.
+        count: How many samples will follow.
+    """
+
+    def __init__(self, simulation: Simulation, stage: Stage, count: int) -> None:
+        scene = stage.scene
+        self._simulation = simulation
+        self._limit_m_per_s = scene.speed_limit_m_per_s
+        self._last_m = {body.name: simulation.nodes(body.name) for body in scene.deformables}
+        self.nodes_m = {name: np.empty((count + 1, *self._last_m[name].shape)) for name in stage.nodes_of}
+        self._observer = (
+            None
+            if scene.markers is None
+            else ObserverMarkers(scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL)
+        )
+        self.markers_m = np.empty((count + 1, 0 if scene.markers is None else len(scene.markers.positions_m), 3))
+        self._keep(0)
+
+    def take(self, sample: int, interval_s: float) -> str:
+        """Read everything; why it is not of this scene, or an empty text where it may be."""
+        for name, before in self._last_m.items():
+            self._last_m[name] = now = self._simulation.nodes(name)
+            speed = float(np.abs(now - before).max(initial=0.0)) / interval_s
+            # A comparison with NaN is false.
+            if not speed <= self._limit_m_per_s:
+                return f"{name} moves at {speed:.3g} m/s, more than the scene can give ({self._limit_m_per_s:.3g} m/s)"
+        self._keep(sample)
+        return ""
+
+    def _keep(self, sample: int) -> None:
+        for name, kept in self.nodes_m.items():
+            kept[sample] = self._last_m[name]
+        if self._observer is not None:
+            self._observer.now(self._simulation)
+            self.markers_m[sample] = self._observer.markers_m
 
 
 def _fault(states: NDArray[np.float64], scene: Scene, interval_s: float) -> str:

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from functools import cache
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.sanity.phenomena import carrying, edges, friction, impact, stacking, swing, textile
+from gauge_envs.sanity.phenomena import carrying, edges, friction, impact, lines, solids, stacking, swing, textile
 from gauge_envs.sanity.phenomena.kit import Phenomenon, Reading, Trace
 
 __all__ = ["Phenomenon", "Reading", "Trace", "phenomena"]
@@ -15,7 +15,7 @@ __all__ = ["Phenomenon", "Reading", "Trace", "phenomena"]
 
 @cache
 def _all() -> dict[str, Phenomenon]:
-    modules = (friction, impact, swing, carrying, edges, stacking, textile)
+    modules = (friction, impact, swing, carrying, edges, stacking, textile, solids, lines)
     return {one.id: one for module in modules for one in module.phenomena()}
 
 
