@@ -169,12 +169,13 @@ PRESETS: dict[str, SettingsMuJoCo] = {
     # Deformable bodies: `discrete` is the integrator that takes their elasticity implicitly. At 1/900 s the marker
     # paths of a flung cloth are within 0.5 mm of those at half the step; cells of 25 mm put a vertex under a marker.
     "cloth": SettingsMuJoCo(preset="cloth", timestep_s=1 / 900, integrator="discrete", cone="pyramidal", impratio=1.0),
-    # Bodies that move under forces lie on the cloth. Where nothing does, so short a time constant would only cost: a probe
-    # that touches a cloth in a frame gains it 2 % of its work. What a body on cloth must do decides: hold on 10 degrees, slide on 30, ride along at constant speed. MuJoCo makes
-    # contacts soft in proportion to the lightness of what touches: with its own impedance a cube of 0.34 kg on vertices
-    # of 0.3 g creeps by 15 mm/s on 10 degrees. Where contacts are much stiffer than this, the load jumps from vertex to
-    # vertex and the cloth slips away below; so it does with the pyramidal cone, which stiffens the normal direction by
-    # 2 / mu^2. Half the time constant keeps the cube from sinking in deeper than the cloth is thick.
+    # Bodies that move under forces lie on the cloth. Where nothing does, so short a time constant would only cost: a
+    # probe that touches a cloth in a frame gains it 2 % of its work. What a body on cloth must do decides: hold on 10
+    # degrees, slide on 30, ride along at constant speed. MuJoCo makes contacts soft in proportion to the lightness of
+    # what touches: with its own impedance a cube of 0.34 kg on vertices of 0.3 g creeps by 15 mm/s on 10 degrees. Where
+    # contacts are much stiffer than this, the load jumps from vertex to vertex and the cloth slips away below; so it
+    # does with the pyramidal cone, which stiffens the normal direction by 2 / mu^2. Half the time constant keeps the
+    # cube from sinking in deeper than the cloth is thick.
     "cloth_loaded": SettingsMuJoCo(
         preset="cloth_loaded",
         timestep_s=1 / 900,
