@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 import warnings
-from ctypes.util import find_library
 from pathlib import Path
 
 import gymnasium
@@ -19,6 +18,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
+from opengl import needs_opengl
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
@@ -148,7 +148,7 @@ def test_misuse_is_an_error() -> None:
         TurntableLimit("wood", render_mode="human")
 
 
-@pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library")
+@needs_opengl
 def test_picture_shows_the_board_tilting() -> None:
     env = make("SlopeSlider-Limit-wood", render_mode="rgb_array", width=160, height=120)
     env.reset(seed=0)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from ctypes.util import find_library
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation, TimeLimit
+from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv
 from gauge_envs.errors import ActionError, ParameterError, UnknownNameError
@@ -141,7 +141,7 @@ def test_load_takes_names_ids_and_arguments_of_make() -> None:
         dm_control.load(RIGID, parameters="fitted")
 
 
-@pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library")
+@needs_opengl
 def test_pictures() -> None:
     with dm_control.load(RIGID, render_mode="rgb_array", width=80, height=60) as env:
         env.reset()

@@ -21,6 +21,7 @@ import pytest
 from gymnasium import wrappers
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
+from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, experiment, find_variant, reference_band
 from gauge_envs.driver import DriverSource
@@ -31,8 +32,6 @@ from gauge_envs.vector import GaugeVectorEnv
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)
 GUIDE = Path(__file__).parent.parent / "docs" / "ecosystem.md"
-
-needs_opengl = pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library")
 
 
 def step_on(env: gymnasium.Env, count: int, *, seed: int = 0) -> list[tuple]:

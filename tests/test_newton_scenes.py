@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from ctypes.util import find_library
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from opengl import needs_opengl
 
 from gauge_envs import Jitter, experiment, variants
 from gauge_envs.backends import backend
@@ -23,8 +23,6 @@ from gauge_envs.jitter import jittered
 from gauge_envs.scene import Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene, SoftBody
 
 pytest.importorskip("newton")
-
-needs_opengl = pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library")
 
 GRAVITY_M_PER_S2 = 9.80665
 

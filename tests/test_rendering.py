@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from ctypes.util import find_library
 
 import gymnasium
 import numpy as np
 import pytest
 from conftest import RIGID
+from opengl import needs_opengl
 
 from gauge_envs import experiment
 from gauge_envs.errors import EpisodeError
 from gauge_envs.rendering import DEBIAN_PACKAGES, SceneRenderer
 from gauge_envs.skin import Skin
-
-needs_opengl = pytest.mark.skipif(
-    not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library: the error is tested instead"
-)
 
 ONE_EACH = tuple({name.rpartition("-")[0]: name for name in RIGID}.values())
 

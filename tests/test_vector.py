@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable
-from ctypes.util import find_library
 from typing import Any
 
 import gymnasium
@@ -15,6 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import TimeLimit
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, Score
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError, UnsupportedSceneError
@@ -209,7 +209,7 @@ def test_episode_statistics_of_a_divergence() -> None:
     assert run_to_end(envs)[-1][4]["episode"]["l"].tolist() == [0, 17]
 
 
-@pytest.mark.skipif(not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library")
+@needs_opengl
 @pytest.mark.parametrize("name", [RIGID, SOFT])
 def test_pictures_are_those_of_single_environments(name: str) -> None:
     size = {"render_mode": "rgb_array", "width": 80, "height": 60}
