@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gauge_envs  # noqa: F401  registers the ids
-from gauge_envs import experiment
 from gauge_envs.backends.mujoco.settings import settings_for
+from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth
-from gauge_envs.task_format import FRAME_RATE_HZ, Observable
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 QUICK = (
     "RopeWinding-rubber",
@@ -81,7 +81,7 @@ def episode(name: str, frame_count: int, settings: dict[str, float]) -> Episode:
         settings: What differs from the preset.
     """
     # A marker on cloth is its material point, whatever the cells; those of other bodies do not change.
-    cloth = any(isinstance(body, Cloth) for body in experiment(name).scene.deformables)
+    cloth = any(isinstance(body, Cloth) for body in load_experiment(name).scene.deformables)
     env = gymnasium.make(f"GAUGE/{name}", settings=settings, marker_proxy="material" if cloth else "node")
     env.reset(seed=0)
     action = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
@@ -131,7 +131,7 @@ def row(name: str, frame_count: int, fine_frame_count: int) -> str:
         fine_frame_count: Frames at most of the run with half the cell, which is compared over these only; below 2
             there is none.
     """
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     settings = settings_for(resolved.scene)
     preset = episode(name, frame_count, {})
     half_step = episode(name, frame_count, {"timestep_s": 0.5 * settings.timestep_s})

@@ -20,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gauge_envs
-from gauge_envs.env import GaugeEnv
-from gauge_envs.episode import SAMPLE_INTERVAL_S
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.evaluation.score import Score
 from gauge_envs.scene import Pose
-from gauge_envs.score import Score
-from gauge_envs.task_format import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from build_recordings import read_table

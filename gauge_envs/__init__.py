@@ -7,21 +7,23 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
 
     env = gym.make("GAUGE/SlopeSlider-2-wood")
 
-and extra to them seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.control`.
+and extra to them seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`.
 """
 
 from gymnasium.envs.registration import register, registry
 
-from gauge_envs.control.tasks import register_control_tasks
-from gauge_envs.env import GaugeEnv
-from gauge_envs.episode import Trajectory, reference_band
+from gauge_envs.envs.control.tasks import register_control_tasks
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.episode import Trajectory
+from gauge_envs.envs.wrappers import ScoreEpisode
 from gauge_envs.errors import GaugeError
-from gauge_envs.experiment import ASSET_NAME, Experiment, experiment
-from gauge_envs.jitter import Jitter
-from gauge_envs.score import Score, score_trajectory
-from gauge_envs.task import find_variant, load_task, variants
-from gauge_envs.task_format import Variant
-from gauge_envs.wrappers import ScoreEpisode
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.score import Score, score_trajectory
+from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import find_variant, load_task, variants
+from gauge_envs.experiments.task_format import Variant
+from gauge_envs.scene.jitter import Jitter
 
 __all__ = [
     "Experiment",
@@ -32,7 +34,7 @@ __all__ = [
     "ScoreEpisode",
     "Trajectory",
     "Variant",
-    "experiment",
+    "load_experiment",
     "find_variant",
     "load_task",
     "reference_band",
@@ -48,8 +50,8 @@ def register_all() -> None:
         if f"GAUGE/{name}" not in registry:
             register(
                 id=f"GAUGE/{name}",
-                entry_point="gauge_envs.wrappers:scored_env",
-                vector_entry_point="gauge_envs.vector:scored_vector_env",
+                entry_point="gauge_envs.envs.wrappers:scored_env",
+                vector_entry_point="gauge_envs.envs.vector:scored_vector_env",
                 kwargs={"variant": name},
             )
 

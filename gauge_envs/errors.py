@@ -15,6 +15,7 @@ __all__ = [
     "GaugeError",
     "MissingExtraError",
     "ParameterError",
+    "ReferenceFileError",
     "RenderError",
     "ResultFileError",
     "ShapeError",
@@ -126,3 +127,13 @@ class UnknownNameError(GaugeError, LookupError):
         hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names[:12]) or 'none'}{more}"
         super().__init__(f"unknown {kind} {name!r}; {hint}")
         self.name = name
+
+
+class ReferenceFileError(GaugeError, ValueError):
+    """A data file in `scoring/` is damaged: names the file, the line where there is one, and the reason."""
+
+    def __init__(self, file: Path, line: int | None, reason: str) -> None:
+        super().__init__(f"{file}: {reason}" if line is None else f"{file}: line {line}: {reason}")
+        self.file = file
+        self.line = line
+        self.reason = reason

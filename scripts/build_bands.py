@@ -20,8 +20,8 @@ import numpy as np
 from generated import write_or_check
 from numpy.typing import NDArray
 
-from gauge_envs.metrics.trajectory import trajectory_dtw, trajectory_rmse
-from gauge_envs.reference import published_baselines
+from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
+from gauge_envs.references.published import published_baselines
 
 GRAVITY_M_S2 = 9.80665  # the paper's value, from its dynamic error
 FRAME_RATE_HZ = 30

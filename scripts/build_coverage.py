@@ -17,10 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.experiment import experiment
-from gauge_envs.reference import Band, BandGrade, bundled_band, law_for, published_baselines
-from gauge_envs.task import variants
-from gauge_envs.task_format import Variant
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.task_format import Variant
+from gauge_envs.references.bands import Band, BandGrade, bundled_band
+from gauge_envs.references.published import law_for, published_baselines
 
 BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- end of coverage -->"
 """Lines of the README between which the table stands."""
@@ -67,7 +68,7 @@ class Row:
 
 def coverage(variant: Variant) -> Row:
     """What comes with the package for one variant."""
-    resolved = experiment(variant, drivers="bundled")
+    resolved = load_experiment(variant, drivers="bundled")
     band, law = bundled_band(variant.name), law_for(variant.name)
     grade = band.grade if band is not None else BandGrade.NONE if law is None else BandGrade.LAW
     withheld = None if band is None else band.withheld

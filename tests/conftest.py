@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import gauge_envs
-from gauge_envs import env
 from gauge_envs.backends import Support
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.episode import Trajectory
+from gauge_envs.envs import env
+from gauge_envs.envs.episode import Trajectory
 from gauge_envs.report import listing
 from gauge_envs.scene import Scene
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import find_variant
-from gauge_envs.experiment import Experiment, experiment
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
 
 FloatArray = NDArray[np.float64]
 
@@ -115,7 +116,7 @@ def synthetic_trials(name: str, amounts: Sequence[float] = AMOUNTS, *, frames_af
     Bodies move 2 mm a frame along x, and each trial is off by its amount [mm] along y. Markers are their rest shape,
     scaled about the first of them by 1 + 1e-3 amount. Drivers move by 1e-3 m or rad a frame and motion.
     """
-    resolved = experiment(name, drivers="bundled")
+    resolved = load_experiment(name, drivers="bundled")
     scene = resolved.scene
     count = resolved.frame_count + frames_after
     frames = np.arange(count)[:, None]

@@ -21,19 +21,22 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from typer.testing import CliRunner
 
-from gauge_envs.assets import assets_folder
-from gauge_envs.benchmark import run_episode, run_many, run_repeats, score_file
-from gauge_envs.cli import app
-from gauge_envs.comparison import compare
-from gauge_envs.diagnosis import diagnose
-from gauge_envs.episode import reference_band
-from gauge_envs.errors import AssetError, ParameterError, ShapeError, TaskFileError
-from gauge_envs.experiment import experiment
-from gauge_envs.figures import save_figures
-from gauge_envs.reference import Band, ReferenceFileError
-from gauge_envs.result import load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.analysis.comparison import compare
+from gauge_envs.analysis.error_budget import diagnose
+from gauge_envs.cli.app import app
+from gauge_envs.errors import AssetError, ParameterError, ReferenceFileError, ShapeError, TaskFileError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.export.assets import assets_folder
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.references.bands import Band
+from gauge_envs.report.figures.experiment import save_figures
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import ContactMode
-from gauge_envs.usd import read_points
+from gauge_envs.scene.usd.reader import read_points
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "usd_experiment"
@@ -66,7 +69,7 @@ def changed(tmp_path: Path) -> Callable[..., Path]:
 
 
 def test_the_band_of_the_example_is_the_closed_form() -> None:
-    band = reference_band(experiment(str(CRATE)))
+    band = reference_band(load_experiment(str(CRATE)))
     assert band is not None
     times_s = np.arange(31) / 30.0
     start = np.array([np.cos(TILT), -np.sin(TILT)]) @ crate_start_m()
@@ -84,7 +87,7 @@ def crate_start_m() -> np.ndarray:
 
 
 def test_the_example_is_read_into_si_units_and_z_up() -> None:
-    found = experiment(str(CRATE))
+    found = load_experiment(str(CRATE))
     assert found.id == "GAUGE/Asset-crate"
     assert found.recorded == ("Crate",)
     crate = found.scene.body("Crate")
@@ -115,9 +118,9 @@ def test_gymnasium_makes_it_as_an_id() -> None:
     assert info["reference"] == "law"
     assert -0.1 < reward < 0.0
     with pytest.raises(ParameterError, match="names its own USD layer"):
-        experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
+        load_experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
     with pytest.raises(ParameterError, match=r"with crate\.toml: it states the constants"):
-        experiment(str(CRATE), {"Crate.friction": 0.1})
+        load_experiment(str(CRATE), {"Crate.friction": 0.1})
 
 
 def test_repeats_scatter() -> None:
@@ -134,7 +137,7 @@ def test_a_result_needs_no_other_file(changed: Callable[..., Path], tmp_path: Pa
     file = tmp_path / result_file_name(result)
     assert file.name == "Asset-crate.mujoco.calibrated.json"
     write_result(result, file)
-    original = experiment(str(path))
+    original = load_experiment(str(path))
     shutil.rmtree(path.parent)
     again = load_result(file)
     assert again == result
@@ -155,7 +158,7 @@ def test_a_result_needs_no_other_file(changed: Callable[..., Path], tmp_path: Pa
 
 
 def test_a_band_survives_json() -> None:
-    band = reference_band(experiment("SlopeContact-wood"), use_withheld=True)
+    band = reference_band(load_experiment("SlopeContact-wood"), use_withheld=True)
     assert band is not None
     assert np.isnan(band.mean).any()
     again = Band.from_dict(json.loads(json.dumps(band.to_dict(), allow_nan=False)))
@@ -194,7 +197,7 @@ def test_a_mixed_run_goes_on(tmp_path: Path) -> None:
 def test_a_pair_is_overridden_by_path_or_name(changed: Callable[..., Path]) -> None:
     constants = 'friction = 0.1\nrestitution = 0.5\nmode = "impact"\n'
     path = changed(("[score]", f'[[contacts]]\nbodies = ["/Yard/Incline/Crate", "Deck"]\n{constants}[score]'))
-    (contact,) = experiment(str(path)).scene.contacts
+    (contact,) = load_experiment(str(path)).scene.contacts
     assert (contact.friction, contact.restitution, contact.mode) == (0.1, 0.5, ContactMode.IMPACT)
 
 
@@ -242,7 +245,7 @@ def test_our_own_layers_with_markers_can_be_experiments(tmp_path: Path) -> None:
     assert result.trajectory is not None
     assert result.trajectory.unit == "rad"
     assert result.score.grade == "none"
-    short, full = experiment(str(tmp_path / "cloth.toml")), experiment(name, drivers="bundled")
+    short, full = load_experiment(str(tmp_path / "cloth.toml")), load_experiment(name, drivers="bundled")
     assert short.scene.bodies == full.scene.bodies
     assert short.scene.duration_s == 0.1
 
@@ -289,8 +292,8 @@ def fewer(stage: Usd.Stage) -> None:
 def test_a_prim_of_the_layer_has_the_markers(flung: Callable[..., Path], tmp_path: Path) -> None:
     every = run_episode(str(flung()))
     path = flung(fewer, 'prim = "/World/Shelf/Dots"\nfaces = [[0, 1, 4]]')
-    some, scene = run_episode(str(path)), experiment(str(path)).scene
-    full = experiment(FLUNG).scene.markers
+    some, scene = run_episode(str(path)), load_experiment(str(path)).scene
+    full = load_experiment(FLUNG).scene.markers
     assert scene.markers is not None
     assert full is not None
     assert (scene.markers.bodies, scene.markers.faces) == (("textile",), ((0, 1, 4),))
@@ -311,9 +314,9 @@ def test_the_named_one_of_two_sets_of_markers_counts(flung: Callable[..., Path])
         UsdGeom.Xformable(stage.GetPrimAtPath("/World/Spare")).AddTranslateOp().Set(Gf.Vec3d(0.0, 0.0, 1e-3))
 
     with pytest.raises(AssetError, match="/World/Spare: is a second set of markers"):
-        experiment(str(flung(twice)))
-    found = experiment(str(flung(twice, 'prim = "/World/Spare"'))).scene.markers
-    first = experiment(FLUNG).scene.markers
+        load_experiment(str(flung(twice)))
+    found = load_experiment(str(flung(twice, 'prim = "/World/Spare"'))).scene.markers
+    first = load_experiment(FLUNG).scene.markers
     assert found is not None
     assert first is not None
     np.testing.assert_allclose(np.subtract(found.positions_m, first.positions_m), [[0.0, 0.0, 1e-3]] * 63, atol=1e-7)
@@ -381,7 +384,7 @@ def test_what_is_wrong_with_markers_is_told(
     flung: Callable[..., Path],
 ) -> None:
     with pytest.raises(error) as caught:
-        experiment(str(flung(change, markers)))
+        load_experiment(str(flung(change, markers)))
     assert told in str(caught.value)
 
 
@@ -399,7 +402,7 @@ def test_rigid_bodies_carry_no_markers(changed: Callable[..., Path]) -> None:
     text = path.read_text()
     path.write_text(f"{text[: text.index('[band]')]}{table}{text[text.index('[provenance]') :]}")
     with pytest.raises(AssetError, match=r"Crate: no deformable body of that name .*rigid bodies have none"):
-        experiment(str(path))
+        load_experiment(str(path))
 
 
 # --- what the hash covers --------------------------------------------------------------------------------------------
@@ -407,14 +410,14 @@ def test_rigid_bodies_carry_no_markers(changed: Callable[..., Path]) -> None:
 
 def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Callable[..., Path]) -> None:
     path = changed()
-    first = experiment(str(path))
+    first = load_experiment(str(path))
     files = [path.parent / name for name in ("crate.toml", "crate.usda", "materials.usda", "crate.csv")]
     digests = b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)
     assert first.asset is not None
     assert first.asset.sha256 == first.file_sha256 == hashlib.sha256(digests).hexdigest()
     changed(("dynamicFriction = 0.3", "dynamicFriction = 0.31"), file="materials.usda")
     changed(("staticFriction = 0.3", "staticFriction = 0.31"), file="materials.usda")
-    second = experiment(str(path))
+    second = load_experiment(str(path))
     assert second.file_sha256 != first.file_sha256
     assert second.scene != first.scene
 
@@ -468,7 +471,7 @@ def test_what_is_wrong_in_a_file_is_told(
 ) -> None:
     path = changed(replacement)
     with pytest.raises(error) as caught:
-        experiment(str(path))
+        load_experiment(str(path))
     assert told in str(caught.value)
 
 
@@ -488,7 +491,7 @@ def test_what_is_wrong_in_the_layer_is_told(
 ) -> None:
     path = changed(*replacements, file="crate.usda")
     with pytest.raises(AssetError) as caught:
-        experiment(str(path))
+        load_experiment(str(path))
     assert told in str(caught.value)
 
 
@@ -562,14 +565,14 @@ def test_the_guide_names_markers_as_they_are_read(flung: Callable[..., Path]) ->
     path = flung(fewer)
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("[score]", f"{TABLES[1]}[score]"), encoding="utf-8")
-    markers = experiment(str(path)).scene.markers
+    markers = load_experiment(str(path)).scene.markers
     assert markers is not None
     assert (len(markers.positions_m), markers.faces) == (9, ((0, 1, 4),))
 
 
 def test_the_guide_names_every_key() -> None:
     table = GUIDE.read_text(encoding="utf-8").rpartition("| key | what |")[2]
-    from gauge_envs.experiment_file import ExperimentFile
+    from gauge_envs.experiments.user_file import ExperimentFile
 
     for key in ExperimentFile.model_fields:
         assert re.search(rf"`\[*{key}[\].`]", table), key

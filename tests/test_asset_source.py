@@ -16,18 +16,23 @@ from conftest import RIGID
 from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from typer.testing import CliRunner
 
-from gauge_envs.asset import scene_changes
-from gauge_envs.assets import assets_folder
-from gauge_envs.benchmark import run_episode, run_many, run_repeats, score_file
-from gauge_envs.cli import app
-from gauge_envs.comparison import compare
-from gauge_envs.episode import Trajectory, reference_band
+from gauge_envs.analysis.comparison import compare
+from gauge_envs.cli.app import app
+from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
-from gauge_envs.experiment import experiment
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.export.assets import assets_folder
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import variants
 from gauge_envs.report import comparison_rows
-from gauge_envs.result import Result, load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Motion
-from gauge_envs.task import variants
+from gauge_envs.scene.diff import scene_changes
 
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"
@@ -75,8 +80,8 @@ def setting(**values: Any) -> Edit:
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
-    found = experiment(name, asset=shipped(name))
-    assert found.scene == experiment(name, drivers="bundled").scene
+    found = load_experiment(name, asset=shipped(name))
+    assert found.scene == load_experiment(name, drivers="bundled").scene
     assert found.asset is not None
     assert (found.asset.edited, found.asset.changes) == (False, ())
     assert found.asset.sha256 == hashlib.sha256(shipped(name).read_bytes()).hexdigest()
@@ -118,7 +123,7 @@ def downhill_acceleration(trajectory: Trajectory) -> float:
 def test_half_the_friction_changes_the_slide_as_the_law_says(
     attributes: dict[str, float], edited: Callable[[str, Edit], Path], rollout: Rollout
 ) -> None:
-    friction = experiment(SLIDE).scene.contacts[0].friction
+    friction = load_experiment(SLIDE).scene.contacts[0].friction
     path = edited(SLIDE, setting(**{place: share * friction for place, share in attributes.items()}))
     _, before, _ = rollout(SLIDE)
     env, after, info = rollout(SLIDE, asset=path)
@@ -140,7 +145,7 @@ def test_an_edited_mass_reaches_the_simulation(edited: Callable[[str, Edit], Pat
 
 
 def test_an_edited_pose_moves_the_start(edited: Callable[[str, Edit], Path], rollout: Rollout) -> None:
-    start = experiment("BouncingBall-rubber").scene.body("ball").pose.position_m
+    start = load_experiment("BouncingBall-rubber").scene.body("ball").pose.position_m
     higher = (start[0], start[1], start[2] + 0.1)
     path = edited("BouncingBall-rubber", setting(ball__xformOp__translate=Gf.Vec3d(*higher)))
     _, trajectory, _ = rollout("BouncingBall-rubber", asset=path)
@@ -154,8 +159,8 @@ def test_an_edited_mesh_changes_the_shape(edited: Callable[[str, Edit], Path]) -
         points = stage.GetPrimAtPath("/World/pyramid/collision_0").GetAttribute("points")
         points.Set(Vt.Vec3fArray([Gf.Vec3f(x, y, 1.25 * z) for x, y, z in points.Get()]))
 
-    before = experiment(name).scene.body("pyramid").shape
-    found = experiment(name, asset=edited(name, taller))
+    before = load_experiment(name).scene.body("pyramid").shape
+    found = load_experiment(name, asset=edited(name, taller))
     after = found.scene.body("pyramid").shape
     assert after.volume_m3 > 1.001 * before.volume_m3
     assert found.asset is not None
@@ -210,10 +215,10 @@ def test_jitter_and_repeats_start_from_the_layer(edited: Callable[[str, Edit], P
 
 def test_the_reference_stays_that_of_the_calibrated_scene(edited: Callable[[str, Edit], Path]) -> None:
     name = "SlopeSlider-1-wood"
-    start = experiment(name).scene.body("cube").pose.position_m
+    start = load_experiment(name).scene.body("cube").pose.position_m
     moved = Gf.Vec3d(start[0] + 0.01, start[1], start[2])
-    found = experiment(name, asset=edited(name, setting(cube__xformOp__translate=moved)))
-    bands = [reference_band(one) for one in (found, experiment(name))]
+    found = load_experiment(name, asset=edited(name, setting(cube__xformOp__translate=moved)))
+    bands = [reference_band(one) for one in (found, load_experiment(name))]
     assert bands[0] is not None
     assert bands[1] is not None
     np.testing.assert_array_equal(bands[0].mean, bands[1].mean)
@@ -223,7 +228,7 @@ def test_the_reference_stays_that_of_the_calibrated_scene(edited: Callable[[str,
 
 
 def test_changes_name_what_was_changed() -> None:
-    scene = experiment("SlopeSlider-3-wood").scene
+    scene = load_experiment("SlopeSlider-3-wood").scene
     cube = replace(scene.body("cube"), mass_kg=0.2, motion=Motion.FIXED)
     contact = replace(scene.contacts[1], restitution=0.5)
     after = replace(
@@ -245,8 +250,8 @@ def test_changes_name_what_was_changed() -> None:
 
 @pytest.mark.parametrize("name", ALL[::7])
 def test_every_scene_that_differs_has_changes(name: str) -> None:
-    scene = experiment(name).scene
-    for other in (experiment(one).scene for one in ALL[::5]):
+    scene = load_experiment(name).scene
+    for other in (load_experiment(one).scene for one in ALL[::5]):
         assert bool(list(scene_changes(scene, other))) is (scene != other)
 
 
@@ -267,7 +272,7 @@ def test_a_result_says_what_it_ran_and_reads_back(slippery: Path, tmp_path: Path
     assert again == result
     assert str(tmp_path) not in file.read_text()
     found = recorded_experiment(again)
-    assert found.scene == experiment(SLIDE, asset=slippery).scene
+    assert found.scene == load_experiment(SLIDE, asset=slippery).scene
     assert found.edited
     scored = score_file(file)[0].score
     assert (scored.rmse, scored.edited) == (result.score.rmse, True)
@@ -290,7 +295,7 @@ def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path: Path
     )
 
     def digest(path: Path) -> str:
-        asset = experiment(SLIDE, asset=path).asset
+        asset = load_experiment(SLIDE, asset=path).asset
         assert asset is not None
         assert not asset.changes
         return asset.sha256
@@ -314,7 +319,7 @@ def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path: Path
 def test_the_hash_of_a_package_is_that_of_its_bytes(tmp_path: Path) -> None:
     path = tmp_path / "slide.usdz"
     assert UsdUtils.CreateNewUsdzPackage(str(shipped(SLIDE)), str(path))
-    found = experiment(SLIDE, asset=path)
+    found = load_experiment(SLIDE, asset=path)
     assert found.asset is not None
     assert found.asset.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -405,7 +410,7 @@ def fixed(stage: Usd.Stage) -> None:
 )
 def test_what_does_not_fit_the_id_is_told(change: Edit, told: str, edited: Callable[[str, Edit], Path]) -> None:
     with pytest.raises(AssetError) as caught:
-        experiment(SLIDE, asset=edited(SLIDE, change))
+        load_experiment(SLIDE, asset=edited(SLIDE, change))
     assert told in str(caught.value)
     assert f"{SLIDE}.usda" in str(caught.value)
 
@@ -414,8 +419,8 @@ def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited: Ca
     path = edited("SlopeSlider-2-plastic", unnamed(""))
     # Metal has as many frames as wood, plastic two fewer: a layer also says how long it lasts.
     with pytest.raises(AssetError, match="it lasts"):
-        experiment(SLIDE, asset=path)
-    found = experiment(SLIDE, asset=edited("SlopeSlider-2-metal", unnamed("")))
+        load_experiment(SLIDE, asset=path)
+    found = load_experiment(SLIDE, asset=edited("SlopeSlider-2-metal", unnamed("")))
     assert found.asset is not None
     assert "cube: mass_kg 0.0903 -> 0.3397" in found.asset.changes
 
@@ -423,7 +428,7 @@ def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited: Ca
 def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) -> None:
     name = "TextileStretching-rayon"
     with pytest.raises(AssetError, match="no markers, which TextileStretching-rayon records"):
-        experiment(name, asset=edited(name, lambda stage: stage.RemovePrim("/World/Markers")))
+        load_experiment(name, asset=edited(name, lambda stage: stage.RemovePrim("/World/Markers")))
 
 
 @pytest.mark.parametrize(
@@ -457,7 +462,7 @@ def test_a_body_without_mass_is_an_error(edited: Callable[[str, Edit], Path]) ->
             prim.RemoveProperty(name)
 
     with pytest.raises(AssetError, match=r"/World/cube.*mass"):
-        experiment(SLIDE, asset=edited(SLIDE, massless))
+        load_experiment(SLIDE, asset=edited(SLIDE, massless))
 
 
 def test_a_joint_that_scenes_do_not_have_is_an_error(edited: Callable[[str, Edit], Path]) -> None:
@@ -466,14 +471,14 @@ def test_a_joint_that_scenes_do_not_have_is_an_error(edited: Callable[[str, Edit
         joint.CreateRelationship("physics:body1").SetTargets([Sdf.Path("/World/cube")])
 
     with pytest.raises(AssetError, match="/World/slider"):
-        experiment(SLIDE, asset=edited(SLIDE, slider))
+        load_experiment(SLIDE, asset=edited(SLIDE, slider))
 
 
 @pytest.mark.parametrize("options", [{"parameters": {"cube.friction": 0.1}}, {"drivers": "imported"}])
 def test_what_the_file_states_cannot_be_given_too(options: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)
-    assert experiment(SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)).asset is not None
+    assert load_experiment(SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)).asset is not None
 
 
 def test_an_asset_alone_is_no_experiment() -> None:

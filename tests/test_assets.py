@@ -18,15 +18,16 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from gauge_envs import assets
-from gauge_envs.assets import asset_texts, assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.cli import app
-from gauge_envs.episode import DriverPath
+from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.experiment import Experiment, experiment
-from gauge_envs.materials import Fabric, isaac_surface
-from gauge_envs.mjcf import mjcf_text, scene_to_mjcf
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.export import assets
+from gauge_envs.experiments.export.assets import asset_texts, assets_folder, shape_to_obj, solid_shapes
+from gauge_envs.experiments.export.mjcf import mjcf_text, write_mjcf
+from gauge_envs.experiments.export.usd_layer import usd_layer_text, write_usd_layer
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import task_path, variants
 from gauge_envs.scene import (
     Box,
     Cloth,
@@ -41,9 +42,9 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.task import task_path, variants
-from gauge_envs.task_format import FRAME_RATE_HZ
-from gauge_envs.usd import scene_to_usd, usd_text
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.fabrics import Fabric, isaac_surface
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 ALL = tuple(variant.name for variant in variants())
 DRIVEN = ("SlopeSlider-3-metal", "Turntable-3-metal")
@@ -136,7 +137,7 @@ def test_command_lists_what_each_file_shows() -> None:
 def pair(request: pytest.FixtureRequest) -> tuple[Usd.Stage, object]:
     """A checked-in layer, opened, and the experiment that it shows."""
     stage = Usd.Stage.Open(str(assets_folder() / "usd" / f"{request.param}.usda"))
-    return stage, experiment(request.param)
+    return stage, load_experiment(request.param)
 
 
 def by_name(stage: Usd.Stage) -> dict[str, Usd.Prim]:
@@ -484,17 +485,17 @@ def test_usd_physics_reads_bodies_shapes_and_joints(pair: tuple) -> None:
 
 
 def test_binary_layers_say_the_same(tmp_path: Path) -> None:
-    resolved = experiment("Pendulum-metal")
-    scene_to_usd(resolved, tmp_path / "a.usda")
-    assert (tmp_path / "a.usda").read_text() == usd_text(resolved)
-    scene_to_usd(resolved, tmp_path / "a.usdc")
+    resolved = load_experiment("Pendulum-metal")
+    write_usd_layer(resolved, tmp_path / "a.usda")
+    assert (tmp_path / "a.usda").read_text() == usd_layer_text(resolved)
+    write_usd_layer(resolved, tmp_path / "a.usdc")
     binary = Usd.Stage.Open(str(tmp_path / "a.usdc"))
-    assert binary.GetRootLayer().ExportToString() == usd_text(resolved)
+    assert binary.GetRootLayer().ExportToString() == usd_layer_text(resolved)
 
 
 def test_overrides_reach_the_layer(tmp_path: Path) -> None:
-    resolved = experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012})
-    scene_to_usd(resolved, tmp_path / "a.usda")
+    resolved = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012})
+    write_usd_layer(resolved, tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
     assert value(stage.GetPrimAtPath("/World/cube"), "gauge:mass_kg") == 0.123456789012
     data = stage.GetRootLayer().customLayerData["gauge"]
@@ -503,7 +504,7 @@ def test_overrides_reach_the_layer(tmp_path: Path) -> None:
 
 
 def test_bodies_may_be_named_as_a_group_or_alike() -> None:
-    resolved = experiment("SlopeSlider-2-wood")
+    resolved = load_experiment("SlopeSlider-2-wood")
     new = {"cube": "Contacts", "board": "a-1", "ground": "a_1"}
     scene = replace(
         resolved.scene,
@@ -514,17 +515,17 @@ def test_bodies_may_be_named_as_a_group_or_alike() -> None:
         ),
     )
     stage = Usd.Stage.CreateInMemory()
-    stage.GetRootLayer().ImportFromString(usd_text(replace(resolved, scene=scene)))
+    stage.GetRootLayer().ImportFromString(usd_layer_text(replace(resolved, scene=scene)))
     assert list(by_name(stage)) == list(new.values())
 
 
 def test_a_layer_needs_a_suffix_and_a_place(tmp_path: Path) -> None:
-    resolved = experiment("Pendulum-metal")
+    resolved = load_experiment("Pendulum-metal")
     with pytest.raises(ParameterError, match=r"\.usda"):
-        scene_to_usd(resolved, tmp_path / "a.txt")
+        write_usd_layer(resolved, tmp_path / "a.txt")
     (tmp_path / "file").touch()
     with pytest.raises(ResultFileError, match="cannot be written"):
-        scene_to_usd(resolved, tmp_path / "file" / "a.usda")
+        write_usd_layer(resolved, tmp_path / "file" / "a.usda")
 
 
 # --- MJCF ------------------------------------------------------------------------------------------------------------
@@ -565,7 +566,7 @@ def checked_in_text(name: str) -> str:
 @pytest.mark.parametrize("name", [*RIGID, *ONE_OF_EACH_DEFORMABLE_FAMILY])
 def test_compiled_mjcf_equals_the_model_that_runs(name: str) -> None:
     file = dict(model_values(loaded(checked_in_text(name))))
-    runs = dict(model_values(BackendMuJoCo().build(experiment(name).scene).model))
+    runs = dict(model_values(BackendMuJoCo().build(load_experiment(name).scene).model))
     assert len(file) > 300
     for key, expected in runs.items():
         # To the bit where the file was built; elsewhere the start may differ in the last digit of a sine, and sums
@@ -599,7 +600,7 @@ def replayed(resolved: Experiment, text: str, frames: int) -> tuple[mujoco.MjDat
 
 @pytest.mark.parametrize("name", ["BouncingBall-rubber", "NewtonsCradle-metal", "SlopeContact-wood", *DRIVEN])
 def test_mjcf_replays_the_trajectory_without_this_project(name: str) -> None:
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     file, backend = replayed(resolved, mjcf_text(resolved), 30)
     np.testing.assert_array_equal(file.qpos, backend.qpos)
     np.testing.assert_array_equal(file.qvel, backend.qvel)
@@ -607,7 +608,7 @@ def test_mjcf_replays_the_trajectory_without_this_project(name: str) -> None:
 
 @pytest.mark.parametrize("name", ONE_OF_EACH_DEFORMABLE_FAMILY)
 def test_mjcf_replays_deformable_bodies_without_this_project(name: str) -> None:
-    file, backend = replayed(experiment(name), checked_in_text(name), 9)
+    file, backend = replayed(load_experiment(name), checked_in_text(name), 9)
     # Equal to the bit where the file was built; elsewhere tables differ in their last digits.
     assert np.abs(file.qpos - backend.qpos).max() < 1e-9
     assert np.abs(file.qpos - file.model.qpos0).max() > 1e-3
@@ -616,7 +617,7 @@ def test_mjcf_replays_deformable_bodies_without_this_project(name: str) -> None:
 @pytest.mark.parametrize("name", ["TextileFlinging-rayon", "CantileverBeam-soft"])
 def test_mjcf_says_what_to_write_into_compiled_tables(name: str) -> None:
     text = checked_in_text(name)
-    plain, runs = mujoco.MjModel.from_xml_string(text), BackendMuJoCo().build(experiment(name).scene).model
+    plain, runs = mujoco.MjModel.from_xml_string(text), BackendMuJoCo().build(load_experiment(name).scene).model
     size = np.abs(runs.flex_stiffness).max()
     assert np.abs(plain.flex_stiffness - runs.flex_stiffness).max() > 0.1 * size
     assert np.abs(loaded(text).flex_stiffness - runs.flex_stiffness).max() < 1e-12 * size
@@ -624,7 +625,7 @@ def test_mjcf_says_what_to_write_into_compiled_tables(name: str) -> None:
 
 @pytest.mark.parametrize("name", [*DRIVEN, "TextileStretching-rayon"])
 def test_mjcf_holds_the_whole_motion_and_says_how_to_replay_it(name: str) -> None:
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     (driver,) = resolved.scene.drivers
     text = checked_in_text(name)
     rows = loaded(text).numeric(f"driver/{driver.body}").data.reshape(-1, 19)
@@ -660,10 +661,10 @@ def test_equal_rows_may_differ_between_machines(folder: Path) -> None:
 
 
 def test_mjcf_where_nothing_can_be_written_is_an_error(tmp_path: Path) -> None:
-    scene_to_mjcf(experiment("Pendulum-metal"), tmp_path / "a.xml")
-    assert (tmp_path / "a.xml").read_text() == mjcf_text(experiment("Pendulum-metal"))
+    write_mjcf(load_experiment("Pendulum-metal"), tmp_path / "a.xml")
+    assert (tmp_path / "a.xml").read_text() == mjcf_text(load_experiment("Pendulum-metal"))
     with pytest.raises(ResultFileError, match="cannot be written"):
-        scene_to_mjcf(experiment("Pendulum-metal"), tmp_path / "a.xml" / "b.xml")
+        write_mjcf(load_experiment("Pendulum-metal"), tmp_path / "a.xml" / "b.xml")
 
 
 # --- OBJ -------------------------------------------------------------------------------------------------------------
@@ -687,7 +688,7 @@ def test_obj_is_closed_and_has_the_solids_volume(name: str) -> None:
 def test_every_solid_of_every_scene_has_an_obj() -> None:
     written = {solid.shape for solid in solid_shapes().values()}
     assert written >= {
-        body.shape for v in variants() for body in experiment(v).scene.bodies if not isinstance(body.shape, Plane)
+        body.shape for v in variants() for body in load_experiment(v).scene.bodies if not isinstance(body.shape, Plane)
     }
     assert sum(name.startswith("obj/") for name, _ in asset_texts()) == len(written)
 

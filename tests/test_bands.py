@@ -11,8 +11,10 @@ import build_bands
 import numpy as np
 import pytest
 
-from gauge_envs.paths import data_folder
-from gauge_envs.reference import Band, load_band, published_baselines
+from gauge_envs.evaluation.reference import load_band
+from gauge_envs.files import data_folder
+from gauge_envs.references.bands import Band
+from gauge_envs.references.published import published_baselines
 
 MATERIALS = ("wood", "plastic", "metal")
 VARIANTS = (*(f"SlopeSlider-2-{material}" for material in MATERIALS), "BouncingBall-rubber")

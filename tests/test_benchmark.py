@@ -6,14 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import gauge_envs.benchmark
-import gauge_envs.result
+import gauge_envs.runs.batch
+import gauge_envs.runs.result
 from gauge_envs import find_variant
 from gauge_envs.backends.mujoco import backend as mujoco_backend
-from gauge_envs.benchmark import check_request, run_episode, run_many, score_file
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
-from gauge_envs.figures import draw_experiment, save_figures
-from gauge_envs.result import Outcome, load_result, result_file_name, write_result
+from gauge_envs.report.figures.experiment import draw_experiment, save_figures
+from gauge_envs.runs.batch import check_request, run_many
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.result import Outcome
+from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.runs.score_file import score_file
 
 NAME = "SlopeSlider-2-wood"
 THREE = ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"]
@@ -210,7 +213,7 @@ def test_a_crash_while_writing_leaves_no_result_file(tmp_path, monkeypatch, resu
     def crash(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(gauge_envs.result.os, "fsync", crash)
+    monkeypatch.setattr(gauge_envs.runs.result.os, "fsync", crash)
     with pytest.raises(ResultFileError, match="No space left"):
         write_result(result, tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []

@@ -9,7 +9,7 @@ from test_benchmark import NAME, SOFT, interrupt_in_episode
 from test_trajectory_file import SLIDE, write_csv
 from typer.testing import CliRunner
 
-from gauge_envs.cli import app
+from gauge_envs.cli.app import app
 
 METRICS = {
     *("grade", "rmse", "rmse_normalized", "dtw", "dtw_normalized", "release_offset_s", "rmse_aligned_normalized"),
@@ -147,7 +147,7 @@ def test_a_parameter_set_that_some_lack(gauge):
 
 
 def test_a_failed_episode_gives_exit_code_1(gauge, monkeypatch):
-    monkeypatch.setattr("gauge_envs.episode.Episode._fault", lambda *_: "it flew away")
+    monkeypatch.setattr("gauge_envs.envs.episode.Episode._fault", lambda *_: "it flew away")
     result = gauge("run", NAME)
     assert result.exit_code == 1
     assert "diverged: SlopeSlider-2-wood: it flew away" in result.stdout

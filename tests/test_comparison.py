@@ -10,16 +10,20 @@ from rich.console import Console
 from scipy.stats import gmean
 from typer.testing import CliRunner
 
-from gauge_envs.benchmark import run_episode
-from gauge_envs.cli import app
-from gauge_envs.comparison import METRICS, MOTION_SHARE, Spread, check_metrics, compare
+from gauge_envs.analysis.comparison import METRICS, MOTION_SHARE, Spread, check_metrics, compare
+from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.figures import OURS, draw_experiment, draw_overview, save_comparison
-from gauge_envs.reference import published_baselines
+from gauge_envs.evaluation.score import Score
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.files import versions
+from gauge_envs.references.published import published_baselines
 from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view, configuration_labels
-from gauge_envs.result import Outcome, RecordedTrajectory, Result, result_file_name, versions, write_result
-from gauge_envs.score import Score
-from gauge_envs.task import task_sha256
+from gauge_envs.report.figures.experiment import draw_experiment
+from gauge_envs.report.figures.overview import draw_overview, save_comparison
+from gauge_envs.report.figures.style import OURS
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.runs.result_file import result_file_name, write_result
 
 SLIDER, PLASTIC, FOAM, CRADLE = (
     "SlopeSlider-2-wood",

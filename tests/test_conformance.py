@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.backends import Backend, Simulation, Support, backend, registry
-from gauge_envs.cli import app
-from gauge_envs.conformance import Finding, Status, checks, run_checks
-from gauge_envs.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
-from gauge_envs.conformance.table import findings_markdown
+from gauge_envs.checks.conformance import Finding, Status, checks, run_checks
+from gauge_envs.checks.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
+from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.report.conformance import findings_markdown
 from gauge_envs.scene import Box, Cloth, Contact, Motion, Pose, Rod, Scene, SoftBody
 
 MUJOCO = backend("mujoco")
@@ -552,7 +552,7 @@ def test_every_check_says_what_it_is() -> None:
 
 def test_an_id_is_used_once() -> None:
     first = checks()[0]
-    from gauge_envs.conformance import check
+    from gauge_envs.checks.conformance import check
 
     with pytest.raises(ParameterError, match=first.id):
         check(first.id, title="", measures="", law="", source="", unit="", mark=first.mark, diagnosis="")(first.measure)
@@ -567,7 +567,7 @@ def gauge(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     broken = Declines(with_contacts(friction=lambda mu: 0.8 * mu))
     known = registry.backend
     monkeypatch.setattr(
-        "gauge_envs.conformance.kit.find_backend", lambda name: broken if name == "faulty" else known(name)
+        "gauge_envs.checks.conformance.kit.find_backend", lambda name: broken if name == "faulty" else known(name)
     )
     return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(app, ["backend", "check", *arguments])
 

@@ -22,12 +22,12 @@ from opengl import needs_opengl
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
-from gauge_envs import experiment, variants
+from gauge_envs import variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import World
 from gauge_envs.backends.mujoco import SimulationMuJoCo
-from gauge_envs.cli import app
-from gauge_envs.control import (
+from gauge_envs.cli.app import app
+from gauge_envs.envs.control import (
     ControlEnv,
     Ending,
     Limit,
@@ -40,16 +40,10 @@ from gauge_envs.control import (
     find_control_task,
     play,
 )
-from gauge_envs.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
-from gauge_envs.control.limit import friction_uncertainty
-from gauge_envs.errors import (
-    ActionError,
-    BackendError,
-    EpisodeError,
-    ParameterError,
-    UnknownNameError,
-)
-from gauge_envs.paths import data_folder
+from gauge_envs.envs.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
+from gauge_envs.envs.control.limit import friction_uncertainty
+from gauge_envs.errors import ActionError, BackendError, EpisodeError, ParameterError, UnknownNameError
+from gauge_envs.files import data_folder
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion
 
 NAMES = tuple(task.name for task in control_tasks())
@@ -192,7 +186,7 @@ def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(material: 
     angle = math.radians(30.0)
     accelerations = [2.0 * np.polyfit(*zip(*trial, strict=True), 2)[0] for trial in trials.values()]
     friction = math.tan(angle) - np.array(accelerations) / (GRAVITY_M_PER_S2 * math.cos(angle))
-    calibrated = experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
+    calibrated = load_experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
     expected = float(np.sqrt(np.mean((friction - calibrated) ** 2))) / calibrated
     assert friction_uncertainty(material) == pytest.approx(expected, rel=0.02)
 
@@ -307,7 +301,7 @@ def test_no_policy_earns_more_than_the_law(name: str, seed: int) -> None:
 
 def test_slipping_is_turning_on_the_spot_too() -> None:
     """A cube on the axis is carried by next to no force, but a plate as slippery turns away under it."""
-    plate = experiment("Turntable-1-wood").scene.body("plate").pose.position_m
+    plate = load_experiment("Turntable-1-wood").scene.body("plate").pose.position_m
     place = {"cube.position_m": (plate[0], plate[1], plate[2] + 0.035), "cube.friction": 0.001}
     env = make("Turntable-Limit-wood", settings=FAST, parameters=place)
     assert play(env, lambda _: np.ones(1)).ending is Ending.SLIPPED
@@ -386,7 +380,7 @@ def test_applied_torque_swings_the_pendulum(engine: str) -> None:
 def test_applied_force_accelerates_a_free_body(engine: str) -> None:
     if engine == "newton":
         pytest.importorskip("newton")
-    scene = experiment("BouncingBall-rubber").scene
+    scene = load_experiment("BouncingBall-rubber").scene
     (ball,) = [body for body in scene.bodies if body.motion is Motion.DYNAMIC]
     force = np.array([0.1, 0.0, ball.mass_kg * GRAVITY_M_PER_S2, 0.0, 0.0, 0.0])
     simulation = backend(engine).build(scene)

@@ -29,20 +29,29 @@ from test_bands import build_bands
 from typer.testing import CliRunner
 
 import gauge_envs
-from gauge_envs.benchmark import run_episode, run_many
-from gauge_envs.cli import app
-from gauge_envs.comparison import compare
+from gauge_envs.analysis.comparison import compare
+from gauge_envs.cli.app import app
 from gauge_envs.dataset.importer import ImportedTrials, import_trials
 from gauge_envs.dataset.layout import find_trials, write_revision
 from gauge_envs.dataset.observation import driver_tracks
-from gauge_envs.dataset.store import choose_drivers, load_imported, recorded_drivers, user_data_folder
 from gauge_envs.dataset.trial import parse_trial
-from gauge_envs.driver import DriverMotion, DriverSource, SampledProfile
-from gauge_envs.errors import DatasetError, ParameterError, UnknownNameError
-from gauge_envs.experiment import experiment
-from gauge_envs.paths import data_folder
-from gauge_envs.reference import BandGrade, ReferenceFileError, band_grade, bundled_band, load_band, published_baselines
-from gauge_envs.result import load_result, result_file_name
+from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, UnknownNameError
+from gauge_envs.evaluation.reference import band_grade, load_band
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.files import data_folder
+from gauge_envs.references.bands import BandGrade, bundled_band
+from gauge_envs.references.imported import (
+    DriverSource,
+    choose_drivers,
+    load_imported,
+    recorded_drivers,
+    user_data_folder,
+)
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.result_file import load_result, result_file_name
+from gauge_envs.scene.drivers import DriverMotion, SampledProfile
 
 AMOUNT = np.array(AMOUNTS)
 TOLERANCE = 1e-9
@@ -136,7 +145,7 @@ def with_markers(name: str, shapes: list[np.ndarray]) -> list[dict]:
 
 def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
     name = "TextileStretching-leather"
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
     markers = resolved.scene.markers
     raised = next(k for k in range(len(rest)) if k not in (*markers.edge, *markers.corner))
@@ -162,7 +171,7 @@ def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
 
 def test_curvature_of_a_folded_strip(tmp_path: Path) -> None:
     name = "TextileBending-rayon"
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
     angles = np.array([0.3, 0.4, 0.6])
     fold = rest[6, 0]
@@ -219,9 +228,9 @@ def test_a_marker_out_of_sight_hides_its_faces_alone(tmp_path: Path) -> None:
         write_trial(tmp_path, name, number, content)
     imported(tmp_path)
     band = band_of(name)
-    faces = experiment(name).scene.markers.faces
+    faces = load_experiment(name).scene.markers.faces
     growth = (1.0 + 1e-3 * AMOUNT) ** 2
-    areas = face_areas(scaled_markers(experiment(name), 0.0), faces)
+    areas = face_areas(scaled_markers(load_experiment(name), 0.0), faces)
     mean = np.where([0 in face for face in faces], growth[1:].mean(), growth.mean()) * areas
     np.testing.assert_allclose(band.mean[4], mean, rtol=0, atol=TOLERANCE)
     np.testing.assert_allclose(band.mean[3], growth.mean() * areas, rtol=0, atol=TOLERANCE)
@@ -236,7 +245,7 @@ def test_short_trials_count_where_no_length_is_published(tmp_path: Path) -> None
     for number, content in enumerate(contents):
         write_trial(tmp_path, name, number, content)
     assert imported(tmp_path)[name].used == 4
-    start = 1e3 * np.asarray(experiment(name).scene.body("cube").pose.position_m)[1]
+    start = 1e3 * np.asarray(load_experiment(name).scene.body("cube").pose.position_m)[1]
     mean = band_of(name).mean[:, 1]
     assert mean[49] == pytest.approx(start) and mean[50] == pytest.approx(start + AMOUNT[1:].mean())
 
@@ -244,9 +253,9 @@ def test_short_trials_count_where_no_length_is_published(tmp_path: Path) -> None
 def test_events_of_the_pendulum_have_baselines(tmp_path: Path) -> None:
     """Undamped swings of known period, all the same: 300 frames hold 9 periods of 10/9 s."""
     name = "Pendulum-metal"
-    hinge = experiment(name).scene.joints[0]
+    hinge = load_experiment(name).scene.joints[0]
     times = np.arange(3000) / 30.0
-    start = np.asarray(experiment(name).scene.body("ball").pose.position_m)
+    start = np.asarray(load_experiment(name).scene.body("ball").pose.position_m)
     length = np.linalg.norm(start - hinge.anchor_m)
     for number, sign in enumerate((1.0, -1.0)):
         angle = math.pi / 6 * np.cos(2 * math.pi * 0.9 * times)
@@ -276,7 +285,7 @@ def test_all_75_experiments_are_found_in_their_folders(tmp_path: Path) -> None:
 def write_reconstruction(root: Path) -> None:
     """The bundled facts' trials in the dataset's layout: one coordinate was measured, the others are at the start."""
     for name, trials in build_bands.reconstruct(data_folder("scoring")).items():
-        resolved = experiment(name)
+        resolved = load_experiment(name)
         (body,) = resolved.recorded
         direction, start = np.array(trials.direction), 1e3 * np.asarray(resolved.scene.body(body).pose.position_m)
         across = start - (start @ direction) * direction
@@ -381,7 +390,7 @@ def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
     synthetic = write_synthetic(tmp_path, name)
     bundled = synthetic.resolved
     one = imported(tmp_path)[name]
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     assert (resolved.drivers, resolved.driver_provenance) == (DriverSource.IMPORTED, "mocap")
     for driver, stated, record in zip(resolved.scene.drivers, bundled.scene.drivers, one.record.drivers, strict=True):
         wanted = synthetic.coordinates[driver.body]
@@ -393,8 +402,8 @@ def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
             assert motion.residual_rate == stated.motions[number].residual_rate
         assert record.trial_count == len(AMOUNTS)
         assert max(record.residual_mm, record.residual_deg, record.start_offset_mm) < 1e-6
-    assert experiment(name, drivers="bundled").scene.drivers == bundled.scene.drivers
-    assert experiment(name).parameters == "calibrated" and experiment(name).overrides == {}
+    assert load_experiment(name, drivers="bundled").scene.drivers == bundled.scene.drivers
+    assert load_experiment(name).parameters == "calibrated" and load_experiment(name).overrides == {}
 
 
 @given(
@@ -418,7 +427,7 @@ def test_any_driver_with_one_turn_is_inverted(kinds: tuple[str, ...], seed: int)
         )
         for kind, axis, values in zip(kinds, axes, wanted.T, strict=False)
     )
-    resolved = experiment("Turntable-2-wood", drivers="bundled")
+    resolved = load_experiment("Turntable-2-wood", drivers="bundled")
     driver = replace(resolved.scene.drivers[0], motions=motions)
     resolved = replace(resolved, scene=replace(resolved.scene, drivers=(driver,)), frame_count=frames)
     poses = [driver.pose(resolved.scene.body("plate").pose, time_s) for time_s in times]
@@ -433,7 +442,7 @@ def test_any_driver_with_one_turn_is_inverted(kinds: tuple[str, ...], seed: int)
 def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) -> None:
     """A plate at 12 rad/s, in trials that start 1 mm apart, wobble by 0.5 mm and tilt by 1 degree."""
     name = "Turntable-3-metal"
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     count = resolved.frame_count
     angles = 12.0 * np.arange(count) / 30.0
     later = (np.arange(count) > 0)[:, None]
@@ -450,7 +459,7 @@ def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) 
     assert record.residual_deg == pytest.approx(1.0 * share, rel=1e-6)
     assert record.start_offset_mm == pytest.approx(1.0, rel=1e-6)
     assert (record.scatter_mm, record.scatter_deg) == (None, pytest.approx(0.0, abs=1e-5))
-    (profile,) = experiment(name).scene.drivers[0].motions[0].profiles
+    (profile,) = load_experiment(name).scene.drivers[0].motions[0].profiles
     np.testing.assert_allclose(profile.values, angles, atol=1e-3)
 
 

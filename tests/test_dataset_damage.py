@@ -26,14 +26,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from gauge_envs.cli import app
+from gauge_envs.cli.app import app
 from gauge_envs.dataset.importer import import_trials
 from gauge_envs.dataset.layout import find_trials
 from gauge_envs.dataset.observation import driver_tracks, trial_trajectory
-from gauge_envs.dataset.store import load_imported
 from gauge_envs.dataset.trial import Trial, TrialError, parse_trial
-from gauge_envs.experiment import experiment
-from gauge_envs.reference import load_band
+from gauge_envs.evaluation.reference import load_band
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.references.imported import load_imported
 
 SLIDER, FOAM, PLATE = "SlopeSlider-1-wood", "FoamBending-soft", "Turntable-2-wood"
 NUMBER = 99
@@ -208,7 +208,7 @@ def test_marker_sets_of_several_bodies_are_joined(tmp_path: Path) -> None:
     (one,) = import_trials(find_trials(tmp_path))
     assert (one.used, one.left_out) == (3, 1)
     assert (one.findings[0].key, one.findings[0].what) == ("cube-3", "it has 94 frames")
-    start = scaled_markers(experiment(name), float(np.mean(AMOUNTS[:3])))
+    start = scaled_markers(load_experiment(name), float(np.mean(AMOUNTS[:3])))
     np.testing.assert_allclose(load_band(name).mean[5], start.ravel(), rtol=0, atol=1e-9)
 
 
@@ -259,7 +259,7 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path: Path) -> None:
 
 def read_all(content: bytes, name: str) -> Trial | None:
     """What an import does with a file; the trial, where it can be used. Any other error than a named one is a bug."""
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     try:
         trial = parse_trial(content)
         trajectory = trial_trajectory(trial, resolved)

@@ -11,11 +11,11 @@ import pytest
 from dataset_writer import trial_folder, write_synthetic
 from typer.testing import CliRunner
 
-from gauge_envs.cli import app
+from gauge_envs.cli.app import app
 from gauge_envs.dataset.download import DATASET, PINNED_REVISION, download_dataset, resolved_revision
 from gauge_envs.dataset.layout import find_trials
-from gauge_envs.dataset.store import user_data_folder
 from gauge_envs.errors import DatasetError, MissingExtraError
+from gauge_envs.references.imported import user_data_folder
 
 COMMIT = PINNED_REVISION + 33 * "1"
 OTHER = 40 * "2"

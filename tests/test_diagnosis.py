@@ -14,18 +14,21 @@ from rich.console import Console
 from scipy.interpolate import CubicSpline
 from typer.testing import CliRunner
 
-from gauge_envs import experiment, reference_band
-from gauge_envs.benchmark import run_episode
-from gauge_envs.cli import app
-from gauge_envs.diagnosis import DEFAULT_ORDER, DiagnosisError, Stage, diagnose, diagnose_trajectory, stage_order
-from gauge_envs.episode import SAMPLE_INTERVAL_S
+from gauge_envs import reference_band
+from gauge_envs.analysis.budget_fit import Stage
+from gauge_envs.analysis.error_budget import DEFAULT_ORDER, DiagnosisError, diagnose, diagnose_trajectory, stage_order
+from gauge_envs.analysis.motion_kinds import MotionKind, find_impact
+from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ShapeError
-from gauge_envs.figures import draw_diagnoses
-from gauge_envs.metrics import trajectory_rmse
-from gauge_envs.motion import MotionKind, find_impact
-from gauge_envs.reference import Band, BandGrade, carried_band, published_baselines
+from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.published import carried_band, published_baselines
 from gauge_envs.report import diagnosis_rows, diagnosis_view
-from gauge_envs.result import Outcome, write_result
+from gauge_envs.report.figures.budgets import draw_diagnoses
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.result import Outcome
+from gauge_envs.runs.result_file import write_result
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 SLIDE, BALL, SWING, DRIVEN, HELD = (
     "SlopeSlider-2-wood",
@@ -109,7 +112,7 @@ def slide(acceleration_mm_s2, *, start_mm=0.0, late_s=0.0):
 )
 @example(late_s=0.03, offset_mm=4.0, ratio=1.05, start_mm=0.0)
 def test_a_slide_gives_back_release_offset_and_acceleration(late_s, offset_mm, ratio, start_mm):
-    resolved = experiment(SLIDE)
+    resolved = load_experiment(SLIDE)
     count = resolved.frame_count
     # The simulation runs longer, so that nothing is held at its end where reality is let go earlier.
     times, values = samples(count + 6, slide(2600.0, start_mm=start_mm))
@@ -129,7 +132,7 @@ def test_a_slide_gives_back_release_offset_and_acceleration(late_s, offset_mm, r
 
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"])
 def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
-    resolved = experiment(name)
+    resolved = load_experiment(name)
     real = reference_band(resolved)
     count = len(real.mean)
     course = CubicSpline(frames_s(count), real.mean[:, 0])
@@ -171,7 +174,7 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=40
 )
 @example(real=0.737, simulated=0.577, late_s=0.06, raised_mm=-7.0)
 def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
-    resolved = experiment(BALL)
+    resolved = load_experiment(BALL)
     count = resolved.frame_count
     times, values = samples(count, bounce(simulated))
     mean = bounce(real, late_s=late_s, raised_mm=raised_mm)(frames_s(count))
@@ -203,7 +206,7 @@ def swing(period_s, *, amplitude_mm=150.0, late_s=0.0, centre):
 @example(period=1.0 / 1.08, amplitude=1.0, late_s=0.0)
 @example(period=1.08, amplitude=1.0, late_s=0.0)
 def test_a_pendulum_gives_back_period_and_amplitude(period, amplitude, late_s):
-    resolved = experiment(SWING)
+    resolved = load_experiment(SWING)
     joint = resolved.scene.joints[0]
     arm_m = math.dist(joint.anchor_m, resolved.scene.body(joint.body).pose.position_m)
     centre = 1e3 * (np.array(joint.anchor_m) - [0.0, 0.0, arm_m])
@@ -230,7 +233,7 @@ def winding(times):
 @QUICK
 @given(speed=st.floats(0.9, 1.12), larger=st.floats(0.9, 1.1), late_s=st.floats(0.0, 0.1), offset_mm=st.floats(-5, 5))
 def test_any_motion_gives_back_speed_and_displacement(speed, larger, late_s, offset_mm):
-    resolved = experiment(DRIVEN)
+    resolved = load_experiment(DRIVEN)
     count = resolved.frame_count
     times, values = samples(count, winding)
     played = winding(speed * np.maximum(frames_s(count) - late_s, 0.0))
@@ -256,7 +259,7 @@ def wild(draw):
     """Real mean and simulation that have nothing to do with each other, some of the mean not measured."""
     seed, waves = draw(st.integers(0, 2**32 - 1)), draw(st.integers(1, 8))
     generator = np.random.default_rng(seed)
-    count = experiment(DRIVEN).frame_count
+    count = load_experiment(DRIVEN).frame_count
 
     def course(times):
         angles = generator.uniform(0.0, 12.0, (waves, 3)) * times[:, None, None] + generator.uniform(
@@ -273,7 +276,7 @@ def wild(draw):
 @given(wild())
 def test_parts_sum_to_the_score_whatever_the_trajectory(drawn):
     mean, times, values = drawn
-    resolved = experiment(DRIVEN)
+    resolved = load_experiment(DRIVEN)
     diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.rmse == pytest.approx(trajectory_rmse(values[::6], mean), rel=1e-12)
@@ -283,7 +286,7 @@ def test_parts_sum_to_the_score_whatever_the_trajectory(drawn):
 @given(wild())
 def test_order_changes_the_parts_but_neither_whole_nor_rest(drawn):
     mean, times, values = drawn
-    resolved = experiment(DRIVEN)
+    resolved = load_experiment(DRIVEN)
     rests = []
     for order in itertools.permutations(DEFAULT_ORDER):
         diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values, order=order)
@@ -295,7 +298,7 @@ def test_order_changes_the_parts_but_neither_whole_nor_rest(drawn):
 
 def test_the_search_finds_what_a_dense_grid_finds():
     """Of a motion with many local minima, by an independent brute force over shift and speed with NumPy alone."""
-    resolved = experiment(DRIVEN)
+    resolved = load_experiment(DRIVEN)
     count = resolved.frame_count
 
     def course(times):
@@ -384,7 +387,7 @@ def test_published_engines_have_no_split(ball):
 
 
 def test_a_law_has_no_release_and_what_rests_has_no_rate():
-    resolved = experiment(HELD)
+    resolved = load_experiment(HELD)
     count = resolved.frame_count
     place = np.tile([17.0, 397.0, 211.0], (count, 1))
     times, values = samples(count, lambda times: np.tile([18.0, 397.0, 209.0], (len(times), 1)))
@@ -399,7 +402,7 @@ def test_a_law_has_no_release_and_what_rests_has_no_rate():
 
 
 def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
-    resolved = experiment(SLIDE)
+    resolved = load_experiment(SLIDE)
     count = resolved.frame_count
     times, values = samples(count, lambda times: np.tile([97.0, 407.0, 359.0], (len(times), 1)))
     mean = slide(2600.0)(frames_s(count))
@@ -411,7 +414,7 @@ def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
 
 
 def test_no_error_is_no_budget():
-    resolved = experiment(SLIDE)
+    resolved = load_experiment(SLIDE)
     count = resolved.frame_count
     times, values = samples(count, slide(2600.0))
     diagnosis = diagnose_trajectory(resolved, band(values[::6]), times_s=times, values=values)
@@ -420,7 +423,7 @@ def test_no_error_is_no_budget():
 
 
 def test_limits_are_told():
-    resolved = experiment(SLIDE)
+    resolved = load_experiment(SLIDE)
     count = resolved.frame_count
     times, values = samples(count, slide(800.0))
     mean = slide(2600.0)(frames_s(count))
@@ -433,7 +436,7 @@ def test_limits_are_told():
 
 def test_a_part_that_another_stands_in_for_is_told():
     """Let go at the right time and too slow: a shift hides most of it, the acceleration is all of it."""
-    resolved = experiment(SLIDE)
+    resolved = load_experiment(SLIDE)
     count = resolved.frame_count
     times, values = samples(count, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
@@ -448,7 +451,7 @@ def test_a_part_that_another_stands_in_for_is_told():
 
 
 def test_speed_and_displacement_that_cannot_be_told_apart_are_noted():
-    resolved = experiment(DRIVEN)
+    resolved = load_experiment(DRIVEN)
     count = resolved.frame_count
     times, values = samples(count, slide(100.0))
     mean = slide(140.0)(frames_s(count))
@@ -500,7 +503,7 @@ def test_what_is_missing_is_told(ball, unscored):
     with pytest.raises(DiagnosisError, match="diverged, so that there is no score"):
         diagnose(replace(ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"))
     with pytest.raises(DiagnosisError, match="withheld"):
-        resolved = experiment("SlopeContact-wood")
+        resolved = load_experiment("SlopeContact-wood")
         diagnose_trajectory(resolved, reference_band(resolved), times_s=np.zeros(1), values=np.zeros((1, 3)))
     other = replace(
         ball, trajectory=replace(ball.trajectory, coordinates=["z"], samples=[[0.0]] * len(ball.trajectory.samples))
@@ -516,7 +519,7 @@ def test_an_order_is_each_stage_once(order):
 
 
 def test_trajectories_that_do_not_fit_are_refused():
-    resolved = experiment(SLIDE)
+    resolved = load_experiment(SLIDE)
     times, values = samples(resolved.frame_count, slide(2600.0))
     mean = band(values[::6])
     for wrong in (
@@ -540,7 +543,7 @@ def test_trajectories_that_do_not_fit_are_refused():
 
 
 def test_another_reference_than_that_of_the_score_is_noted(ball):
-    own = reference_band(experiment(BALL))
+    own = reference_band(load_experiment(BALL))
     moved = replace(own, mean=own.mean + 1.0)
     assert "was not made against this band" in diagnose(ball, band=moved).notes[-1]
     assert not any("was not made" in note for note in diagnose(ball).notes)
@@ -588,7 +591,7 @@ def test_command_and_its_exit_codes(gauge, tmp_path, ball, unscored):
 
 
 def test_command_takes_trajectories_of_any_simulator(gauge, tmp_path):
-    times, values = samples(experiment(SLIDE).frame_count, slide(2600.0))
+    times, values = samples(load_experiment(SLIDE).frame_count, slide(2600.0))
     rows = [
         "time_s,cube.x,cube.y,cube.z",
         *(",".join(f"{v:.6f}" for v in (t, *g)) for t, g in zip(times, values, strict=True)),

@@ -21,7 +21,7 @@ dm_env = pytest.importorskip("dm_env", reason="extra 'dm' is not installed")
 from absl.testing import absltest  # noqa: E402  comes with dm_env
 from dm_env import specs, test_utils  # noqa: E402
 
-from gauge_envs import dm_control  # noqa: E402
+from gauge_envs.envs import dm_env as dm_control  # noqa: E402
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 
@@ -167,7 +167,7 @@ def test_wrong_actions() -> None:
 
 
 def test_without_dm_env_the_extra_is_named() -> None:
-    code = "import sys; sys.modules['dm_env'] = None; import gauge_envs; import gauge_envs.dm_control"
+    code = "import sys; sys.modules['dm_env'] = None; import gauge_envs; import gauge_envs.envs.dm_env"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert run.returncode != 0
     assert "gauge_envs.errors.MissingExtraError" in run.stderr
@@ -175,7 +175,7 @@ def test_without_dm_env_the_extra_is_named() -> None:
 
 
 def test_importing_the_package_imports_no_ecosystem() -> None:
-    heavy = ("dm_env", "torch", "stable_baselines3", "moviepy", "gauge_envs.vector", "gauge_envs.dm_control")
+    heavy = ("dm_env", "torch", "stable_baselines3", "moviepy", "gauge_envs.envs.vector", "gauge_envs.envs.dm_env")
     code = f"import sys, gauge_envs; print([name for name in {heavy} if name in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

@@ -11,12 +11,12 @@ import pytest
 @pytest.mark.parametrize(
     "name",
     [
-        "gauge_envs.control.wrapper",
-        "gauge_envs.dm_control",
-        "gauge_envs.env",
-        "gauge_envs.sanity",
-        "gauge_envs.vector",
-        "gauge_envs.wrappers",
+        "gauge_envs.envs.control.wrapper",
+        "gauge_envs.envs.dm_env",
+        "gauge_envs.envs.env",
+        "gauge_envs.checks.sanity",
+        "gauge_envs.envs.vector",
+        "gauge_envs.envs.wrappers",
     ],
 )
 def test_examples(name: str) -> None:

@@ -7,8 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gauge_envs.driver import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile, mean_velocity
 from gauge_envs.scene import Pose
+from gauge_envs.scene.drivers import (
+    CosineProfile,
+    Driver,
+    DriverMotion,
+    SampledProfile,
+    TrapezoidProfile,
+    mean_velocity,
+)
 
 
 def profiles() -> list:

@@ -23,11 +23,11 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 
-from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, experiment, find_variant, reference_band
-from gauge_envs.driver import DriverSource
+from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant, reference_band
+from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
-from gauge_envs.observer import MarkerProxy
-from gauge_envs.vector import GaugeVectorEnv
+from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.imported import DriverSource
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)
@@ -175,7 +175,7 @@ def test_newton_environments_pickle(name: str) -> None:
 def test_what_the_package_returns_pickles() -> None:
     env = gymnasium.make(f"GAUGE/{RIGID}")
     _, info = run_to_end(env)
-    resolved = experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
+    resolved = load_experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
     for value in (info["score"], resolved, resolved.scene, find_variant(RIGID), Jitter()):
         assert pickle.loads(pickle.dumps(value)) == value
     band = reference_band(resolved)
@@ -220,10 +220,10 @@ def test_what_was_not_made_by_make_has_no_spec() -> None:
 
 
 def test_an_array_among_the_parameters_becomes_numbers() -> None:
-    place = np.array(experiment(RIGID).scene.body("cube").pose.position_m)
+    place = np.array(load_experiment(RIGID).scene.body("cube").pose.position_m)
     env = gymnasium.make(f"GAUGE/{RIGID}", parameters={"cube.position_m": place})
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
-    assert again.unwrapped.experiment.scene == experiment(RIGID).scene
+    assert again.unwrapped.experiment.scene == load_experiment(RIGID).scene
 
 
 def test_what_no_spec_can_hold_is_named() -> None:

@@ -11,7 +11,7 @@ from conftest import RIGID
 from gymnasium.utils.env_checker import check_env
 
 import gauge_envs
-from gauge_envs.control import control_tasks
+from gauge_envs.envs.control import control_tasks
 from gauge_envs.errors import (
     ActionError,
     EpisodeError,

@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 
 import gauge_envs
 from gauge_envs.backends import Simulation, backend
-from gauge_envs.driver import Driver, DriverMotion
-from gauge_envs.episode import SAMPLE_INTERVAL_S
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "examples" / "point_engine"

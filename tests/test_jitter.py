@@ -8,21 +8,23 @@ import gymnasium
 import numpy as np
 import pytest
 
-from gauge_envs import Jitter, experiment
+from gauge_envs import Jitter
 from gauge_envs.backends import backend
-from gauge_envs.benchmark import run_episode, run_many, run_repeats, run_together
-from gauge_envs.episode import Episode, reference_band
+from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import ParameterError
-from gauge_envs.jitter import jittered
-from gauge_envs.observer import MarkerProxy
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import run_episode, run_repeats, run_together
 from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.jitter import jittered
 
 STILL = Jitter(position_m=0.0, angle_rad=0.0)
 
 
 def starts(name: str, body: str, jitter: Jitter, count: int = 2000) -> tuple[np.ndarray, Scene]:
     """Start positions of a body over seeds [m], shape [count, 3], and the scene."""
-    scene = experiment(name).scene
+    scene = load_experiment(name).scene
     return np.array([jittered(scene, jitter, seed=k).body(body).pose.position_m for k in range(count)]), scene
 
 
@@ -62,25 +64,25 @@ def test_a_tether_stays_tight() -> None:
 
 
 def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane() -> None:
-    scene = experiment("RotatingBall-rayon").scene
+    scene = load_experiment("RotatingBall-rayon").scene
     other = jittered(scene, Jitter(), seed=1)
     assert other.bodies == scene.bodies
     cloth, moved = scene.deformables[0], other.deformables[0]
     assert moved != cloth and moved.pose.position_m[2] == pytest.approx(cloth.pose.position_m[2], abs=1e-12)
-    turntable = experiment("Turntable-1-wood").scene
+    turntable = load_experiment("Turntable-1-wood").scene
     kept = [body for body in jittered(turntable, Jitter(), seed=3).bodies if body.motion is not Motion.DYNAMIC]
     assert kept == [body for body in turntable.bodies if body.motion is not Motion.DYNAMIC]
 
 
 def test_a_seed_gives_the_same_start_and_another_one_another() -> None:
-    scene = experiment("SlopeSlider-2-wood").scene
+    scene = load_experiment("SlopeSlider-2-wood").scene
     assert jittered(scene, Jitter(), seed=5) == jittered(scene, Jitter(), seed=5)
     assert jittered(scene, Jitter(), seed=5) != jittered(scene, Jitter(), seed=6)
 
 
 def test_nothing_to_jitter_is_said() -> None:
     with pytest.raises(ParameterError, match="nothing to jitter"):
-        jittered(experiment("TextileFlinging-satin").scene, Jitter(), seed=0)
+        jittered(load_experiment("TextileFlinging-satin").scene, Jitter(), seed=0)
 
 
 @pytest.mark.parametrize("values", [{"position_m": -1e-3}, {"angle_rad": math.nan}])
@@ -109,7 +111,7 @@ def test_repeats_scatter_about_the_single_run_and_keep_its_reference() -> None:
 
 
 def test_one_world_that_diverges_leaves_the_others() -> None:
-    resolved = experiment("SlopeSlider-2-wood")
+    resolved = load_experiment("SlopeSlider-2-wood")
     worlds = backend("mujoco").build_worlds([resolved.scene] * 2)
     worlds.reset(0)
     worlds.worlds[0].data.qvel[0] = 900.0
@@ -142,7 +144,7 @@ def test_reset_with_jitter_and_back() -> None:
     env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
     start, _ = env.reset(seed=3)
     moved, _ = env.reset(seed=3, options={"jitter": True})
-    scene = jittered(experiment("SlopeSlider-2-wood").scene, Jitter(), seed=3)
+    scene = jittered(load_experiment("SlopeSlider-2-wood").scene, Jitter(), seed=3)
     assert moved["bodies"][0, :3] == pytest.approx(scene.body("cube").pose.position_m, abs=1e-12)
     assert np.linalg.norm(moved["bodies"] - start["bodies"]) > 1e-5
     back, _ = env.reset(seed=3)
@@ -160,7 +162,7 @@ def test_other_options_are_refused(options: dict) -> None:
 def test_jittered_scenes_do_not_start_inside_each_other() -> None:
     """The mean penetration at the first frame must not push a body up: no contact energy is added by jitter."""
     for seed in range(5):
-        scene = jittered(experiment("SlopeSlider-1-wood").scene, Jitter(), seed=seed)
+        scene = jittered(load_experiment("SlopeSlider-1-wood").scene, Jitter(), seed=seed)
         simulation = backend("mujoco").build(scene)
         simulation.reset(0)
         simulation.advance(1 / 30)

@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from gauge_envs.cli import app
+from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiment import experiment
-from gauge_envs.materials import (
+from gauge_envs.experiments.fabrics import fabrics
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth
+from gauge_envs.scene.fabrics import (
     MAPPINGS,
     Fabric,
     bending_length_m,
-    fabrics,
     genesis_pbd,
     isaac_surface,
     mujoco_flex,
@@ -27,7 +28,6 @@ from gauge_envs.materials import (
     shear_stiffness,
     uniaxial_stiffness,
 )
-from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth
 
 SIX = fabrics()
 NAMES = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
@@ -73,7 +73,7 @@ any_fabric = st.builds(
 def test_six_fabrics_are_those_of_the_scenes():
     assert tuple(SIX) == NAMES
     for name, expected in SIX.items():
-        (cloth,) = experiment(f"TextileFlinging-{name}").scene.deformables
+        (cloth,) = load_experiment(f"TextileFlinging-{name}").scene.deformables
         assert isinstance(cloth, Cloth)
         assert Fabric.of(cloth) == expected
 

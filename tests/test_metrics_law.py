@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.metrics import (
+from gauge_envs.evaluation.metrics import (
     coefficient_of_determination,
     dynamic_error,
     fitted_acceleration,

@@ -10,24 +10,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from gauge_envs import experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
-from gauge_envs.backends.mujoco.flex import Glue
-from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
+from gauge_envs.backends.shared.attachments import Glue
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2,
-    Attachment,
-    Box,
-    Cloth,
-    Contact,
-    Motion,
-    Pose,
-    Region,
-    RigidBody,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 CELL_M = 0.025
@@ -35,7 +24,7 @@ ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 
 
 def fabric(name: str, size_m: tuple[float, float], pose: Pose = ORIGIN) -> Cloth:
-    cloth = experiment(f"TextileFlinging-{name}").scene.deformables[0]
+    cloth = load_experiment(f"TextileFlinging-{name}").scene.deformables[0]
     assert isinstance(cloth, Cloth)
     return replace(cloth, size_m=size_m, pose=pose)
 
@@ -229,7 +218,7 @@ def test_cantilever_sags_like_an_elastica(name: str, axis: str, slackness: float
 
 @pytest.mark.parametrize("name", FABRICS)
 def test_cloth_has_its_mass_and_vertices_at_the_markers(name: str) -> None:
-    scene = experiment(f"TextileFlinging-{name}").scene
+    scene = load_experiment(f"TextileFlinging-{name}").scene
     cloth = scene.deformables[0]
     assert isinstance(cloth, Cloth)
     rig = Rig(cloth).compile()
@@ -259,7 +248,7 @@ class Fling:
     """TextileFlinging, simulated."""
 
     def __init__(self, name: str, timestep_s: float) -> None:
-        self.scene = experiment(f"TextileFlinging-{name}").scene
+        self.scene = load_experiment(f"TextileFlinging-{name}").scene
         self.simulation = BackendMuJoCo().build(self.scene, {"timestep_s": timestep_s})
         self.rest_m = self.simulation.nodes("textile")
         self.path = DriverPath(self.scene.drivers[0], self.scene, frame_count=121)
@@ -402,7 +391,7 @@ def crossings(nodes: np.ndarray, edges: np.ndarray, triangles: np.ndarray) -> in
 
 def test_every_pair_gets_its_own_friction() -> None:
     """A flex has one friction only; a cube on the cloth has another than the cloth on the table."""
-    scene = experiment("TableclothPulling-metal").scene
+    scene = load_experiment("TableclothPulling-metal").scene
     simulation = BackendMuJoCo().build(scene)
     simulation.reset(0)
     simulation.advance(SAMPLE_INTERVAL_S)
@@ -444,7 +433,7 @@ def on_a_slope(cloth: Cloth, *, friction: float = 0.3, below: float = 0.1, degre
     )
 
 
-NYLON = experiment("TableclothPulling-metal").scene.deformables[0]
+NYLON = load_experiment("TableclothPulling-metal").scene.deformables[0]
 assert isinstance(NYLON, Cloth)
 
 

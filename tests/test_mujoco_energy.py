@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gauge_envs import experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.backend import SimulationMuJoCo
 from gauge_envs.backends.mujoco.cloth import BENDING_PER_EDGE, STIFFNESS_PER_TRIANGLE
-from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
-from gauge_envs.task_format import FRAME_RATE_HZ
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 SHARE = 0.02
 """Energy from nowhere that is allowed, as a share of the work done."""
@@ -151,7 +150,7 @@ def ledger(
         settings: What differs from the preset.
         clock_s: Time of the driver at the start [s].
     """
-    resolved = experiment(name, parameters or {})
+    resolved = load_experiment(name, parameters or {})
     simulation = BackendMuJoCo().build(resolved.scene, settings)
     simulation.reset(0)
     (driver,) = resolved.scene.drivers
@@ -194,7 +193,7 @@ ON_ITS_LAYER = {"textile.position_m": [0.4785, 0.4285, 0.188]}
 
 def test_elastic_energy_is_that_of_mujocos_forces() -> None:
     """Its slope along a random direction, at a random shape, is the force that MuJoCo applies."""
-    simulation = BackendMuJoCo().build(experiment("TextileFlinging-rayon").scene)
+    simulation = BackendMuJoCo().build(load_experiment("TextileFlinging-rayon").scene)
     model, data = simulation.model, simulation.data
     energies = Energies(simulation, "rod")
     random = np.random.default_rng(0)
@@ -240,7 +239,7 @@ def test_ball_pushes_cloth_into_a_hole() -> None:
 def test_cloth_is_lifted_out_of_the_board_once() -> None:
     """As published, cloth and board touch; the push onto its contact layer is the only energy from nowhere."""
     book = ledger("Funnel-rayon", 8)
-    cloth = experiment("Funnel-rayon").scene.deformables[0]
+    cloth = load_experiment("Funnel-rayon").scene.deformables[0]
     lift_j = 0.08576 * 9.80665 * 0.002
     assert cloth.mass_kg == 0.08576
     assert 0.0 < book.unpaid_j.max() < lift_j
@@ -269,5 +268,5 @@ def test_flung_fabrics(fabric: str) -> None:
 )
 def test_longer_episodes(name: str, parameters: dict[str, Any]) -> None:
     """Three seconds, as published but for a cloth that starts on its contact layer."""
-    frames = min(90, round(experiment(name).scene.duration_s * FRAME_RATE_HZ) + 1)
+    frames = min(90, round(load_experiment(name).scene.duration_s * FRAME_RATE_HZ) + 1)
     check(ledger(name, frames, parameters=parameters))

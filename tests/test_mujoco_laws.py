@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from gauge_envs import experiment
 from gauge_envs.backends import backend
-from gauge_envs.driver import Driver, DriverMotion, TrapezoidProfile
-from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.metrics import fitted_acceleration
+from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -28,6 +25,9 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 G = GRAVITY_M_PER_S2
 MUJOCO = backend("mujoco")
@@ -284,7 +284,7 @@ def test_tilting_board_lets_go_at_the_friction_angle(rollout) -> None:
 
 
 def test_concave_solids_are_concave(rollout) -> None:
-    scene = experiment("NonsmoothContact-1-wood").scene
+    scene = load_experiment("NonsmoothContact-1-wood").scene
     base = scene.body("squarebase")
     probe = ball("probe", (*base.pose.position_m[:2], base.pose.position_m[2] + 0.02), radius_m=0.005)
     wall = ball("wall", (base.pose.position_m[0] + 0.04, *base.pose.position_m[1:2], 0.06), radius_m=0.005)
@@ -354,7 +354,7 @@ def test_wall_stands_until_it_is_hit(rollout) -> None:
 
 
 def test_state_restores_bit_for_bit() -> None:
-    simulation = MUJOCO.build(experiment("NonsmoothContact-1-wood").scene)
+    simulation = MUJOCO.build(load_experiment("NonsmoothContact-1-wood").scene)
     simulation.reset(0)
     simulation.advance(0.1)
     kept = simulation.state()
@@ -385,7 +385,7 @@ def test_hinged_body_velocity_is_the_derivative_of_its_position() -> None:
 )
 def test_wrong_settings_are_named(settings: dict, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        MUJOCO.build(experiment("SlopeSlider-2-wood").scene, settings)
+        MUJOCO.build(load_experiment("SlopeSlider-2-wood").scene, settings)
 
 
 def test_frames_hold_a_whole_number_of_samples() -> None:

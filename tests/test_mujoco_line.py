@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.flex import Glue
 from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
+from gauge_envs.backends.shared.attachments import Glue
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Region, Rod, Rope
 

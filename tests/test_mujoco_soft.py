@@ -11,8 +11,8 @@ from hexahedra import extrapolated_end_force
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.flex import Glue
 from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
+from gauge_envs.backends.shared.attachments import Glue
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Box, Motion, Pose, Region, SoftBody
 

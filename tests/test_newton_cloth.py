@@ -10,8 +10,6 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.interpolate import griddata
 
-from gauge_envs import experiment
-from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -26,16 +24,18 @@ from gauge_envs.scene import (
     Scene,
     Sphere,
 )
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 newton = pytest.importorskip("newton")
 
-from gauge_envs.backends.glue import Glue, glue_of  # noqa: E402
 from gauge_envs.backends.newton.cloth import ClothPart, add_cloth  # noqa: E402
 from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsVBD  # noqa: E402
 from gauge_envs.backends.newton.stability import longest_timestep_s  # noqa: E402
 from gauge_envs.backends.newton.surface import surface_contacts  # noqa: E402
 from gauge_envs.backends.newton.vbd import LoopVBD, SelfContact, apply_contacts, stiffness_ratio  # noqa: E402
+from gauge_envs.backends.shared.attachments import Glue, glue_of  # noqa: E402
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 CELL_M = 0.025
@@ -48,7 +48,7 @@ RATES = dict.fromkeys(FABRICS, 1440) | {"nylon": 2880}
 
 
 def fabric(name: str, size_m: tuple[float, float], pose: Pose = ORIGIN) -> Cloth:
-    cloth = experiment(f"TextileFlinging-{name}").scene.deformables[0]
+    cloth = load_experiment(f"TextileFlinging-{name}").scene.deformables[0]
     assert isinstance(cloth, Cloth)
     return replace(cloth, size_m=size_m, pose=pose)
 
@@ -329,7 +329,7 @@ def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
 
 
 def test_a_flung_cloth_stays_on_its_rod() -> None:
-    bench = Bench(experiment("TextileFlinging-satin").scene)
+    bench = Bench(load_experiment("TextileFlinging-satin").scene)
     part, start = bench.parts[0]["textile"], bench.scene.body("rod").pose
     held = np.isclose(part.rest_m[:, 2], part.rest_m[:, 2].max())
     arms = start.to_body(part.rest_m[held])
@@ -348,7 +348,7 @@ def test_a_flung_cloth_stays_on_its_rod() -> None:
 
 
 def test_reset_and_restore_repeat_bit_for_bit() -> None:
-    bench = Bench(experiment("TextileFlinging-satin").scene)
+    bench = Bench(load_experiment("TextileFlinging-satin").scene)
     first = bench.play(0.1)
     state, later = bench.loop.state(), bench.play(0.1)
     bench.reset()
@@ -361,8 +361,8 @@ def test_reset_and_restore_repeat_bit_for_bit() -> None:
 
 
 def test_two_worlds_are_alike_and_do_not_touch() -> None:
-    alone = Bench(experiment("TextileFlinging-satin").scene).play(0.1)
-    both = Bench(experiment("TextileFlinging-satin").scene, worlds=2)
+    alone = Bench(load_experiment("TextileFlinging-satin").scene).play(0.1)
+    both = Bench(load_experiment("TextileFlinging-satin").scene, worlds=2)
     both.play(0.1)
     np.testing.assert_allclose(both.nodes(world=0), alone, atol=1e-6)
     assert np.array_equal(both.nodes(world=0), both.nodes(world=1))
@@ -486,7 +486,7 @@ def test_cloth_rests_on_cloth() -> None:
 
 
 def test_every_pair_gets_its_own_friction() -> None:
-    scene = experiment("TableclothPulling-metal").scene
+    scene = load_experiment("TableclothPulling-metal").scene
     contacts = surface_contacts(scene)
     sides = contacts.shape_friction | {"textile": contacts.friction}
     for contact in scene.contacts:

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation, World
-from gauge_envs.backends.glue import Glue
-from gauge_envs.episode import SAMPLE_INTERVAL_S, DriverPath
+from gauge_envs.backends.shared.attachments import Glue
 from gauge_envs.errors import ParameterError, ShapeError, UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -32,6 +30,8 @@ from gauge_envs.scene import (
     Scene,
     Sphere,
 )
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
@@ -165,7 +165,7 @@ def test_rope_follows_a_driven_body() -> None:
 
 @pytest.mark.slow
 def test_two_balls_hang_over_a_beam() -> None:
-    scene = experiment("RopeWinding-rubber").scene
+    scene = load_experiment("RopeWinding-rubber").scene
     names = ("ball-1", "ball-2", "beam")
     scene = replace(
         scene,
@@ -335,7 +335,7 @@ def sliding_lag_m(scene: Scene, *, contact_n_per_m: float, stretch_n: float) -> 
 @pytest.mark.parametrize("name", ["soft", pytest.param("hard", marks=pytest.mark.slow)])
 def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str) -> None:
     """The rod's own weight stretches it by 15 micrometres, and presses the foot on the board until it bends."""
-    scene = experiment(f"StickStack-{name}").scene
+    scene = load_experiment(f"StickStack-{name}").scene
     simulation = build(scene)
     settings = simulation.settings
     nodes = run(simulation, simulation.advance, scene, 180, "rod")
@@ -384,7 +384,7 @@ def test_rope_slides_down_a_slope(friction: float) -> None:
 
 
 def test_a_lines_course_repeats_bit_for_bit() -> None:
-    scene = experiment("StickStack-soft").scene
+    scene = load_experiment("StickStack-soft").scene
     simulation = build(scene)
     first = run(simulation, simulation.advance, scene, 6, "rod")
     state = simulation.state()
@@ -399,7 +399,7 @@ def test_a_lines_course_repeats_bit_for_bit() -> None:
 
 
 def test_worlds_are_as_single_ones() -> None:
-    scene = experiment("StickStack-soft").scene
+    scene = load_experiment("StickStack-soft").scene
     lower = replace(scene.deformables[0], pose=Pose(position_m=(0.26265, 0.41963, 0.08915)))
     base = replace(scene.bodies[0], pose=Pose(position_m=(0.26265, 0.41963, 0.17615)))
     other = replace(scene, deformables=(lower,), bodies=(base, *scene.bodies[1:]))
@@ -419,19 +419,19 @@ def test_worlds_are_as_single_ones() -> None:
 
 
 def test_presets_are_for_lines_or_not() -> None:
-    scene = experiment("StickStack-soft").scene
+    scene = load_experiment("StickStack-soft").scene
     settings = build(scene).settings
     assert (settings["preset"], settings["solver"], settings["rod_segments"]) == ("rod", "SolverVBD", 8)
     for preset in ("cloth", "mpm", "rigid"):
         with pytest.raises(ParameterError, match=preset):
             backend("newton").build(scene, {"preset": preset})
     with pytest.raises(ParameterError, match="rope"):
-        backend("newton").build(experiment("SlopeSlider-2-wood").scene, {"preset": "rope"})
+        backend("newton").build(load_experiment("SlopeSlider-2-wood").scene, {"preset": "rope"})
 
 
 def test_what_cannot_be_built_is_named() -> None:
     engine = backend("newton")
-    missing = " ".join(engine.supports(experiment("RopeWinding-rubber").scene).missing)
+    missing = " ".join(engine.supports(load_experiment("RopeWinding-rubber").scene).missing)
     assert "'ball-1' rebounds from 'billiard'" in missing and "geometric mean" in missing
     scene = ball_on_rope((1.0, 0.0, 0.0))
     region = Region(axis="x", side="low", depth_m=0.1)
@@ -460,7 +460,7 @@ def test_what_cannot_be_built_is_named() -> None:
             "no rigid body",
         ),
         (
-            replace(scene, deformables=(rope(), *experiment("FoamStretching-soft").scene.deformables)),
+            replace(scene, deformables=(rope(), *load_experiment("FoamStretching-soft").scene.deformables)),
             "among rigid bodies alone",
         ),
     ]

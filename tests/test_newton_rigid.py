@@ -8,10 +8,10 @@ import sys
 import numpy as np
 import pytest
 
-from gauge_envs import Jitter, experiment
-from gauge_envs.benchmark import run_episode, run_repeats
+from gauge_envs import Jitter
 from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
-from gauge_envs.metrics import fitted_acceleration
+from gauge_envs.evaluation.metrics import fitted_acceleration
+from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -28,8 +28,8 @@ from gauge_envs.scene import (
 pytest.importorskip("newton")
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.newton.rigid import mass_properties
-from gauge_envs.conformance import Status, run_checks
+from gauge_envs.checks.conformance import Status, run_checks
+from gauge_envs.scene.meshes import mass_properties
 
 NEWTON = backend("newton")
 
@@ -57,7 +57,7 @@ def test_laws_of_contact() -> None:
 def test_slide_has_coulombs_acceleration(material: str) -> None:
     result = run_episode(f"SlopeSlider-2-{material}", backend="newton")
     times, samples = result.trajectory.arrays()
-    friction = experiment(result.id).scene.contacts[0].friction
+    friction = load_experiment(result.id).scene.contacts[0].friction
     downhill = 1e-3 * (samples[:60] - samples[0]) @ [np.cos(np.pi / 6), 0.0, -0.5]
     expected = GRAVITY_M_PER_S2 * (0.5 - friction * np.cos(np.pi / 6))
     assert fitted_acceleration(times[:60], downhill) == pytest.approx(expected, rel=0.01)
@@ -154,7 +154,7 @@ def test_inertia_of_a_union_is_that_of_its_pieces_about_their_common_centre() ->
 
 
 def test_settings_are_checked_and_named() -> None:
-    scene = experiment("SlopeSlider-2-wood").scene
+    scene = load_experiment("SlopeSlider-2-wood").scene
     with pytest.raises(ParameterError, match=r"'tau'.*no such setting.*sustained_solref"):
         NEWTON.build(scene, {"tau": 1.0})
     with pytest.raises(ParameterError, match="not a whole number"):

@@ -12,15 +12,16 @@ import pytest
 from numpy.typing import NDArray
 from opengl import needs_opengl
 
-from gauge_envs import Jitter, experiment, variants
+from gauge_envs import Jitter, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation, World
-from gauge_envs.benchmark import run_episode
-from gauge_envs.env import GaugeEnv
-from gauge_envs.episode import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, DriverPath
+from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.jitter import jittered
+from gauge_envs.runs.episodes import run_episode
 from gauge_envs.scene import Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene, SoftBody
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.jitter import jittered
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 pytest.importorskip("newton")
 
@@ -87,7 +88,7 @@ DECLINED = {
 def test_families_that_newton_takes_and_declines(family: str) -> None:
     for variant in variants():
         if variant.family == family:
-            support = backend("newton").supports(experiment(variant.name).scene)
+            support = backend("newton").supports(load_experiment(variant.name).scene)
             assert bool(support) == (family not in DECLINED), support.missing
             assert DECLINED.get(family, "") in "; ".join(support.missing)
 
@@ -307,7 +308,7 @@ REPEATED = [
 
 @pytest.mark.parametrize(("name", "settings"), REPEATED)
 def test_reset_and_restore_repeat_bit_for_bit(name: str, settings: Mapping[str, Any] | None) -> None:
-    scene = experiment(name).scene
+    scene = load_experiment(name).scene
     simulation = backend("newton").build(scene, settings)
     start = everything(simulation, scene)
     simulation.reset(0)
@@ -333,7 +334,7 @@ def test_reset_and_restore_repeat_bit_for_bit(name: str, settings: Mapping[str, 
     "name", ["TableclothPulling-metal", pytest.param("RotatingBall-satin", marks=pytest.mark.slow)]
 )
 def test_worlds_equal_their_single_runs(name: str) -> None:
-    scenes = [jittered(experiment(name).scene, Jitter(), seed=seed) for seed in (0, 1)]
+    scenes = [jittered(load_experiment(name).scene, Jitter(), seed=seed) for seed in (0, 1)]
     worlds = backend("newton").build_worlds(scenes)
     worlds.reset(0)
     players = [Player(scene, 0.2) for scene in scenes]

@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
-from gauge_envs.backends.glue import Glue  # noqa: E402
 from gauge_envs.backends.newton.loop import warp_transform  # noqa: E402
 from gauge_envs.backends.newton.mpm import LoopMPM, add_soft_mpm, fitted_voxel_m  # noqa: E402
 from gauge_envs.backends.newton.soft import add_soft  # noqa: E402
 from gauge_envs.backends.newton.surface import SurfaceContacts  # noqa: E402
 from gauge_envs.backends.newton.vbd import LoopVBD, apply_contacts  # noqa: E402
+from gauge_envs.backends.shared.attachments import Glue  # noqa: E402
 from gauge_envs.errors import ShapeError, UnsupportedSceneError  # noqa: E402
 from gauge_envs.scene import Box, Motion, Pose, Region, SoftBody  # noqa: E402
 

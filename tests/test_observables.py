@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.observables import (
+from gauge_envs.observables.functions import (
     angle_deficit_curvature,
     assign_markers,
     face_areas_mm2,

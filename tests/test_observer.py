@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gauge_envs import experiment
 from gauge_envs.errors import ShapeError
-from gauge_envs.observer import MarkerProxy, ObserverMarkers, observe_markers
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers, observe_markers
 from gauge_envs.scene import Cloth
-from gauge_envs.task_format import Observable
 
 
 class Sheet:
@@ -34,7 +33,7 @@ class Sheet:
 
 
 def flinging() -> tuple:
-    scene = experiment("TextileFlinging-satin").scene
+    scene = load_experiment("TextileFlinging-satin").scene
     return scene, scene.deformables[0]
 
 
@@ -100,6 +99,6 @@ def test_missing_markers_stay_missing() -> None:
     [("TextileStretching-satin", 25), ("TextileBending-satin", 10), ("FoamTwisting-soft", 24), ("StickStack-soft", 12)],
 )
 def test_width_of_each_observable(name: str, width: int) -> None:
-    found = experiment(name)
+    found = load_experiment(name)
     positions = np.asarray(found.scene.markers.positions_m)[None]
     assert observe_markers(positions, found.scene.markers, found.spec.score.observable).shape == (1, width)

@@ -15,23 +15,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from gauge_envs import experiment, reference, reference_band, score_trajectory, variants
-from gauge_envs.cli import app
-from gauge_envs.driver import Driver
-from gauge_envs.errors import ShapeError
-from gauge_envs.experiment import Experiment
-from gauge_envs.paths import data_folder
-from gauge_envs.reference import (
-    Band,
-    BandGrade,
-    ReferenceFileError,
-    SigmaSource,
-    band_grade,
-    bundled_band,
-    law_for,
-    published_baselines,
-)
-from gauge_envs.trajectory_file import coordinate_names
+from gauge_envs import reference_band, score_trajectory, variants
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ReferenceFileError, ShapeError
+from gauge_envs.evaluation.reference import band_grade
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.files import data_folder
+from gauge_envs.references import bands as reference
+from gauge_envs.references.bands import Band, BandGrade, SigmaSource, bundled_band
+from gauge_envs.references.published import law_for, published_baselines
+from gauge_envs.scene.drivers import Driver
 
 GRAVITY = 9.80665
 SCORED = ("SlopeSlider-3-metal", "Turntable-3-metal")
@@ -157,7 +150,7 @@ def test_an_uncertain_time_counts_with_the_speed() -> None:
 @pytest.mark.parametrize("variant", [*SCORED, *WITHHELD])
 def test_a_band_reads_as_it_was_built(variant: str) -> None:
     band = band_of(variant)
-    resolved = experiment(variant)
+    resolved = load_experiment(variant)
     name, recording, layout = next(
         found for found in build_recordings.supported(facts_folder()) if variant in found[1]["variants"]
     )
@@ -165,7 +158,7 @@ def test_a_band_reads_as_it_was_built(variant: str) -> None:
     assert band.grade is BandGrade.RECORDING
     assert band.unit == resolved.spec.score.observable.unit
     assert band.mean.shape == (resolved.frame_count, len(band.coordinates))
-    assert band.projection.shape == (len(band.coordinates), len(coordinate_names(resolved)))
+    assert band.projection.shape == (len(band.coordinates), len(resolved.coordinates))
     # The tables have two digits.
     np.testing.assert_allclose(band.mean, built.mean, rtol=0, atol=0.0051)
     np.testing.assert_allclose(band.uncertainty, built.uncertainty, rtol=0, atol=0.0051)
@@ -208,7 +201,7 @@ def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
 @pytest.mark.parametrize("variant", [*SCORED, "SlopeContact-wood", "TableclothPulling-metal", "CantileverBeam-soft"])
 def test_bands_start_where_the_experiment_does(variant: str) -> None:
     """In millimetres, in the world frame, on the right coordinate: within the 5 mm by which a real start is off."""
-    band, resolved = band_of(variant), experiment(variant)
+    band, resolved = band_of(variant), load_experiment(variant)
     if resolved.recorded:
         start = 1e3 * np.array([resolved.scene.body(name).pose.position_m for name in resolved.recorded]).ravel()
     else:
@@ -219,7 +212,7 @@ def test_bands_start_where_the_experiment_does(variant: str) -> None:
 
 @pytest.mark.parametrize("variant", [name for name in WITHHELD if name.startswith("Foam")])
 def test_areas_start_near_the_published_places_of_the_markers(variant: str) -> None:
-    band, resolved = band_of(variant), experiment(variant)
+    band, resolved = band_of(variant), load_experiment(variant)
     assert resolved.scene.markers is not None
     corners = 1e3 * np.asarray(resolved.scene.markers.positions_m)[np.asarray(resolved.scene.markers.faces)]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -251,7 +244,7 @@ def test_a_band_is_withheld_unless_material_and_scatter_are_known() -> None:
 
 @pytest.mark.parametrize("variant", WITHHELD)
 def test_a_withheld_band_is_used_only_when_asked_for(variant: str) -> None:
-    resolved = experiment(variant)
+    resolved = load_experiment(variant)
     assert band_grade(variant) is BandGrade.NONE
     assert reference_band(resolved) is None
     band = reference_band(resolved, use_withheld=True)
@@ -261,7 +254,7 @@ def test_a_withheld_band_is_used_only_when_asked_for(variant: str) -> None:
 @pytest.mark.parametrize("variant", SCORED)
 def test_a_certain_band_is_used(variant: str) -> None:
     assert band_grade(variant) is BandGrade.RECORDING
-    band = reference_band(experiment(variant))
+    band = reference_band(load_experiment(variant))
     assert band is not None and band.withheld is None
 
 
@@ -294,7 +287,7 @@ def test_show_and_score_name_what_is_withheld(tmp_path: Path) -> None:
 
 def test_what_lies_on_a_recording_scores_zero_however_it_goes_on() -> None:
     """Frames that the recording does not show take part in neither RMSE nor DTW."""
-    resolved = experiment("SlopeSlider-3-metal")
+    resolved = load_experiment("SlopeSlider-3-metal")
     band = band_of("SlopeSlider-3-metal")
     g = np.where(np.isfinite(band.mean), band.mean, 1e4)
     score = score_trajectory(resolved, band, times_s=np.arange(60) / 30, values=g)
@@ -306,7 +299,7 @@ def test_what_lies_on_a_recording_scores_zero_however_it_goes_on() -> None:
 
 @pytest.fixture(scope="module")
 def turntable() -> Experiment:
-    return experiment("Turntable-3-metal")
+    return load_experiment("Turntable-3-metal")
 
 
 def test_mujoco_is_scored_on_the_turntable(rollout: Callable, turntable: Experiment) -> None:
@@ -401,7 +394,7 @@ def test_the_recorded_cradle_rests_as_long_as_the_published_one() -> None:
 
 
 def test_frame_zero_is_that_of_the_driver() -> None:
-    driver = experiment("Turntable-3-metal").spec.subtasks["3"].drivers
+    driver = load_experiment("Turntable-3-metal").spec.subtasks["3"].drivers
     assert driver is not None
     assert f"its time {recordings()['turntable']['frame_zero_s']} s being frame 0" in driver[0].note
 
@@ -410,7 +403,7 @@ def test_frame_zero_is_that_of_the_driver() -> None:
 
 
 def friction(variant: str) -> float:
-    return next(c.friction for c in experiment(variant).scene.contacts if c.second[0] in ("board", "plate"))
+    return next(c.friction for c in load_experiment(variant).scene.contacts if c.second[0] in ("board", "plate"))
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
@@ -421,7 +414,7 @@ def test_the_slope_holds_every_cube(material: str) -> None:
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_the_slow_plate_carries_every_cube(material: str) -> None:
     """The largest force that carrying takes, from the driver's own motion, is less than friction gives."""
-    resolved = experiment(f"Turntable-1-{material}", drivers="bundled")
+    resolved = load_experiment(f"Turntable-1-{material}", drivers="bundled")
     scene, driver = resolved.scene, resolved.scene.drivers[0]
     start = scene.body("plate").pose
     arm = np.subtract(scene.body("cube").pose.position_m, start.position_m)[:2]

@@ -11,20 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gauge_envs import reference
-from gauge_envs.errors import ShapeError, UnknownNameError
-from gauge_envs.paths import data_folder
-from gauge_envs.reference import (
-    Band,
-    BandGrade,
-    ReferenceFileError,
-    band_grade,
-    carried_band,
-    law_for,
-    load_band,
-    published_baselines,
-    published_variants,
-)
+from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
+from gauge_envs.evaluation.reference import band_grade, load_band
+from gauge_envs.files import data_folder
+from gauge_envs.references import bands as reference
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.published import carried_band, law_for, published_baselines, published_variants
 
 TRIAL_VARIANTS = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal", "BouncingBall-rubber")
 LAW_VARIANTS = tuple(
@@ -270,6 +262,6 @@ def test_a_band_without_its_sidecar_is_damage(scoring: Path) -> None:
 
 
 def test_import_is_light() -> None:
-    program = "import sys, gauge_envs.reference; print({'pandas', 'matplotlib', 'torch'} & set(sys.modules))"
+    program = "import sys, gauge_envs.references.bands; print({'pandas', 'matplotlib', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

@@ -11,10 +11,9 @@ import pytest
 from conftest import RIGID
 from opengl import needs_opengl
 
-from gauge_envs import experiment
+from gauge_envs.envs.rendering.renderer import DEBIAN_PACKAGES, SceneRenderer
+from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import EpisodeError
-from gauge_envs.rendering import DEBIAN_PACKAGES, SceneRenderer
-from gauge_envs.skin import Skin
 
 ONE_EACH = tuple({name.rpartition("-")[0]: name for name in RIGID}.values())
 
@@ -82,7 +81,7 @@ def test_missing_opengl_names_the_packages() -> None:
 
 @needs_opengl
 def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
-    scene = experiment("TextileFlinging-satin").scene
+    scene = load_experiment("TextileFlinging-satin").scene
     cloth = scene.deformables[0]
     edge = np.linspace(-0.5, 0.5, 11)
     grid = np.stack(np.meshgrid(edge * cloth.size_m[0], edge * cloth.size_m[1], [0.0], indexing="ij"), -1)
@@ -101,7 +100,7 @@ def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
 
 
 def test_surface_of_a_solid_is_closed_and_turned_outward() -> None:
-    foam = experiment("FoamTwisting-soft").scene.deformables[0]
+    foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
     axes = [
         np.linspace(-0.5 * edge, 0.5 * edge, count) for edge, count in zip(foam.shape.size_m, (4, 4, 9), strict=True)
     ]

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from gauge_envs.backends import backend
+from gauge_envs.checks.sanity import check
+from gauge_envs.checks.sanity.cause import differing_settings, find_cause
+from gauge_envs.checks.sanity.measure import Measured, Measurements
+from gauge_envs.checks.sanity.model import Cause, Configuration, Report, Row, Verdict
+from gauge_envs.checks.sanity.phenomena import phenomena
 from gauge_envs.errors import ParameterError
-from gauge_envs.sanity import check
-from gauge_envs.sanity.cause import differing_settings, find_cause
-from gauge_envs.sanity.measure import Measured, Measurements
-from gauge_envs.sanity.model import Cause, Configuration, Report, Row, Verdict
-from gauge_envs.sanity.phenomena import phenomena
 
 GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
 """A training configuration that leaves the constants of contacts to the backend."""

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco import SimulationMuJoCo
-from gauge_envs.conformance.lab import DeclinedError, DivergedError
-from gauge_envs.sanity.cause import find_cause
-from gauge_envs.sanity.measure import Measurements
-from gauge_envs.sanity.model import Verdict
-from gauge_envs.sanity.phenomena import Phenomenon, phenomena
-from gauge_envs.sanity.rollout import Rollout, rollout
+from gauge_envs.checks.rollout import DeclinedError, DivergedError
+from gauge_envs.checks.sanity.cause import find_cause
+from gauge_envs.checks.sanity.measure import Measurements
+from gauge_envs.checks.sanity.model import Verdict
+from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
+from gauge_envs.checks.sanity.stage import Rollout, rollout
 from gauge_envs.scene import Rope
 
 MUJOCO = backend("mujoco")

@@ -11,16 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
-from gauge_envs.conformance.lab import DeclinedError, DivergedError
-from gauge_envs.episode import DriverPath
+from gauge_envs.checks.rollout import DeclinedError, DivergedError
+from gauge_envs.checks.sanity.measure import Measurements
+from gauge_envs.checks.sanity.model import Verdict
+from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
+from gauge_envs.checks.sanity.phenomena.friction import PRINTED_MM, creep_scatter_mm_per_s
+from gauge_envs.checks.sanity.stage import Rollout, Stage, rollout
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.metrics import trajectory_dtw, trajectory_rmse
-from gauge_envs.sanity.measure import Measurements
-from gauge_envs.sanity.model import Verdict
-from gauge_envs.sanity.phenomena import Phenomenon, phenomena
-from gauge_envs.sanity.phenomena.friction import PRINTED_MM, creep_scatter_mm_per_s
-from gauge_envs.sanity.rollout import Rollout, Stage, rollout
+from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene.driver_path import DriverPath
 
 MUJOCO = backend("mujoco")
 

@@ -15,12 +15,8 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from gauge_envs import sanity
-from gauge_envs.cli import app
-from gauge_envs.errors import MissingExtraError, ResultFileError
-from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
-from gauge_envs.report.sanity_page import sanity_page, save_sanity_page
-from gauge_envs.sanity.model import (
+from gauge_envs.checks import sanity
+from gauge_envs.checks.sanity.model import (
     Cause,
     Configuration,
     ContactGroup,
@@ -31,6 +27,10 @@ from gauge_envs.sanity.model import (
     Trial,
     Verdict,
 )
+from gauge_envs.cli.app import app
+from gauge_envs.errors import MissingExtraError, ResultFileError
+from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
+from gauge_envs.report.sanity_page import sanity_page, save_sanity_page
 
 RUNNER = CliRunner()
 

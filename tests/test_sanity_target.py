@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from gauge_envs import experiment
 from gauge_envs.backends import backend
+from gauge_envs.backends.mujoco.contact_pairs import COLUMNS, contact_pairs
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
-from gauge_envs.conformance import run_checks
-from gauge_envs.conformance.lab import RefusedSettingsError
+from gauge_envs.checks.conformance import run_checks
+from gauge_envs.checks.conformance.lab import RefusedSettingsError
+from gauge_envs.checks.sanity.mujoco_settings import model_settings
+from gauge_envs.checks.sanity.target import configuration
 from gauge_envs.errors import GaugeError, ParameterError, TargetError, UnknownNameError
-from gauge_envs.sanity.mujoco_model import COLUMNS, contact_pairs, model_settings
-from gauge_envs.sanity.target import configuration
 
 LOCOMOTION = ("HalfCheetah-v5", "Ant-v5", "Hopper-v5", "Walker2d-v5", "Humanoid-v5", "HumanoidStandup-v5", "Pusher-v5")
 
@@ -152,7 +152,7 @@ def test_every_option_of_a_model_reaches_the_built_model() -> None:
     )
     settings = dict(configuration(model).settings)
     built = backend("mujoco").build(
-        experiment("SlopeSlider-1-wood").scene, settings | {"drive_interval_s": settings["timestep_s"]}
+        load_experiment("SlopeSlider-1-wood").scene, settings | {"drive_interval_s": settings["timestep_s"]}
     )
     for name in dir(model.opt):
         given = getattr(model.opt, name)
@@ -168,7 +168,7 @@ def test_contact_constants_of_a_model_reach_every_contact() -> None:
     settings = configuration(model).settings
     assert settings["torsional_friction_m"] == 0.01
     for variant in ("SlopeSlider-1-wood", "BouncingBall-rubber", "WallBreaking-wood"):
-        scene = experiment(variant).scene
+        scene = load_experiment(variant).scene
         built = backend("mujoco").build(scene, settings | {"drive_interval_s": 0.002}).model
         assert built.npair == sum(len(list(scene.colliding_pairs(contact))) for contact in scene.contacts)
         for field in ("solref", "solreffriction", "solimp", "margin", "gap", "dim"):
@@ -181,7 +181,7 @@ def test_contact_constants_of_a_model_reach_every_contact() -> None:
 
 def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too() -> None:
     settings = {"contact_solref": (0.01, 0.8), "contact_margin_m": 0.004, "contact_gap_m": 0.002, "condim": 4}
-    simulation = backend("mujoco").build(experiment("WallBreaking-wood").scene, settings)
+    simulation = backend("mujoco").build(load_experiment("WallBreaking-wood").scene, settings)
     simulation.advance(1 / 180)
     bricks = {simulation.model.geom(name).id for name in ("brick-1", "brick-2")}
     assert bricks <= set(np.unique(simulation.data.contact.geom))
@@ -193,7 +193,7 @@ def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too() -> None:
 
 
 def test_friction_settings() -> None:
-    scene = experiment("SlopeSlider-1-wood").scene
+    scene = load_experiment("SlopeSlider-1-wood").scene
     real = backend("mujoco").build(scene).model.pair_friction
     scaled = backend("mujoco").build(scene, {"friction_scale": 0.5}).model.pair_friction
     np.testing.assert_allclose(scaled[:, :2], 0.5 * real[:, :2])
@@ -202,7 +202,7 @@ def test_friction_settings() -> None:
 
 
 def test_a_contact_margin_makes_a_cube_hover_by_as_much() -> None:
-    scene = experiment("SlopeSlider-1-wood").scene
+    scene = load_experiment("SlopeSlider-1-wood").scene
     up = scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
     heights = []
     for margin in (0.0, 0.003):
@@ -213,8 +213,8 @@ def test_a_contact_margin_makes_a_cube_hover_by_as_much() -> None:
 
 
 def test_restitution_ends_where_contacts_are_given() -> None:
-    recipe = backend("mujoco").build(experiment("BouncingBall-rubber").scene).model
-    given = backend("mujoco").build(experiment("BouncingBall-rubber").scene, {"contact_solref": [0.02, 1.0]}).model
+    recipe = backend("mujoco").build(load_experiment("BouncingBall-rubber").scene).model
+    given = backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, {"contact_solref": [0.02, 1.0]}).model
     assert (recipe.pair_solref[:, 1] < -1.0).all()
     assert given.pair_solref.tolist() == [[0.02, 1.0]]
     assert not given.pair_solreffriction.any()
@@ -385,7 +385,7 @@ def test_pairs_are_of_models_alone(target: str) -> None:
 
 
 def test_a_training_step_runs_with_a_drive_interval_of_its_own() -> None:
-    scene = experiment("BouncingBall-rubber").scene
+    scene = load_experiment("BouncingBall-rubber").scene
     simulation = backend("mujoco").build(scene, {"timestep_s": 0.003, "drive_interval_s": 0.003})
     for _ in range(50):
         simulation.advance(0.003)
@@ -399,7 +399,7 @@ def test_a_training_step_runs_with_a_drive_interval_of_its_own() -> None:
 )
 def test_a_step_must_divide_the_drive_interval(settings: dict[str, float]) -> None:
     with pytest.raises(ParameterError, match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps"):
-        backend("mujoco").build(experiment("BouncingBall-rubber").scene, settings)
+        backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, settings)
 
 
 def test_environments_drive_in_intervals_of_their_own() -> None:
@@ -419,7 +419,7 @@ def test_checks_against_closed_forms_drive_as_environments_do() -> None:
 
 @pytest.mark.slow
 def test_newton_runs_with_another_drive_interval() -> None:
-    scene = experiment("BouncingBall-rubber").scene
+    scene = load_experiment("BouncingBall-rubber").scene
     simulation = backend("newton").build(scene, {"timestep_s": 1 / 600, "drive_interval_s": 1 / 600})
     start = simulation.body_states(["ball"])[0, 2]
     for _ in range(60):
@@ -435,7 +435,7 @@ def test_newton_runs_with_another_drive_interval() -> None:
 @pytest.mark.parametrize("name", ["HalfCheetah-v5", "Ant-v5", "Humanoid-v5"])
 def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> None:
     # The robot's own compiled model, with a real cube on a real board dropped into it far from the robot.
-    scene = experiment("SlopeSlider-1-wood").scene
+    scene = load_experiment("SlopeSlider-1-wood").scene
     cube, board = scene.body("cube"), scene.body("board")
     friction = scene.contacts[0].friction
     env = gymnasium.make(name)

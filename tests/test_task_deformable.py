@@ -9,11 +9,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from gauge_envs.experiment import Experiment, experiment
-from gauge_envs.observables import angle_deficit_curvature, face_areas_mm2, line_turning_angle
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.task_files import task_spec, variants
+from gauge_envs.experiments.task_format import Group
+from gauge_envs.observables.functions import angle_deficit_curvature, face_areas_mm2, line_turning_angle
+from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Box, Cloth, ConvexUnion, Deformable, Motion, Region, RigidBody, Rod, Rope, Scene, SoftBody
-from gauge_envs.task import task_spec, variants
-from gauge_envs.task_format import Group, Observable
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 FOAMS = ("soft", "hard")
@@ -36,7 +37,7 @@ MATERIALS = {
 NAMES = tuple(f"{family}-{material}" for family, materials in MATERIALS.items() for material in materials)
 TOLERANCE_M = 1e-3
 
-resolved = cache(experiment)
+resolved = cache(load_experiment)
 
 
 def of_family(family: str) -> Experiment:

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import TaskFileError
-from gauge_envs.experiment import experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import load_task, task_files, task_path, task_spec, variants
+from gauge_envs.experiments.task_format import TaskSpec
 from gauge_envs.scene import Scene
-from gauge_envs.task import load_task, task_files, task_path, task_spec, variants
-from gauge_envs.task_format import TaskSpec
 
 ORDER = list(TaskSpec.model_fields)
 
 
 def test_75_variants_resolve_to_a_scene() -> None:
-    scenes = {variant.name: experiment(variant).scene for variant in variants()}
+    scenes = {variant.name: load_experiment(variant).scene for variant in variants()}
     assert len(scenes) == 75
     assert all(isinstance(scene, Scene) for scene in scenes.values())
     assert all(scene.bodies for scene in scenes.values())
@@ -46,7 +46,7 @@ def test_every_named_parameter_set_resolves(path: Path) -> None:
     spec = load_task(path)
     for name in spec.parameters:
         for variant in spec.variants():
-            assert experiment(variant, name).parameters == name
+            assert load_experiment(variant, name).parameters == name
 
 
 def test_provenance_prefers_the_longest_match() -> None:
@@ -117,12 +117,12 @@ def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute() ->
     raw = tomllib.loads(task_path("StickStack").read_text(encoding="utf-8"))
     entry = raw["constants"]["rod"]["soft"]["poisson_ratio"]
     assert (entry["calibrated"], entry["used"]) == (0.62, 0.49)
-    rod = next(d for d in experiment("StickStack-soft").scene.deformables if d.name == "rod")
+    rod = next(d for d in load_experiment("StickStack-soft").scene.deformables if d.name == "rod")
     assert rod.poisson_ratio == 0.49
 
 
 def test_plate_with_hole_has_the_area_of_the_ring() -> None:
-    shape = experiment("Funnel-satin").scene.body("board").shape
+    shape = load_experiment("Funnel-satin").scene.body("board").shape
     hole = np.pi * 0.10**2
     # The hole is a circumscribed polygon of 32 sides, 0.3 % larger than the circle.
     assert shape.volume_m3 == pytest.approx((0.25 - hole) * 0.012, rel=0.001)

@@ -14,10 +14,11 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 from scipy.special import ellipk
 
-from gauge_envs.experiment import Experiment, experiment
-from gauge_envs.paths import data_folder
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import task_spec, variants
+from gauge_envs.files import data_folder
 from gauge_envs.scene import GRAVITY_M_PER_S2, ConvexUnion, Cylinder, Plane, RigidBody, Sphere
-from gauge_envs.task import task_spec, variants
 
 RIGID = {
     "SlopeContact": 2,
@@ -52,7 +53,7 @@ RESTING: dict[str, tuple[Resting, ...]] = {
 
 @cache
 def resolved(name: str, parameters: str = "calibrated") -> Experiment:
-    return experiment(name, parameters)
+    return load_experiment(name, parameters)
 
 
 # Geometry

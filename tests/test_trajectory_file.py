@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gauge_envs import experiment, reference_band, score_trajectory
-from gauge_envs.benchmark import score_file
+from gauge_envs import reference_band, score_trajectory
 from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.evaluation.trajectory_file import read_trajectory
+from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.trajectory_file import coordinate_names, read_trajectory
 
 NAME = "SlopeSlider-2-wood"
-RESOLVED = experiment(NAME)
+RESOLVED = load_experiment(NAME)
 FRAMES = RESOLVED.frame_count
 
 
@@ -229,8 +229,8 @@ def test_the_id_is_needed_and_must_not_contradict_the_file(tmp_path):
     ],
 )
 def test_coordinates_of_every_observable_have_names(name, first, unit):
-    resolved = experiment(name)
-    assert coordinate_names(resolved)[: len(first)] == first
+    resolved = load_experiment(name)
+    assert resolved.coordinates[: len(first)] == first
     assert resolved.spec.score.observable.unit == unit
 
 

@@ -12,10 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gauge_envs.assets import assets_folder
-from gauge_envs.driver import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.experiment import experiment
+from gauge_envs.experiments.export.assets import assets_folder
+from gauge_envs.experiments.export.usd_layer import write_usd_layer
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import variants
 from gauge_envs.scene import (
     Attachment,
     Box,
@@ -38,8 +39,9 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.task import variants
-from gauge_envs.usd import read_usd, scene_to_usd
+from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.usd.reader import from_usd, read_usd
+from gauge_envs.scene.usd.writer import to_usd
 
 # --- every variant ---------------------------------------------------------------------------------------------------
 
@@ -47,22 +49,22 @@ from gauge_envs.usd import read_usd, scene_to_usd
 @pytest.mark.parametrize("name", [variant.name for variant in variants()])
 def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
     file = assets_folder() / "usd" / f"{name}.usda"
-    assert Scene.from_usd(file) == experiment(name, drivers="bundled").scene
+    assert from_usd(file) == load_experiment(name, drivers="bundled").scene
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
 @pytest.mark.parametrize("name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"])
 def test_every_kind_of_file_keeps_every_double(name: str, suffix: str, tmp_path: Path) -> None:
-    resolved = experiment(name, drivers="bundled")
-    scene_to_usd(resolved, tmp_path / f"a{suffix}")
-    assert Scene.from_usd(tmp_path / f"a{suffix}") == resolved.scene
+    resolved = load_experiment(name, drivers="bundled")
+    write_usd_layer(resolved, tmp_path / f"a{suffix}")
+    assert from_usd(tmp_path / f"a{suffix}") == resolved.scene
 
 
 def test_overrides_come_back() -> None:
-    resolved = experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
+    resolved = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
     with tempfile.TemporaryDirectory() as folder:
-        scene_to_usd(resolved, Path(folder) / "a.usda")
-        assert Scene.from_usd(Path(folder) / "a.usda") == resolved.scene
+        write_usd_layer(resolved, Path(folder) / "a.usda")
+        assert from_usd(Path(folder) / "a.usda") == resolved.scene
 
 
 def test_a_layer_says_where_its_bodies_are_and_whose_they_are() -> None:
@@ -233,8 +235,8 @@ def test_any_scene_comes_back_to_the_bit(scene: Scene) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for suffix in (".usda", ".usdc"):
             file = Path(folder) / f"scene{suffix}"
-            scene.to_usd(file)
-            assert Scene.from_usd(file) == scene
+            to_usd(scene, file)
+            assert from_usd(file) == scene
 
 
 @pytest.mark.slow
@@ -242,21 +244,21 @@ def test_any_scene_comes_back_to_the_bit(scene: Scene) -> None:
 @given(scene=scenes())
 def test_very_many_scenes_come_back_to_the_bit(scene: Scene) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        scene.to_usd(Path(folder) / "scene.usdc")
-        assert Scene.from_usd(Path(folder) / "scene.usdc") == scene
+        to_usd(scene, Path(folder) / "scene.usdc")
+        assert from_usd(Path(folder) / "scene.usdc") == scene
 
 
 # --- what cannot be written ------------------------------------------------------------------------------------------
 
 
 def test_what_is_named_or_driven_twice_is_not_written(tmp_path: Path) -> None:
-    scene = experiment("Turntable-1-wood", drivers="bundled").scene
+    scene = load_experiment("Turntable-1-wood", drivers="bundled").scene
     with pytest.raises(ParameterError, match="'cube' has more than one name"):
-        replace(scene, bodies=(*scene.bodies, scene.body("cube"))).to_usd(tmp_path / "a.usda")
+        to_usd(replace(scene, bodies=(*scene.bodies, scene.body("cube"))), tmp_path / "a.usda")
     with pytest.raises(ParameterError, match="'plate' has more than one driver"):
-        replace(scene, drivers=scene.drivers * 2).to_usd(tmp_path / "a.usda")
+        to_usd(replace(scene, drivers=scene.drivers * 2), tmp_path / "a.usda")
     with pytest.raises(ParameterError, match=r"ends in \.usda"):
-        scene.to_usd(tmp_path / "a.obj")
+        to_usd(scene, tmp_path / "a.obj")
     (tmp_path / "file").touch()
     with pytest.raises(ResultFileError, match="cannot be written"):
-        scene.to_usd(tmp_path / "file" / "a.usda")
+        to_usd(scene, tmp_path / "file" / "a.usda")

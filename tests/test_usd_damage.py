@@ -12,9 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pxr import Sdf, Usd
 
-from gauge_envs.assets import assets_folder
 from gauge_envs.errors import AssetError, GaugeError
+from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.scene import Scene
+from gauge_envs.scene.usd.reader import from_usd
 
 NAMES = (
     "Turntable-1-wood",
@@ -38,7 +39,7 @@ def survives(content: str | bytes, suffix: str = ".usda") -> None:
         file = Path(folder) / f"damaged{suffix}"
         file.write_bytes(content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content)
         try:
-            scene = Scene.from_usd(file)
+            scene = from_usd(file)
         except GaugeError as error:
             assert str(file) in str(error)
             return
@@ -137,13 +138,13 @@ def test_files_that_are_no_layers(suffix: str, content: bytes, tmp_path: Path) -
     file = tmp_path / f"a{suffix}"
     file.write_bytes(content)
     with pytest.raises(AssetError, match=re.escape(str(file))):
-        Scene.from_usd(file)
+        from_usd(file)
 
 
 def test_files_that_do_not_exist(tmp_path: Path) -> None:
     for path in (tmp_path / "gone.usda", tmp_path):
         with pytest.raises(AssetError, match="there is no such file"):
-            Scene.from_usd(path)
+            from_usd(path)
 
 
 @settings(FUZZ, max_examples=30)

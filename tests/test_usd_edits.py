@@ -12,13 +12,15 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.assets import assets_folder
-from gauge_envs.driver import SampledProfile, pose_distance
 from gauge_envs.errors import AssetError
-from gauge_envs.experiment import experiment
+from gauge_envs.experiments.export.assets import assets_folder
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Pose, RigidBody, Scene, Sphere, Tether
-from gauge_envs.task_format import FRAME_RATE_HZ
-from gauge_envs.usd import read_usd
+from gauge_envs.scene.drivers import SampledProfile
+from gauge_envs.scene.geometry import pose_distance
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.usd.reader import from_usd, read_usd
+from gauge_envs.scene.usd.writer import to_usd
 
 Edit = Callable[[Usd.Stage], None]
 
@@ -31,11 +33,11 @@ def edited(name: str, tmp_path: Path, edit: Edit) -> Scene:
     edit(copy)
     file = tmp_path / "edited.usda"
     copy.GetRootLayer().Export(str(file))
-    return Scene.from_usd(file)
+    return from_usd(file)
 
 
 def original(name: str) -> Scene:
-    return experiment(name, drivers="bundled").scene
+    return load_experiment(name, drivers="bundled").scene
 
 
 def setting(path: str, attribute: str, value: Any) -> Edit:
@@ -246,14 +248,14 @@ def test_a_string_has_the_length_that_was_edited(tmp_path: Path) -> None:
     )
     tether = Tether(body="ball", anchor_m=(0.0, 0.1, 1.7), length_m=1 / 3)
     scene = Scene(bodies=(ball,), joints=(tether,), duration_s=1.0)
-    scene.to_usd(tmp_path / "a.usda")
+    to_usd(scene, tmp_path / "a.usda")
     for attribute in ("physics:maxDistance", "gauge:length_m"):
         stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
         setting("/World/Joints/joint_0", attribute, 0.75)(stage)
         stage.Export(str(tmp_path / "b.usda"))
         del stage
         expected = replace(scene, joints=(replace(tether, length_m=0.75),))
-        assert Scene.from_usd(tmp_path / "b.usda") == expected
+        assert from_usd(tmp_path / "b.usda") == expected
 
 
 def test_a_vertex_of_a_mesh_moves_and_the_others_keep_every_digit(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.driver import pose_distance
 from gauge_envs.errors import AssetError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -27,6 +26,8 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.geometry import pose_distance
+from gauge_envs.scene.usd.reader import from_usd
 
 HEAD = '#usda 1.0\n(\n metersPerUnit = 1\n upAxis = "Z"\n)\n'
 PHYSICS = 'def PhysicsScene "Physics" {}\n'
@@ -51,7 +52,7 @@ def body(
 def read(tmp_path: Path, text: str, *, head: str = HEAD, **options: Any) -> Scene:
     file = tmp_path / "foreign.usda"
     file.write_text(head + text)
-    return Scene.from_usd(file, **({"duration_s": 2.0} | options))
+    return from_usd(file, **({"duration_s": 2.0} | options))
 
 
 def simple(tmp_path: Path, text: str, **options: Any) -> Scene:
@@ -132,7 +133,7 @@ def Xform "Lab"
 def test_y_up_centimetres_and_grams_become_z_up_metres_and_kilograms(tmp_path: Path) -> None:
     file = tmp_path / "ramp.usda"
     file.write_text(RAMP)
-    scene = Scene.from_usd(file)
+    scene = from_usd(file)
     assert scene.duration_s == 2.0
     assert scene.gravity_m_per_s2 == pytest.approx(9.81, rel=1e-15)
     crate, board = scene.body("Crate"), scene.body("Board")
@@ -162,7 +163,7 @@ def test_it_slides_down_the_ramp_as_newton_says(tmp_path: Path) -> None:
 
     file = tmp_path / "ramp.usda"
     file.write_text(RAMP)
-    scene = Scene.from_usd(file)
+    scene = from_usd(file)
     simulation = BackendMuJoCo().build(scene)
     simulation.reset(0)
     start = simulation.body_states(("Crate",))[0].copy()
@@ -372,7 +373,7 @@ def test_a_kinematic_body_follows_its_samples(tmp_path: Path) -> None:
     UsdPhysics.CollisionAPI.Apply(door.GetPrim())
     UsdPhysics.RigidBodyAPI.Apply(door.GetPrim()).CreateKinematicEnabledAttr(True)
     stage.Save()
-    scene = Scene.from_usd(tmp_path / "door.usda")
+    scene = from_usd(tmp_path / "door.usda")
     assert scene.duration_s == 2.0
     (driver,), start = scene.drivers, scene.body("door").pose
     (motion,) = driver.motions

@@ -17,8 +17,8 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, Score
+from gauge_envs.envs.vector import GaugeVectorEnv, ScoreEpisodes
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError, UnsupportedSceneError
-from gauge_envs.vector import GaugeVectorEnv, ScoreEpisodes
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)

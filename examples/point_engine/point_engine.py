@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend, Simulation, Support
-from gauge_envs.backends.presets import SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.scene import Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
 
 __all__ = ["BackendPoint", "SettingsPoint", "SimulationPoint"]

@@ -9,7 +9,7 @@
 - `status`: what each variant is scored against and driven by.
 - `download`: fetches the dataset from its host.
 
-Nothing is imported here, as `gauge_envs.reference` reads the store and must stay light.
+Nothing is imported here, as `gauge_envs.references.bands` reads the store and must stay light.
 """
 
 __all__: list[str] = []

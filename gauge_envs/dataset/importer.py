@@ -14,17 +14,23 @@ from numpy.typing import NDArray
 from gauge_envs.dataset.layout import Layout
 from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_trajectory
 from gauge_envs.dataset.statistics import CoordinateMean, Spread, TrialSpool, TrialStatistics
-from gauge_envs.dataset.store import DriverRecord, SpreadRecord, VariantRecord, write_imported
 from gauge_envs.dataset.trial import Finding, Trial, TrialError, parse_trial
-from gauge_envs.driver import Driver, DriverSource
-from gauge_envs.experiment import Experiment, experiment
-from gauge_envs.reference import Band, BandGrade, Baseline, published_baselines
-from gauge_envs.result import json_ready
-from gauge_envs.score import score_trajectory
-from gauge_envs.task_format import FRAME_RATE_HZ, Variant
-from gauge_envs.trajectory_file import coordinate_names
+from gauge_envs.evaluation.score import score_trajectory
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_format import Variant
+from gauge_envs.files import json_ready
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.imported import DriverRecord, DriverSource, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.published import Baseline, published_baselines
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["BaselineRow", "ImportedTrials", "import_trials"]
+__all__ = [
+    "BaselineRow",
+    "ImportedTrials",
+    "import_trials",
+]
 
 FLAGGED_DIFFERENCE = 0.05
 """Own baselines that differ from the published ones by more than this share are flagged."""
@@ -154,10 +160,10 @@ class _VariantImporter:
 
     def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str]) -> None:
         # Recorded motion is projected on the task file's motions, whatever was imported before.
-        self._resolved = experiment(variant, drivers=DriverSource.BUNDLED)
+        self._resolved = load_experiment(variant, drivers=DriverSource.BUNDLED)
         self._layout = layout
         self._seen = seen
-        self._coordinates = coordinate_names(self._resolved)
+        self._coordinates = self._resolved.coordinates
         self.spool = TrialSpool(self._resolved.frame_count, len(self._coordinates))
         self._drivers = {driver.body: _DriverMean(driver) for driver in self._resolved.scene.drivers}
         self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._resolved)}

@@ -22,10 +22,15 @@ from pathlib import Path
 
 from gauge_envs.dataset.trial import Finding, printable
 from gauge_envs.errors import DatasetError, UnknownNameError
-from gauge_envs.task import task_spec, variants
-from gauge_envs.task_format import Group, TaskSpec, Variant
+from gauge_envs.experiments.task_files import task_spec, variants
+from gauge_envs.experiments.task_format import Group, TaskSpec, Variant
 
-__all__ = ["REVISION_FILE", "Layout", "find_trials", "write_revision"]
+__all__ = [
+    "REVISION_FILE",
+    "Layout",
+    "find_trials",
+    "write_revision",
+]
 
 REVISION_FILE = "gauge-dataset.json"
 """File at the top of a downloaded dataset that says which revision it is."""

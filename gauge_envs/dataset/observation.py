@@ -12,15 +12,20 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.dataset.trial import PoseTrack, Trial, TrialError
-from gauge_envs.driver import Driver, motion_coordinates
 from gauge_envs.errors import ShapeError
-from gauge_envs.experiment import Experiment
-from gauge_envs.observer import observe_markers
-from gauge_envs.reference import published_baselines
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.observables.observer import observe_markers
+from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Pose
-from gauge_envs.task_format import Observable
+from gauge_envs.scene.driver_fit import motion_coordinates
+from gauge_envs.scene.drivers import Driver
 
-__all__ = ["DriverTrack", "driver_tracks", "trial_trajectory"]
+__all__ = [
+    "DriverTrack",
+    "driver_tracks",
+    "trial_trajectory",
+]
 
 FloatArray = NDArray[np.float64]
 

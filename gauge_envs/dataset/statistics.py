@@ -16,9 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.metrics import trajectory_dtw, trajectory_rmse
+from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 
-__all__ = ["CoordinateMean", "Spread", "TrialSpool", "TrialStatistics"]
+__all__ = [
+    "CoordinateMean",
+    "Spread",
+    "TrialSpool",
+    "TrialStatistics",
+]
 
 FloatArray = NDArray[np.float64]
 

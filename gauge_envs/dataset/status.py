@@ -6,15 +6,17 @@ import tomllib
 from collections.abc import Iterable
 from typing import Any
 
-from gauge_envs.dataset.store import load_imported
-from gauge_envs.experiment import experiment
-from gauge_envs.paths import data_folder
-from gauge_envs.reference import band_grade, load_band, published_baselines
-from gauge_envs.result import json_ready
-from gauge_envs.task import task_sha256
-from gauge_envs.task_format import Variant
+from gauge_envs.evaluation.reference import band_grade, load_band
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.task_format import Variant
+from gauge_envs.files import data_folder, json_ready
+from gauge_envs.references.imported import load_imported
+from gauge_envs.references.published import published_baselines
 
-__all__ = ["status_rows"]
+__all__ = [
+    "status_rows",
+]
 
 
 def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
@@ -31,7 +33,7 @@ def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
 
 
 def _row(variant: Variant) -> dict[str, Any]:
-    resolved, imported, band = experiment(variant), load_imported(variant.name), load_band(variant.name)
+    resolved, imported, band = load_experiment(variant), load_imported(variant.name), load_band(variant.name)
     record = imported.record if imported else None
     recorded = {driver.body: driver.model_dump() for driver in record.drivers} if record else {}
     return json_ready(

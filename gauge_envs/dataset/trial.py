@@ -15,9 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.task_format import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Finding", "PoseTrack", "Trial", "TrialError", "parse_trial", "printable"]
+__all__ = [
+    "Finding",
+    "PoseTrack",
+    "Trial",
+    "TrialError",
+    "parse_trial",
+    "printable",
+]
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.comparison import (
+from gauge_envs.analysis.comparison import (
     METRICS,
     MOTION_SHARE,
     Cell,
@@ -22,7 +22,8 @@ from gauge_envs.comparison import (
     Metric,
     Spread,
 )
-from gauge_envs.reference import BandGrade
+from gauge_envs.files import json_ready
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.report.results import PLAIN, configuration_labels, configuration_parts, versions_text
 from gauge_envs.report.text import (
     ALIGNED_TITLE,
@@ -39,9 +40,13 @@ from gauge_envs.report.text import (
     score_text,
     shortened,
 )
-from gauge_envs.result import Outcome, json_ready
+from gauge_envs.runs.result import Outcome
 
-__all__ = ["comparison_markdown", "comparison_rows", "comparison_view"]
+__all__ = [
+    "comparison_markdown",
+    "comparison_rows",
+    "comparison_view",
+]
 
 
 def comparison_rows(comparison: Comparison, metrics: Sequence[str] = tuple(METRICS)) -> list[dict[str, Any]]:

@@ -11,11 +11,15 @@ import gymnasium
 from rich.console import Group
 from rich.text import Text
 
-from gauge_envs.control import ControlEnv, ControlTask, control_tasks
+from gauge_envs.envs.control import ControlEnv, ControlTask, control_tasks
+from gauge_envs.files import json_ready
 from gauge_envs.report.text import facts_grid, heading, shortened
-from gauge_envs.result import json_ready
 
-__all__ = ["control_description", "control_summary", "control_view"]
+__all__ = [
+    "control_description",
+    "control_summary",
+    "control_view",
+]
 
 
 def control_summary() -> str:

@@ -12,15 +12,17 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.asset import AssetKind
 from gauge_envs.backends import backend, backend_for, backend_names
-from gauge_envs.dataset.store import DriverRecord, load_imported
-from gauge_envs.driver import Driver, DriverSource, Profile, SampledProfile
-from gauge_envs.episode import reference_band
 from gauge_envs.errors import BackendError, MissingExtraError
-from gauge_envs.experiment import Experiment, TaskExperiment, experiment
-from gauge_envs.experiment_file import FileExperiment
-from gauge_envs.reference import BandGrade, SigmaSource, band_grade, law_for, load_band
+from gauge_envs.evaluation.reference import band_grade, load_band, reference_band
+from gauge_envs.experiments.experiment import AssetKind, Experiment, TaskExperiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.user_file import FileExperiment
+from gauge_envs.files import json_ready
+from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.references.imported import DriverRecord, DriverSource, load_imported
+from gauge_envs.references.published import law_for
 from gauge_envs.report.text import (
     ENGINE_TITLES,
     GRADE_NOTES,
@@ -36,19 +38,24 @@ from gauge_envs.report.text import (
     shortened,
     vector_text,
 )
-from gauge_envs.result import json_ready
 from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.task_format import Variant
-from gauge_envs.trajectory_file import coordinate_names
+from gauge_envs.scene.drivers import Driver, Profile, SampledProfile
 
-__all__ = ["backend_rows", "backend_table", "description", "description_view", "list_rows", "list_table"]
+__all__ = [
+    "backend_rows",
+    "backend_table",
+    "description",
+    "description_view",
+    "list_rows",
+    "list_table",
+]
 
 
 def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
     """One row a variant; `backends` maps each installed backend to an empty list, or to what it lacks."""
     rows = []
     for variant in variants:
-        resolved = experiment(variant)
+        resolved = load_experiment(variant)
         rows.append(
             {
                 "id": variant.id,
@@ -102,7 +109,7 @@ def description(resolved: Experiment) -> dict[str, Any]:
             "observable": {
                 "kind": resolved.score.observable.value,
                 "unit": resolved.score.observable.unit,
-                "coordinates": coordinate_names(resolved),
+                "coordinates": resolved.coordinates,
             },
             "bodies": [_body(body, resolved) for body in (*scene.bodies, *scene.deformables)],
             "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
@@ -136,7 +143,7 @@ def _of_task(resolved: Experiment) -> dict[str, Any]:
         "parameter_sets": {
             "calibrated": {"summary": "calibrated constants of the metadata", "values": {}},
             **{
-                name: {"summary": chosen.summary, "values": dict(experiment(variant, name).overrides)}
+                name: {"summary": chosen.summary, "values": dict(load_experiment(variant, name).overrides)}
                 for name, chosen in spec.parameters.items()
             },
         },

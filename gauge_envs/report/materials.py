@@ -10,10 +10,13 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.materials import MAPPINGS, Fabric, bending_length_m, shear_stiffness, uniaxial_stiffness
 from gauge_envs.report.text import heading
+from gauge_envs.scene.fabrics import MAPPINGS, Fabric, bending_length_m, shear_stiffness, uniaxial_stiffness
 
-__all__ = ["material_values", "material_view"]
+__all__ = [
+    "material_values",
+    "material_view",
+]
 
 
 def material_values(fabrics: Mapping[str, Fabric]) -> dict[str, dict[str, dict[str, float]]]:

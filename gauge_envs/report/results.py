@@ -10,10 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.comparison import (
-    Configuration,
-)
-from gauge_envs.reference import BandGrade, published_baselines
+from gauge_envs.analysis.comparison import Configuration
+from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.published import published_baselines
 from gauge_envs.report.text import (
     ENGINE_TITLES,
     GRADE_NOTES,
@@ -23,9 +22,16 @@ from gauge_envs.report.text import (
     shortened,
     value_text,
 )
-from gauge_envs.result import Outcome, Result
+from gauge_envs.runs.result import Outcome, Result
 
-__all__ = ["PLAIN", "configuration_labels", "configuration_parts", "result_label", "summary_view", "versions_text"]
+__all__ = [
+    "PLAIN",
+    "configuration_labels",
+    "configuration_parts",
+    "result_label",
+    "summary_view",
+    "versions_text",
+]
 
 
 PLAIN = ("parameters", "calibrated")

@@ -8,8 +8,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from gauge_envs.checks.sanity.model import Configuration, Reality, Report, Row, Verdict
 from gauge_envs.report.text import facts_grid, heading, markdown_row, quantity_text, rows_table, vector_text
-from gauge_envs.sanity.model import Configuration, Reality, Report, Row, Verdict
 
 __all__ = [
     "VERDICT_NOTES",

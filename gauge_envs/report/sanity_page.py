@@ -8,6 +8,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.checks.sanity.model import Cause, Configuration, Curve, Report, Row, Verdict
 from gauge_envs.errors import MissingExtraError, ResultFileError
 from gauge_envs.report.sanity import (
     VERDICT_NOTES,
@@ -19,9 +20,12 @@ from gauge_envs.report.sanity import (
     tally_text,
     verdict_text,
 )
-from gauge_envs.sanity.model import Cause, Configuration, Curve, Report, Row, Verdict
 
-__all__ = ["check_can_draw", "sanity_page", "save_sanity_page"]
+__all__ = [
+    "check_can_draw",
+    "sanity_page",
+    "save_sanity_page",
+]
 
 REALITY_COLOR, DEFAULT_COLOR, CONFIGURED_COLOR = "#303030", "#0072b2", "#d55e00"
 """Grey and two of Okabe and Ito's colours, which colour-blind readers can tell apart; line styles tell too."""

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.reference import BandGrade, SigmaSource
+from gauge_envs.references.bands import BandGrade, SigmaSource
 
 __all__ = [
     "ALIGNED_TITLE",

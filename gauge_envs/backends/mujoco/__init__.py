@@ -1,6 +1,12 @@
 """MuJoCo, the default engine."""
 
-from gauge_envs.backends.mujoco.backend import BackendMuJoCo, SimulationMuJoCo
+from gauge_envs.backends.mujoco.backend import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 
-__all__ = ["PRESETS", "BackendMuJoCo", "SettingsMuJoCo", "SimulationMuJoCo"]
+__all__ = [
+    "PRESETS",
+    "BackendMuJoCo",
+    "SettingsMuJoCo",
+    "SimulationMuJoCo",
+]

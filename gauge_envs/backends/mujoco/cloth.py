@@ -19,13 +19,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.glue import Glue
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
-from gauge_envs.backends.sheet import Sheet, held_vertices
+from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.cloth_grid import Sheet, held_vertices
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth
 
-__all__ = ["ClothPart", "add_cloth"]
+__all__ = [
+    "ClothPart",
+    "add_cloth",
+]
 
 ELASTIC_BOTH = 3
 """MuJoCo's code of a flex that both stretches and bends."""

@@ -9,17 +9,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.glue import bonded_rows, glue_of
 from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
 from gauge_envs.backends.mujoco.contacts import IMPEDANCE_SHAPE, contact_constants, given_constants
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
-from gauge_envs.materials import plate_bending_stiffness
+from gauge_envs.backends.shared.attachments import bonded_rows, glue_of
 from gauge_envs.scene import Cloth, Contact, Motion, Rope, Scene, SoftBody
+from gauge_envs.scene.fabrics import plate_bending_stiffness
 
-__all__ = ["add_deformables", "add_flex_contact", "nodes_of", "undoable"]
+__all__ = [
+    "add_deformables",
+    "add_flex_contact",
+    "nodes_of",
+    "undoable",
+]
 
 
 def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:

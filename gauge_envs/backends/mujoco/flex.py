@@ -9,10 +9,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.glue import Glue
+from gauge_envs.backends.shared.attachments import Glue
 from gauge_envs.scene import Motion
 
-__all__ = ["FlexPart", "Points", "glued_points"]
+__all__ = [
+    "FlexPart",
+    "Points",
+    "glued_points",
+]
 
 
 class Points:

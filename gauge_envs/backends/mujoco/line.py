@@ -12,13 +12,17 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.glue import Glue
-from gauge_envs.backends.lines import glued_ends, points_on_axis
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
+from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.lines import glued_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 
-__all__ = ["LinePart", "add_rod", "add_rope"]
+__all__ = [
+    "LinePart",
+    "add_rod",
+    "add_rope",
+]
 
 ROPE_SEGMENT_M = 0.01
 """Longest distance between neighbouring nodes of a rope."""

@@ -11,20 +11,8 @@ from gauge_envs.backends.mujoco.contacts import contact_constants
 from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
-from gauge_envs.meshes import prism
-from gauge_envs.scene import (
-    Box,
-    Contact,
-    ConvexUnion,
-    Cylinder,
-    Hinge,
-    Motion,
-    RigidBody,
-    Scene,
-    Shape,
-    Sphere,
-    Tether,
-)
+from gauge_envs.scene import Box, Contact, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Shape, Sphere, Tether
+from gauge_envs.scene.meshes import prism
 
 __all__ = [
     "CONES",

@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.glue import Glue
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
-from gauge_envs.backends.rows import TOLERANCE_M, Row
+from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Row
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import SoftBody
 
-__all__ = ["SoftPart", "add_soft"]
+__all__ = [
+    "SoftPart",
+    "add_soft",
+]
 
 LONE_CELLS = (4, 2)
 """Cells along and across a lone body: torsion of a 1:3.5 bar within 3 % of theory, shear within 3 % of finer cells."""

@@ -2,4 +2,6 @@
 
 from gauge_envs.backends.newton.backend import BackendNewton
 
-__all__ = ["BackendNewton"]
+__all__ = [
+    "BackendNewton",
+]

@@ -9,13 +9,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.glue import Glue
 from gauge_envs.backends.newton.vbd import Pin
-from gauge_envs.backends.sheet import Sheet, held_vertices
-from gauge_envs.materials import Fabric, newton_edge_ke, newton_vbd
+from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.cloth_grid import Sheet, held_vertices
 from gauge_envs.scene import Cloth, Motion
+from gauge_envs.scene.fabrics import Fabric, newton_edge_ke, newton_vbd
 
-__all__ = ["ClothPart", "add_cloth"]
+__all__ = [
+    "ClothPart",
+    "add_cloth",
+]
 
 
 class ClothPart:

@@ -11,7 +11,13 @@ from dataclasses import dataclass
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.scene import Contact, ContactMode, Motion, Scene
 
-__all__ = ["FRICTION_AS_NORMAL", "ShapeConstants", "carried_constants", "pair_constants", "undoable_contacts"]
+__all__ = [
+    "FRICTION_AS_NORMAL",
+    "ShapeConstants",
+    "carried_constants",
+    "pair_constants",
+    "undoable_contacts",
+]
 
 FRICTION_AS_NORMAL = -1.0
 """A friction gain that is neither positive nor zero leaves friction the contact's own time constant. Newton's default

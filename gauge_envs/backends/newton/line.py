@@ -19,15 +19,19 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.glue import Glue
-from gauge_envs.backends.lines import LINE_AXIS, glued_ends, points_on_axis
 from gauge_envs.backends.newton.loop import warp_transform
-from gauge_envs.backends.newton.rigid import WORLD, mass_properties
+from gauge_envs.backends.newton.rigid import WORLD
 from gauge_envs.backends.newton.vbd import Pin
+from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.lines import LINE_AXIS, glued_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
+from gauge_envs.scene.meshes import mass_properties
 
-__all__ = ["LinePart", "add_line"]
+__all__ = [
+    "LinePart",
+    "add_line",
+]
 
 TURN_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
 """Turns z, along which Newton's capsules and rod joints lie, to a line's own axis."""

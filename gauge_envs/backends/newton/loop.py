@@ -20,7 +20,10 @@ from gauge_envs.backends.newton.kernels import prescribe
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
-__all__ = ["Loop", "warp_transform"]
+__all__ = [
+    "Loop",
+    "warp_transform",
+]
 
 WARM_UP_STEPS = 2
 """Steps before recording: solvers allocate what they need in the first ones. Even, so that the states end in place."""

@@ -11,7 +11,6 @@ import numpy as np
 from newton.solvers import SolverImplicitMPM, SolverMuJoCo
 from numpy.typing import NDArray
 
-from gauge_envs.backends.glue import bonded_rows, glue_of
 from gauge_envs.backends.newton.cloth import add_cloth
 from gauge_envs.backends.newton.line import add_line
 from gauge_envs.backends.newton.loop import Loop
@@ -28,10 +27,15 @@ from gauge_envs.backends.newton.settings import (
 from gauge_envs.backends.newton.soft import add_block_shapes, add_soft
 from gauge_envs.backends.newton.surface import surface_contacts
 from gauge_envs.backends.newton.vbd import LoopVBD, Pin, SelfContact, apply_contacts, passing_pairs
+from gauge_envs.backends.shared.attachments import bonded_rows, glue_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene
 
-__all__ = ["Copy", "Part", "build_model"]
+__all__ = [
+    "Copy",
+    "Part",
+    "build_model",
+]
 
 Vector = tuple[float, float, float]
 

@@ -18,14 +18,19 @@ from newton.solvers import SolverImplicitMPM
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from gauge_envs.backends.glue import Glue
 from gauge_envs.backends.newton.kernels import carry, hold
 from gauge_envs.backends.newton.loop import Loop
 from gauge_envs.backends.newton.vbd import Pin
-from gauge_envs.backends.rows import Row
+from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.soft_rows import Row
 from gauge_envs.scene import Motion, SoftBody
 
-__all__ = ["LoopMPM", "MPMPart", "add_soft_mpm", "fitted_voxel_m"]
+__all__ = [
+    "LoopMPM",
+    "MPMPart",
+    "add_soft_mpm",
+    "fitted_voxel_m",
+]
 
 GRIPPED_SIZE = 0.3
 """Size of a gripped point, which has no volume to fill, in terms of its cell."""

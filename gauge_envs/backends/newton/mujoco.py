@@ -24,7 +24,11 @@ from gauge_envs.backends.newton.rigid import RigidIndex, keep_apart
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.scene import Scene
 
-__all__ = ["LoopMuJoCo", "add_contacts", "shape_config"]
+__all__ = [
+    "LoopMuJoCo",
+    "add_contacts",
+    "shape_config",
+]
 
 CONTACT_POINTS_PER_PAIR = 8
 """Room for the contact points of a pair of shapes; Newton reduces a face on a face to four or five."""

@@ -12,10 +12,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.loop import warp_transform
-from gauge_envs.meshes import mass_properties, prism
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Sphere
+from gauge_envs.scene.meshes import mass_properties, prism
 
-__all__ = ["RigidIndex", "add_bodies", "keep_apart", "mass_properties"]
+__all__ = [
+    "RigidIndex",
+    "add_bodies",
+    "keep_apart",
+]
 
 WORLD = -1
 """Newton's index of the world, as of a body."""

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from gauge_envs.backends.glue import bonded_rows
 from gauge_envs.backends.newton.stability import longest_timestep_s
-from gauge_envs.backends.presets import SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import SteppedSettings, resolve_settings
+from gauge_envs.backends.shared.attachments import bonded_rows
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 
 __all__ = [

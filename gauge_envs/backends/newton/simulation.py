@@ -14,7 +14,10 @@ from gauge_envs.backends.newton.model import Copy, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.scene import Motion, Pose, Scene
 
-__all__ = ["SimulationNewton", "WorldsNewton"]
+__all__ = [
+    "SimulationNewton",
+    "WorldsNewton",
+]
 
 
 class _WorldNewton(World):

@@ -22,13 +22,21 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.glue import Glue
-from gauge_envs.backends.newton.rigid import mass_properties
 from gauge_envs.backends.newton.vbd import Pin
-from gauge_envs.backends.rows import TOLERANCE_M, Block, Row
+from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, Row
 from gauge_envs.scene import Box, Motion, SoftBody
+from gauge_envs.scene.meshes import mass_properties
 
-__all__ = ["CELL_M", "CONTACT_RADIUS_M", "RIGID_RATIO", "SoftPart", "add_block_shapes", "add_soft", "lame_constants"]
+__all__ = [
+    "CELL_M",
+    "CONTACT_RADIUS_M",
+    "RIGID_RATIO",
+    "SoftPart",
+    "add_block_shapes",
+    "add_soft",
+    "lame_constants",
+]
 
 CELL_M = 0.0125
 """Largest edge of a cell: a quarter of the width of the benchmark's foam."""

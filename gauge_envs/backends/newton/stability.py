@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from gauge_envs.backends.sheet import Sheet
-from gauge_envs.materials import Fabric, newton_vbd
+from gauge_envs.backends.shared.cloth_grid import Sheet
 from gauge_envs.scene import Cloth
+from gauge_envs.scene.fabrics import Fabric, newton_vbd
 
-__all__ = ["ITERATIONS_PER_RATIO", "longest_timestep_s"]
+__all__ = [
+    "ITERATIONS_PER_RATIO",
+    "longest_timestep_s",
+]
 
 ITERATIONS_PER_RATIO = 0.33
 """Iterations in a step, over the ratio of elastic to inertial stiffness, from which the last acceleration may be used.

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gauge_envs.backends.glue import bonded_rows, glue_of
-from gauge_envs.backends.lines import glued_ends
 from gauge_envs.backends.newton.contacts import undoable_contacts
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp, SettingsVBD, settings_for
 from gauge_envs.backends.newton.surface import undoable_surface_contacts
-from gauge_envs.backends.rows import Row
+from gauge_envs.backends.shared.attachments import bonded_rows, glue_of
+from gauge_envs.backends.shared.lines import glued_ends
+from gauge_envs.backends.shared.soft_rows import Row
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Motion, Rod, Rope, Scene, Tether
 
-__all__ = ["undoable"]
+__all__ = [
+    "undoable",
+]
 
 
 def undoable(scene: Scene) -> Iterator[str]:

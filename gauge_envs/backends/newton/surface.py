@@ -10,7 +10,11 @@ import numpy as np
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
-__all__ = ["SurfaceContacts", "surface_contacts", "undoable_surface_contacts"]
+__all__ = [
+    "SurfaceContacts",
+    "surface_contacts",
+    "undoable_surface_contacts",
+]
 
 PARTICLES = ""
 """Stands for all bodies that are made of particles: Newton has one friction for all of them. No body has this name."""

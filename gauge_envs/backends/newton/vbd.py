@@ -23,7 +23,14 @@ from gauge_envs.backends.newton.stability import ITERATIONS_PER_RATIO
 from gauge_envs.backends.newton.surface import SurfaceContacts
 from gauge_envs.errors import ParameterError
 
-__all__ = ["LoopVBD", "Pin", "SelfContact", "apply_contacts", "passing_pairs", "stiffness_ratio"]
+__all__ = [
+    "LoopVBD",
+    "Pin",
+    "SelfContact",
+    "apply_contacts",
+    "passing_pairs",
+    "stiffness_ratio",
+]
 
 SPEED_HEADROOM = 1.5
 """Factor on the fastest particle's speed within which no particle is at the end of an interval, beside free fall."""

@@ -1,0 +1,1 @@
+"""Comparison of results, and the parts of an error."""

@@ -1,0 +1,269 @@
+"""Nested least-squares fits that split an error into release time, offset and rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from gauge_envs.analysis.motion_kinds import Motion
+from gauge_envs.evaluation.metrics import release_offset
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = [
+    "MAX_SHIFT_S",
+    "Stage",
+]
+
+
+MAX_SHIFT_S = 10.0 / 30.0
+"""Largest time shift tried to either side [s]; that of the score's release offset."""
+
+
+SHIFT_STEP_S = 1.0 / 180.0
+"""Step of the grid of time shifts, a sample [s]."""
+
+
+RATE_STEP = 0.01
+"""Step of the grid of rates."""
+
+
+CYCLE_STEP = 0.1
+"""Largest step of the grid of rates for an oscillation, in cycles at its end: minima are half a cycle wide."""
+
+
+GRID_COORDINATES = 12
+"""Coordinates that the grid looks at; the refinement has them all."""
+
+
+GRID_NUMBERS = 5_000_000
+"""Numbers that a grid may compute; with more, it leaves out frames."""
+
+
+CHUNK_NUMBERS = 1_000_000
+"""Numbers that are computed at once: 8 MB an array."""
+
+
+START_COUNT = 4
+"""Local minima of the grid that are refined."""
+
+
+FloatArray = NDArray[np.float64]
+
+
+class Stage(StrEnum):
+    """A part of the error budget."""
+
+    RELEASE = "release"
+    """Constant time shift."""
+    OFFSET = "offset"
+    """Constant offset of each coordinate."""
+    RATE = "rate"
+    """Scale or rate of the motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Best fit of some stages together."""
+
+    shift_s: float
+    rate: float
+    scale: float
+    offsets: FloatArray
+    mean_squares: FloatArray
+    """Of each coordinate, shape [C]; they sum to `mean_square`."""
+
+    @property
+    def mean_square(self) -> float:
+        return float(self.mean_squares.sum())
+
+
+class _Budget:
+    """Least-squares fits of a motion to the mean of reality, of every set of stages.
+
+    Shift and rate are searched on a grid and refined; offsets and scale enter linearly and are solved for at each.
+    """
+
+    def __init__(
+        self,
+        reference: FloatArray,
+        times_s: FloatArray,
+        simulated: FloatArray,
+        motion: Motion,
+        missing: Mapping[Stage, str],
+    ) -> None:
+        # The score divides by the frames that have anything to compare; the others play no part.
+        self.known = np.isfinite(reference).any(axis=1)
+        self.frame_count = int(self.known.sum())
+        self.motion = motion
+        self.missing = missing
+        self._times_s = times_s
+        self._simulated = simulated
+        self._whole_reference = reference
+        self._reference = reference[self.known]
+        self._frames_s = np.flatnonzero(self.known) / FRAME_RATE_HZ
+        self._fits: dict[frozenset[Stage], _Fit] = {}
+
+    def fit(self, stages: Iterable[Stage]) -> _Fit:
+        """Best fit of a set of stages; those that do not apply are left out."""
+        wanted = frozenset(stages) - set(self.missing)
+        if wanted not in self._fits:
+            self._fits[wanted] = self._searched(wanted)
+        return self._fits[wanted]
+
+    def deviations(self) -> FloatArray:
+        """Squared deviation of the unchanged simulation at each known frame."""
+        played, _ = self.motion.at(self._frames_s, np.zeros(1), np.ones(1))
+        return np.nansum(np.square(self._reference - played[0]), axis=1)
+
+    def continued_frames(self, fit: _Fit) -> int:
+        """Frames at which a fit shows the motion past the end of the simulation."""
+        since_start = np.clip(self._frames_s - fit.shift_s, 0.0, self.motion.end_s)
+        return int((fit.rate * since_start > self.motion.end_s + 1e-9).sum()) if fit.rate > 1.0 else 0
+
+    def likeness(self, fit: _Fit) -> float:
+        """How alike a change of rate and one of scale are at a fit, as the squared cosine between them; 0 with one."""
+        low, high = self.motion.rate_bounds
+        if Stage.RATE in self.missing or low == high:
+            return 0.0
+        rates = np.clip(fit.rate + np.array([-RATE_STEP, RATE_STEP]), low, high)
+        played, basis = self.motion.at(self._frames_s, np.full(2, fit.shift_s), rates)
+        known = np.isfinite(self._reference)
+        faster, larger = (np.where(known, change, 0.0) for change in (played[1] - played[0], basis.mean(axis=0)))
+        both = np.square(faster).sum() * np.square(larger).sum()
+        return float(np.square((faster * larger).sum()) / both) if both > 0.0 else 0.0
+
+    def _searched(self, stages: frozenset[Stage]) -> _Fit:
+        smaller = [self.fit(some) for some in combinations(sorted(stages), len(stages) - 1)] if stages else []
+        if stages == {Stage.RELEASE}:
+            # The score's own alignment, so that both give the same number.
+            shift_s, _ = release_offset(
+                self._times_s,
+                self._simulated,
+                self._whole_reference,
+                frame_rate_hz=FRAME_RATE_HZ,
+                max_offset_s=MAX_SHIFT_S,
+            )
+            found = [np.array([shift_s, 1.0])]
+        else:
+            found = self._refined(stages, smaller)
+        fits = [self._solved(stages, *point) for point in found]
+        best = min(fits, key=lambda one: one.mean_square)
+        # A larger model contains the smaller one: what the search finds is never worse.
+        least = min(smaller, key=lambda one: one.mean_square, default=None)
+        return best if least is None or best.mean_square <= least.mean_square else least
+
+    def _refined(self, stages: frozenset[Stage], smaller: Sequence[_Fit]) -> list[FloatArray]:
+        """Shift and rate of the best local minima."""
+        bounds = np.array([self._shift_bounds(stages), self._rate_bounds(stages)])
+        free = bounds[:, 0] < bounds[:, 1]
+        if not free.any():
+            return [bounds[:, 0]]
+        shifts, rates, steps = self._grid(bounds)
+        starts = _local_minima(shifts, rates, self._grid_errors(stages, shifts, rates))
+        starts += [np.array([one.shift_s, one.rate]) for one in smaller]
+        found = []
+        for start in starts:
+            point = np.clip(start, bounds[:, 0], bounds[:, 1])
+
+            def error(chosen: FloatArray, point: FloatArray = point) -> float:
+                full = point.copy()
+                full[free] = chosen
+                return self._solved(stages, *full).mean_square
+
+            corners = np.tile(point[free], (int(free.sum()) + 1, 1))
+            for axis, step in enumerate(steps[free]):
+                inward = step if point[free][axis] + step <= bounds[free][axis, 1] else -step
+                corners[axis + 1, axis] += inward
+            options = {"initial_simplex": corners, "xatol": 1e-7, "fatol": math.inf, "maxfev": 400}
+            fitted = minimize(error, point[free], method="Nelder-Mead", bounds=bounds[free], options=options)
+            full = point.copy()
+            full[free] = fitted.x
+            found += [point, full]
+        # The least change among equals, so that a body at rest is not shifted.
+        found.append(np.array([0.0, 1.0]))
+        return sorted(found, key=lambda one: (abs(one[0]), abs(one[1] - 1.0)))
+
+    def _shift_bounds(self, stages: frozenset[Stage]) -> tuple[float, float]:
+        return (-MAX_SHIFT_S, MAX_SHIFT_S) if Stage.RELEASE in stages else (0.0, 0.0)
+
+    def _rate_bounds(self, stages: frozenset[Stage]) -> tuple[float, float]:
+        return self.motion.rate_bounds if Stage.RATE in stages else (1.0, 1.0)
+
+    def _grid(self, bounds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Values of shift and rate to try, and their steps."""
+        rate_step = RATE_STEP
+        if self.motion.period_s is not None:
+            rate_step = min(rate_step, CYCLE_STEP * self.motion.period_s / self._frames_s[-1])
+        steps = np.array([SHIFT_STEP_S, rate_step])
+        counts = np.ceil((bounds[:, 1] - bounds[:, 0]) / steps - 1e-9).astype(int) + 1
+        shifts, rates = (np.linspace(low, high, count) for (low, high), count in zip(bounds, counts, strict=True))
+        return shifts, rates, steps
+
+    def _grid_errors(self, stages: frozenset[Stage], shifts: FloatArray, rates: FloatArray) -> FloatArray:
+        """Mean squared error on the grid, shape [shifts, rates]; of the coordinates and frames that matter most.
+
+        It only finds where to start from, so a part of many coordinates and frames is enough.
+        """
+        weight = np.nansum(np.square(self._reference - self._simulated[0]), axis=0)
+        columns = np.sort(np.argsort(weight)[::-1][:GRID_COORDINATES])
+        stride = max(1, math.ceil(len(shifts) * len(rates) * len(self._reference) * len(columns) / GRID_NUMBERS))
+        reference, motion = self._reference[::stride, columns], self.motion.select(columns)
+        points = np.stack(np.meshgrid(shifts, rates, indexing="ij"), axis=-1).reshape(-1, 2)
+        chunks = np.array_split(points, math.ceil(reference.size * len(points) / CHUNK_NUMBERS))
+        played = (motion.at(self._frames_s[::stride], chunk[:, 0], chunk[:, 1]) for chunk in chunks)
+        errors = [self._linear(stages, reference, *one)[0].sum(axis=1) for one in played]
+        return np.concatenate(errors).reshape(len(shifts), len(rates))
+
+    def _solved(self, stages: frozenset[Stage], shift_s: float, rate: float) -> _Fit:
+        played = self.motion.at(self._frames_s, np.array([shift_s]), np.array([rate]))
+        squares, scale, offsets = self._linear(stages, self._reference, *played)
+        return _Fit(float(shift_s), float(rate), float(scale[0]), offsets[0], squares[0] / self.frame_count)
+
+    def _linear(
+        self, stages: frozenset[Stage], reference: FloatArray, played: FloatArray, basis: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Best scale and offsets for G motions, with the squared error that is left.
+
+        With offsets solved for, the error is a parabola in the scale, so that its bounded minimum is the clipped one.
+
+        Returns:
+            Summed squared error of each coordinate, shape [G, C]; scales, shape [G]; offsets, shape [G, C].
+        """
+        known = np.isfinite(reference)
+        counts = np.maximum(known.sum(axis=0), 1)
+
+        def centred(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Values where something is known, less their mean over time where offsets are free; and that mean."""
+            kept = values if known.all() else np.where(known, values, 0.0)
+            if Stage.OFFSET not in stages:
+                return kept, np.zeros((len(played), reference.shape[1]))
+            mean = kept.sum(axis=1) / counts
+            kept = kept - mean[:, None]
+            return (kept if known.all() else np.where(known, kept, 0.0)), mean
+
+        deviation, offsets = centred(reference - played)
+        scale = np.zeros(len(played))
+        if Stage.RATE in stages:
+            change, mean = centred(basis)
+            size, overlap = (np.einsum("gtc,gtc->g", change, other) for other in (change, deviation))
+            best = np.divide(overlap, size, out=np.zeros_like(size), where=size > 0.0)
+            scale = np.clip(best, *self.motion.scale_bounds)
+            deviation = deviation - scale[:, None, None] * change
+            offsets = offsets - scale[:, None] * mean
+        return np.einsum("gtc,gtc->gc", deviation, deviation), scale, offsets
+
+
+def _local_minima(shifts: FloatArray, rates: FloatArray, errors: FloatArray) -> list[FloatArray]:
+    """The deepest local minima of a grid, deepest first."""
+    padded = np.pad(errors, 1, constant_values=np.inf)
+    around = [padded[i : i + len(shifts), j : j + len(rates)] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    rows, columns = np.nonzero(errors <= np.min(around, axis=0))
+    order = np.argsort(errors[rows, columns], kind="stable")[:START_COUNT]
+    return [np.array([shifts[rows[k]], rates[columns[k]]]) for k in order]

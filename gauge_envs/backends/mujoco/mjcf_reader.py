@@ -1,0 +1,361 @@
+"""MJCF files in the place of a scene: what they must have, what they change, and how they run.
+
+The file counts: its step and solver, masses, friction, poses, compiled tables and driven motion. It must have the rigid
+bodies of the scene under their names, a free joint of that name where a body is driven, and the nodes of deformable
+bodies where the backend puts them. `gauge_envs.backends.mujoco.mjcf_writer` writes such files, and what a model file cannot say stands in
+them as custom numbers, which are read here:
+
+- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. Rows as the scene's
+  driver gives them leave the driver as it is; others make it a sampled one, through their poses.
+- `flex_stiffness/<body>/kinds` and `/kind`: distinct rows of the table, and which of them each row is.
+- `flex_bending/<body>/weight`: a factor on each row of the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import ModelFile
+from gauge_envs.backends.mujoco.flex import FlexPart
+from gauge_envs.backends.mujoco.model import CONES, INTEGRATORS, SOLVERS, build_model
+from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
+from gauge_envs.backends.mujoco.settings import settings_for
+from gauge_envs.errors import AssetError, ShapeError
+from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.driver_fit import sampled_motions
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
+
+if TYPE_CHECKING:
+    from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+    from gauge_envs.scene.driver_path import DriverPath
+
+__all__ = [
+    "DRIVER_PREFIX",
+    "driver_rows",
+    "load_model",
+    "read_model",
+]
+
+DRIVER_PREFIX = "driver/"
+"""Custom numbers that hold the motion of a driven body: this and its name."""
+
+DRIVER_COLUMNS = 19
+"""Numbers in a row of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
+
+
+SAME_MOTION = 1e-6
+"""The same for rows of driven motion, whose accelerations are second differences of poses."""
+
+
+# --- loading ---------------------------------------------------------------------------------------------------------
+
+
+def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
+    """Compile an MJCF file for a scene that `read_model` returned for it.
+
+    Returns:
+        Its numerical settings, the editable and the compiled model, and the parts of its deformable bodies.
+
+    Raises:
+        AssetError: The file cannot be used, or bodies of the scene start elsewhere than in the file.
+    """
+    spec, model = _compiled(path)
+    _, _, parts = build_model(scene, settings_for(scene, None))
+    _check_bodies(path, model, scene)
+    for body, pose in zip(scene.bodies, _poses(model, scene), strict=True):
+        if pose != body.pose:
+            raise AssetError(
+                path, body.name, "it starts where the file puts it; another start, as of a jitter, needs USD"
+            )
+    return _settings(path, model), spec, model, parts
+
+
+def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    try:
+        spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
+        model = spec.compile()
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(path, "", f"cannot be read: {error}") from error
+    except ValueError as error:
+        raise AssetError(path, "", f"MuJoCo cannot load it: {' '.join(str(error).split())}") from None
+    _complete(path, model)
+    return spec, model
+
+
+def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
+    """Numerical settings of a file, by the names that `SettingsMuJoCo` has for them."""
+    option = model.opt
+    steps = DRIVE_INTERVAL_S / option.timestep
+    if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
+        raise AssetError(
+            path, "option timestep", f"1/180 s is {steps:.6g} steps of {option.timestep:g} s, not a whole number"
+        )
+
+    def named(known: Mapping[str, Any], value: int) -> str:
+        return next((name for name, constant in known.items() if constant == value), str(value))
+
+    return {
+        "model_file": path.name,
+        "timestep_s": option.timestep,
+        "integrator": named(INTEGRATORS, option.integrator),
+        "cone": named(CONES, option.cone),
+        "solver": named(SOLVERS, option.solver),
+        "impratio": option.impratio,
+        "iterations": option.iterations,
+        "tolerance": option.tolerance,
+    }
+
+
+# --- custom numbers --------------------------------------------------------------------------------------------------
+
+
+def _numerics(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    for index in range(model.nnumeric):
+        start = model.numeric_adr[index]
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_NUMERIC, index)
+        yield name, model.numeric_data[start : start + model.numeric_size[index]]
+
+
+def _complete(path: Path, model: mujoco.MjModel) -> None:
+    """Write into the compiled tables what the file's custom numbers say of them."""
+    numbers = dict(_numerics(model))
+    for name, values in numbers.items():
+        table, _, rest = name.partition("/")
+        body, _, part = rest.rpartition("/")
+        if part not in ("kinds", "weight") or table not in ("flex_stiffness", "flex_bending"):
+            continue
+        rows = _table(path, model, table, body)
+        if part == "weight":
+            weighed = rows.reshape(_divided(path, name, rows.size, len(values)), -1)
+            weighed *= values[:, None]
+            continue
+        kind = numbers.get(f"{table}/{body}/kind")
+        if kind is None:
+            raise AssetError(
+                path, name, f"custom numeric '{table}/{body}/kind' is missing, which says where the rows go"
+            )
+        width = rows.size // _divided(path, f"{table}/{body}/kind", rows.size, len(kind))
+        kinds = values.reshape(_divided(path, name, len(values), len(values) // max(width, 1)), -1)
+        if kind.min() < 0 or kind.max() >= len(kinds):
+            raise AssetError(path, f"{table}/{body}/kind", f"holds numbers beyond the {len(kinds)} rows of kinds")
+        rows[:] = kinds[kind.astype(int)].ravel()
+
+
+def _divided(path: Path, name: str, size: int, count: int) -> int:
+    """The count, where it divides the size of a table."""
+    if count < 1 or size % count:
+        raise AssetError(path, name, f"{count} rows do not fit a table of {size} numbers")
+    return count
+
+
+def _table(path: Path, model: mujoco.MjModel, table: str, body: str) -> NDArray[np.float64]:
+    """What of a compiled table belongs to the flex of a deformable body, to be written to."""
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body)
+    if index < 0:
+        raise AssetError(path, f"{table}/{body}", "no flex of that name")
+    addresses = getattr(model, f"{table}adr").tolist()
+    start, values = addresses[index], getattr(model, table)
+    return values[start : min((other for other in addresses if other > start), default=len(values))]
+
+
+# --- the scene that a file shows -------------------------------------------------------------------------------------
+
+
+def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelFile:
+    """The scene with starts, masses, hinges, gravity and driven motion of a file, and how the file differs.
+
+    Args:
+        path: The file.
+        scene: What it must show.
+        simulation: What the backend builds of the scene.
+
+    Raises:
+        AssetError: The file does not load, or lacks something of the scene.
+    """
+    _, model = _compiled(path)
+    _settings(path, model)
+    built = simulation.model
+    _check_bodies(path, model, scene)
+    _check_nodes(path, model, built, scene)
+    bodies = tuple(
+        replace(body, pose=pose, mass_kg=_mass_kg(model, built, body))
+        for body, pose in zip(scene.bodies, _poses(model, scene), strict=True)
+    )
+    placed = replace(
+        scene,
+        bodies=bodies,
+        joints=tuple(_hinge(model, built, joint) if isinstance(joint, Hinge) else joint for joint in scene.joints),
+        gravity_m_per_s2=same_or(float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2),
+    )
+    changes = list(model_changes(model, built))
+    numbers = dict(_numerics(model))
+    drivers = []
+    for driver in placed.drivers:
+        read = _driver(path, model, placed, driver, numbers.get(f"{DRIVER_PREFIX}{driver.body}"), simulation)
+        drivers.append(read)
+        if read != driver:
+            changes.append(f"driver of {driver.body}: its motion is sampled from other rows")
+    return ModelFile(scene=replace(placed, drivers=tuple(drivers)), changes=tuple(changes))
+
+
+def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
+    known = [model.body(index).name for index in range(1, model.nbody)]
+    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
+    for body in scene.bodies:
+        if body.name not in known:
+            shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
+            raise AssetError(path, body.name, f"no body of that name; the file has: {shown or 'none'}")
+        if body.motion is Motion.FIXED:
+            continue
+        kind = mujoco.mjtJoint.mjJNT_HINGE if body.name in hinged else mujoco.mjtJoint.mjJNT_FREE
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, body.name)
+        if joint < 0 or model.jnt_type[joint] != kind or model.jnt_bodyid[joint] != model.body(body.name).id:
+            wanted = "hinge" if body.name in hinged else "free"
+            raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint of its own name")
+        if body.motion is Motion.KINEMATIC:
+            _check_driven(path, model, body)
+
+
+def _check_driven(path: Path, model: mujoco.MjModel, body: RigidBody) -> None:
+    index = model.body(body.name).id
+    if not np.all(model.body_inertia[index] == model.body_mass[index]):
+        raise AssetError(path, body.name, "a driven body needs moments of inertia of the same number as its mass")
+
+
+def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene) -> None:
+    """Bodies that carry deformable ones are where the backend puts them: that is what reads them."""
+    rigid = {body.name for body in scene.bodies}
+    for index in range(1, built.nbody):
+        name = built.body(index).name
+        if name in rigid:
+            continue
+        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if found < 0:
+            raise AssetError(path, name, "the file lacks this node of a deformable body")
+        if not is_same(model.body_pos[found], built.body_pos[index]):
+            raise AssetError(path, name, "nodes of a deformable body cannot be moved in MJCF; move the body in USD")
+    for index in range(built.nflex):
+        name = mujoco.mj_id2name(built, mujoco.mjtObj.mjOBJ_FLEX, index)
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name) < 0:
+            raise AssetError(path, name, "no flex of that name, which is a deformable body of the scene")
+
+
+def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
+    """Starts of the rigid bodies in a file; the scene's own where they are the same."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for body in scene.bodies:
+        place = data.body(body.name)
+        same_turn = abs(float(place.xquat @ body.pose.quaternion)) > 1.0 - 1e-12
+        if same_turn and is_same(place.xpos, body.pose.position_m):
+            yield body.pose
+        else:
+            yield _pose(place.xpos, place.xquat)
+
+
+def _pose(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
+    (x, y, z), (qw, qx, qy, qz) = position_m.tolist(), quaternion.tolist()
+    return Pose(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
+
+
+def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> float:
+    """Mass of a body in a file; what is driven has a mass of the engine's own there."""
+    mass, expected = (float(one.body(body.name).mass[0]) for one in (model, built))
+    return body.mass_kg if body.motion is not Motion.DYNAMIC or is_same(mass, expected) else mass
+
+
+def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: Hinge) -> Hinge:
+    found = []
+    for one in (model, built):
+        data = mujoco.MjData(one)
+        mujoco.mj_kinematics(one, data)
+        found.append((data.joint(hinge.body).xanchor, data.joint(hinge.body).xaxis))
+    (anchor, axis), expected = found
+    if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
+        return hinge
+    return replace(hinge, anchor_m=tuple(anchor.tolist()), axis=tuple(axis.tolist()))
+
+
+def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> NDArray[np.float64]:
+    """What the backend writes to drive a body, interval by interval.
+
+    Returns:
+        qpos (7), qvel (6) and xfrc_applied (6) before each interval, shape [count, 19].
+    """
+    model, data = simulation.model, simulation.data
+    joint, body = model.joint(path.body), model.body(path.body)
+    position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
+    still = np.zeros(path.motion_count)
+    rows = np.empty((count, DRIVER_COLUMNS))
+    for sample, row in enumerate(rows):
+        simulation.drive(path.body, *path.interval(sample, still))
+        row[:7] = data.qpos[position : position + 7]
+        row[7:13] = data.qvel[speed : speed + 6]
+        row[13:] = data.xfrc_applied[body.id]
+    return rows
+
+
+def _driver(
+    path: Path,
+    model: mujoco.MjModel,
+    scene: Scene,
+    driver: Driver,
+    numbers: NDArray[np.float64] | None,
+    simulation: SimulationMuJoCo,
+) -> Driver:
+    """The scene's driver where the file's rows are its own; else one through the poses of the rows."""
+    from gauge_envs.scene.driver_path import DriverPath
+
+    name = f"{DRIVER_PREFIX}{driver.body}"
+    if numbers is None:
+        raise AssetError(path, name, "the custom numbers that move this driven body are missing")
+    if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:
+        raise AssetError(path, name, f"{numbers.size} numbers are no rows of {DRIVER_COLUMNS}")
+    rows = numbers.reshape(-1, DRIVER_COLUMNS)
+    count = round(scene.duration_s / DRIVE_INTERVAL_S)
+    rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
+    frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
+    expected = driver_rows(simulation, DriverPath(driver, scene, frame_count), count)
+    expected[:, 13:] *= model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]
+    if _same_rows(rows, expected):
+        return driver
+    if _same_rows(rows[:, :7], expected[:, :7]):
+        raise AssetError(path, name, "velocities or forces differ and poses do not: the motion is that of the poses")
+    poses = [*(_pose(row[:3], row[3:7]) for row in rows), _end_of(rows[-1], model.body(driver.body).mass[0])]
+    start = scene.body(driver.body).pose
+    if not _same_rows(rows[:1, :7], np.array([[*start.position_m, *start.quaternion]])):
+        raise AssetError(
+            path, name, f"its rows start at {format_value(rows[0, :7])}, the body elsewhere: change both alike"
+        )
+    try:
+        motions = sampled_motions(start, (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist(), poses, like=driver.motions)
+    except ShapeError as error:
+        raise AssetError(path, name, str(error)) from error
+    return replace(driver, motions=motions, provenance=f"nominal: edited in {path.name}, was {driver.provenance}")
+
+
+def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
+    """Where a row of driven motion leads to by the end of its interval."""
+    seconds = DRIVE_INTERVAL_S
+    turn = Rotation.from_quat(row[3:7], scalar_first=True)
+    rates = np.concatenate([row[7:10], turn.apply(row[10:13])])
+    way = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
+    turned = (Rotation.from_rotvec(way[3:]) * turn).as_quat(scalar_first=True)
+    return _pose(row[:3] + way[:3], turned)
+
+
+def _same_rows(rows: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:
+    size = np.abs(expected).max(axis=0, initial=0.0)
+    return bool((np.abs(rows - expected) <= SAME_MOTION * np.maximum(size, 1e-3)).all())
+
+
+# --- what differs ----------------------------------------------------------------------------------------------------

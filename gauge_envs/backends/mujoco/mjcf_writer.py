@@ -1,0 +1,225 @@
+"""MJCF: the model that the MuJoCo backend steps, as a self-contained file that plain MuJoCo loads and replays.
+
+MuJoCo's own XML writer prints six digits, and cannot know what the backend writes into the compiled tables of a flex;
+this makes up for both.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.mujoco import SimulationMuJoCo
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+__all__ = [
+    "expanded",
+]
+
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
+
+TABLES = ("flex_stiffness", "flex_bending")
+"""Compiled tables that the backend overwrites."""
+
+SAME_TABLE = 1e-9
+"""A table that compiles as close as this to the backend's is not carried: what differs is the order of sums."""
+
+KINDS = re.compile(
+    r'<numeric name="(?P<name>[^"]+)/kinds" size="\d+" data="(?P<kinds>[^"]*)" />\s*'
+    r'<numeric name="(?P=name)/kind" size="\d+" data="(?P<kind>[^"]*)" />'
+)
+
+
+# --- driven bodies ---------------------------------------------------------------------------------------------------
+
+
+def without_rest(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows up to the first that stays to the end."""
+    changes = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1))
+    return rows[: changes[-1] + 2] if changes.size else rows[:1]
+
+
+def replay_note(
+    body: str, provenance: str, simulation: SimulationMuJoCo, rows: NDArray[np.float64], intervals: int
+) -> str:
+    steps = round(SAMPLE_INTERVAL_S / simulation.model.opt.timestep)
+    return (
+        f"Driven body {body!r} (motion: {provenance}): custom numeric 'driver/{body}' holds {len(rows)} rows of "
+        f"{rows.shape[1]} numbers.\n    Before every {steps} steps write the next row: [0:7] to the qpos of free joint "
+        f"{body!r}, [7:13] to its qvel,\n    [13:19] to xfrc_applied of body {body!r}; the last row again and again, "
+        f"until {intervals} are written."
+    )
+
+
+# --- compiled tables of deformable bodies ----------------------------------------------------------------------------
+
+
+def add_stiffness_tables(simulation: SimulationMuJoCo) -> list[str]:
+    """Add what of the backend's flex tables does not compile from XML, as custom numbers; returns how to use it."""
+    model = simulation.model
+    plain = mujoco.MjModel.from_xml_string(ElementTree.tostring(exact_xml(simulation), encoding="unicode"))
+    notes = []
+    for index in range(model.nflex):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, index)
+        for table in TABLES:
+            values, compiled = (_flex_table(one, table, index) for one in (model, plain))
+            if np.allclose(values, compiled, rtol=0.0, atol=SAME_TABLE * np.abs(values).max(initial=0.0)):
+                continue
+            values = values.reshape(_row_count(model, table, index), -1)
+            title, start = f"{table}/{name}", _start(model, table, index)
+            place, width = f"model.{table}[{start} : {start + values.size}]", values.shape[1]
+            if table == "flex_bending":
+                numbers: dict[str, NDArray[Any]] = {"weight": _weights(values, compiled.reshape(values.shape))}
+                recipe = (
+                    f"Cloth {name!r}: weigh the folds about the diagonals of its mesh, after loading:\n"
+                    f"        rows = {place}.reshape(-1, {width})\n"
+                    f'        rows *= model.numeric("{title}/weight").data[:, None]'
+                )
+            else:
+                first, kind = _distinct(values)
+                numbers = {"kinds": values[first].ravel(), "kind": kind}
+                recipe = (
+                    f"Deformable body {name!r}: set the stiffness of each element, after loading:\n"
+                    f'        kind = model.numeric("{title}/kind").data.astype(int)\n'
+                    f'        kinds = model.numeric("{title}/kinds").data.reshape(-1, {width})\n'
+                    f"        {place} = kinds[kind].ravel()"
+                )
+            notes.append(recipe)
+            for part, data in numbers.items():
+                simulation.spec.add_numeric(name=f"{title}/{part}", size=data.size, data=data.tolist())
+    return notes
+
+
+def _start(model: mujoco.MjModel, table: str, index: int) -> int:
+    return int(getattr(model, f"{table}adr")[index])
+
+
+def _flex_table(model: mujoco.MjModel, table: str, index: int) -> NDArray[np.float64]:
+    """What of a compiled table belongs to one flex."""
+    start, values = _start(model, table, index), np.asarray(getattr(model, table))
+    later = [other for other in getattr(model, f"{table}adr").tolist() if other > start]
+    return values[start : min(later, default=len(values))] if start >= 0 else values[:0]
+
+
+def _row_count(model: mujoco.MjModel, table: str, index: int) -> int:
+    """Rows of a table of one flex: one an edge, a cell or an element."""
+    if table == "flex_bending":
+        return int(model.flex_edgenum[index])
+    return int(np.prod(model.flex_cellnum[index]) if model.flex_interp[index] else model.flex_elemnum[index])
+
+
+def _distinct(rows: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Where each distinct row occurs first, in that order, and which of these each row is."""
+    _, first, kind = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[kind.ravel()]
+
+
+def _weights(rows: NDArray[np.float64], compiled: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Factor on each compiled row that gives the row wanted, bit for bit."""
+    largest = np.abs(compiled).argmax(axis=1)[:, None]
+    wanted, given = (np.take_along_axis(one, largest, axis=1)[:, 0] for one in (rows, compiled))
+    weights = np.divide(wanted, given, out=np.ones(len(rows)), where=given != 0.0)
+    for weight in np.unique(weights):
+        weights[(compiled * weight == rows).all(axis=1)] = weight
+    return weights
+
+
+def expanded(text: str) -> str:
+    """A file's text with every row of a table in its place: which rows are equal bit for bit differs by machine."""
+
+    def rows(match: re.Match[str]) -> str:
+        kind = [int(index) for index in match["kind"].split()]
+        numbers = match["kinds"].split()
+        width = len(numbers) // (max(kind) + 1)
+        return "\n".join(" ".join(numbers[index * width : (index + 1) * width]) for index in kind)
+
+    return KINDS.sub(rows, text)
+
+
+# --- exact XML -------------------------------------------------------------------------------------------------------
+
+
+def exact_xml(simulation: SimulationMuJoCo) -> ElementTree.Element:
+    """MuJoCo's XML with the digits after the sixth, which its writer leaves out."""
+    spec = simulation.spec
+    root = ElementTree.fromstring(spec.to_xml())
+    for element, source in _sources(root, spec):
+        _restore_digits(element, source)
+    if simulation.model.nflex:
+        _shorten(root)
+    for element in root.findall("custom/numeric"):
+        element.set("data", _digits(np.asarray(spec.numeric(element.get("name", "")).data)))
+    return root
+
+
+def _shorten(root: ElementTree.Element) -> None:
+    """Make slides the default joint, and put each point body on one line: a deformable body has hundreds."""
+    for element in root.iter("joint"):
+        if element.get("type") == "slide":
+            del element.attrib["type"]
+        else:
+            element.set("type", element.get("type", "hinge"))
+    for element in root.iter("body"):
+        if element.find("joint") is not None and element.find("geom") is None:
+            element.text = None
+            for child in element:
+                child.tail = None
+    default = ElementTree.Element("default")
+    default.tail = root[0].tail
+    ElementTree.SubElement(default, "joint", type="slide")
+    root.insert(1, default)
+
+
+def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[ElementTree.Element, Any]]:
+    """Elements that hold numbers, each with its object in the editable model."""
+    for path, find in (("option", lambda _: spec.option), ("asset/mesh", spec.mesh), ("tendon/spatial", spec.tendon)):
+        yield from ((element, find(element.get("name", ""))) for element in root.findall(path))
+    yield from zip(root.findall("contact/pair"), spec.pairs, strict=True)
+    yield from zip(root.findall("equality/*"), spec.equalities, strict=True)
+    for element in root.findall("deformable/flex"):
+        flex = spec.flex(element.get("name", ""))
+        yield from ((one, flex) for one in (element, *element))
+    for element in (*root.findall("worldbody"), *root.iter("body")):
+        body = spec.body(element.get("name", "world"))
+        yield element, body
+        yield from ((one, body) for one in element.findall("inertial"))
+        for tag, parts in (("geom", body.geoms), ("joint", body.joints), ("site", body.sites)):
+            yield from zip(element.findall(tag), parts, strict=True)
+
+
+ALIASES = {
+    "mesh": {"vertex": "uservert"},
+    "spatial": {"solreflimit": "solref_limit", "solimplimit": "solimp_limit"},
+    "inertial": {"pos": "ipos", "diaginertia": "inertia"},
+    "flex": {"vertex": "vert", "nodecoord": "node", "node": "nodebody"},
+}
+"""Names in MuJoCo's editable model where they differ from the XML's, by element."""
+
+
+def _restore_digits(element: ElementTree.Element, source: Any) -> None:
+    """Give every number back the digits that MuJoCo's XML writer drops: it prints six, and 1/9000 s needs more."""
+    aliases = ALIASES.get(element.tag, {})
+    for key, text in element.items():
+        exact = getattr(source, aliases.get(key, key), None)
+        if exact is None or not NUMBER.fullmatch(text.split(" ")[0]):
+            continue
+        written = np.array(text.split(), dtype=np.float64)
+        # Trailing defaults are not written.
+        values = np.atleast_1d(np.asarray(exact, np.float32 if key == "vertex" and element.tag == "mesh" else None))
+        values = values[: written.size]
+        if written.shape == values.shape and np.allclose(written, values, rtol=1e-5, atol=1e-12):
+            element.set(key, _digits(values))
+
+
+def _digits(values: float | NDArray[Any]) -> str:
+    """The shortest numbers that read back the same, in the precision that they have: that of meshes is single."""
+    return " ".join(str(value).removesuffix(".0") for value in np.atleast_1d(values))

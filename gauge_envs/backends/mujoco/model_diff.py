@@ -1,0 +1,168 @@
+"""Differences between two compiled MuJoCo models that change the physics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "model_changes",
+]
+
+
+SAME_DOUBLE = 1e-9
+
+
+SAME_SINGLE = 3e-7
+"""Numbers of a model that are as close as this, over the largest of their row, are equal: sines and sums differ in
+their last digits between machines, and meshes are kept in single precision."""
+
+
+OBJECTS: Mapping[str, tuple[mujoco.mjtObj, tuple[str, ...]]] = {
+    "body": (mujoco.mjtObj.mjOBJ_BODY, ("mass", "inertia", "ipos", "iquat", "pos", "quat", "gravcomp")),
+    "jnt": (mujoco.mjtObj.mjOBJ_JOINT, ("type", "pos", "axis", "stiffness", "range", "margin", "solref", "solimp")),
+    "geom": (
+        mujoco.mjtObj.mjOBJ_GEOM,
+        (
+            *("type", "size", "pos", "quat", "friction", "condim", "contype", "conaffinity", "priority"),
+            *("margin", "gap", "solref", "solimp", "solmix", "surfacevel"),
+        ),
+    ),
+    "site": (mujoco.mjtObj.mjOBJ_SITE, ("pos",)),
+    "tendon": (
+        mujoco.mjtObj.mjOBJ_TENDON,
+        ("range", "limited", "solref_lim", "solimp_lim", "stiffness", "damping", "lengthspring"),
+    ),
+    "eq": (mujoco.mjtObj.mjOBJ_EQUALITY, ("data", "solref", "solimp", "active0")),
+    "flex": (
+        mujoco.mjtObj.mjOBJ_FLEX,
+        (
+            *("radius", "damping", "friction", "condim", "contype", "conaffinity", "selfcollide", "margin", "gap"),
+            *("solref", "solimp"),
+        ),
+    ),
+}
+"""Arrays of a compiled model that a file states, by kind of object; their rows are told by the object's name."""
+
+
+PAIR_FIELDS = ("dim", "friction", "margin", "gap", "solref", "solreffriction", "solimp")
+
+
+TABLES = ("mesh_vert", "flex_vert", "flex_stiffness", "flex_bending", "dof_damping", "dof_armature", "dof_frictionloss")
+"""Arrays that are told as a whole."""
+
+
+WITHOUT_EFFECT = ("names", "name_", "numeric", "text", "tex_", "mat_", "cam_", "light_", "sensor", "skin_", "key_")
+
+
+WITHOUT_EFFECT_ENDS = ("_rgba", "_matid", "_group", "_user", "_castshadow")
+"""Beginnings and ends of the names of arrays that change no motion."""
+
+
+MOST_ROWS = 4
+"""So many objects are told one by one; more are counted."""
+
+
+def is_same(values: Any, expected: Any) -> bool:
+    return bool(np.allclose(values, expected, rtol=SAME_DOUBLE, atol=1e-12))
+
+
+def same_or(value: float, expected: float) -> float:
+    return expected if is_same(value, expected) else value
+
+
+def model_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
+    """How a compiled model differs from another in what moves it, a line each; none where it does not."""
+    lines = [*_option_changes(model, built)]
+    for kind, (objects, names) in OBJECTS.items():
+        titles = [_titles(one, objects, kind) for one in (model, built)]
+        lines += _row_changes(model, built, kind, names, *titles)
+    lines += _row_changes(model, built, "pair", PAIR_FIELDS, _pair_titles(model), _pair_titles(built))
+    for name in TABLES:
+        lines += _array_change(name, np.asarray(getattr(model, name)), np.asarray(getattr(built, name)))
+    if not lines:
+        # What follows from the rest is told only where the rest tells nothing.
+        for name in _arrays(built):
+            lines += _array_change(name, np.asarray(getattr(model, name)), np.asarray(getattr(built, name)))
+    yield from lines
+
+
+def _arrays(model: mujoco.MjModel) -> Iterator[str]:
+    for name in dir(model):
+        if name.startswith(("_", *WITHOUT_EFFECT)) or name.endswith(WITHOUT_EFFECT_ENDS):
+            continue
+        if isinstance(getattr(model, name), np.ndarray):
+            yield name
+
+
+def _option_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
+    for name in dir(built.opt):
+        if name.startswith("_"):
+            continue
+        value, expected = getattr(model.opt, name), getattr(built.opt, name)
+        if not is_same(value, expected):
+            yield f"option: {name} {format_value(expected)} -> {format_value(value)}"
+
+
+def _titles(model: mujoco.MjModel, objects: mujoco.mjtObj, kind: str) -> list[str]:
+    count = len(getattr(model, f"{kind}_{OBJECTS[kind][1][0]}"))
+    names = [mujoco.mj_id2name(model, objects, index) for index in range(count)]
+    return [name or f"{kind} {index}" for index, name in enumerate(names)]
+
+
+def _pair_titles(model: mujoco.MjModel) -> list[str]:
+    geoms = [[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, index) for index in row] for row in _pair_geoms(model)]
+    return [f"contact {first}/{second}" for first, second in geoms]
+
+
+def _pair_geoms(model: mujoco.MjModel) -> NDArray[np.int32]:
+    return np.column_stack([model.pair_geom1, model.pair_geom2])
+
+
+def _row_changes(
+    model: mujoco.MjModel,
+    built: mujoco.MjModel,
+    kind: str,
+    names: tuple[str, ...],
+    titles: list[str],
+    expected_titles: list[str],
+) -> Iterator[str]:
+    for title in titles:
+        if title not in expected_titles:
+            yield f"{title}: added"
+    for title in expected_titles:
+        if title not in titles:
+            yield f"{title}: removed"
+    places = {title: index for index, title in enumerate(titles)}
+    shared = [(title, places[title], index) for index, title in enumerate(expected_titles) if title in places]
+    for name in names:
+        values, expected = getattr(model, f"{kind}_{name}"), getattr(built, f"{kind}_{name}")
+        rows = [(title, values[i], expected[k]) for title, i, k in shared if not is_same(values[i], expected[k])]
+        if len(rows) > MOST_ROWS:
+            (title, now, before), more = rows[0], len(rows) - 1
+            yield f"{title} and {more} more: {kind}_{name} {format_value(before)} -> {format_value(now)}, ..."
+        else:
+            yield from (
+                f"{title}: {kind}_{name} {format_value(before)} -> {format_value(now)}" for title, now, before in rows
+            )
+
+
+def _array_change(name: str, values: NDArray[Any], expected: NDArray[Any]) -> Iterator[str]:
+    if values.shape != expected.shape:
+        yield f"{name}: shape {list(expected.shape)} -> {list(values.shape)}"
+        return
+    if values.size == 0 or values.dtype.kind not in "fiub":
+        return
+    tolerance = SAME_SINGLE if values.dtype == np.float32 else SAME_DOUBLE
+    apart = np.abs(values.astype(np.float64) - expected)
+    apart[apart <= tolerance * np.abs(expected).max(initial=0.0)] = 0.0
+    if apart.any():
+        yield f"{name}: {np.count_nonzero(apart)} of {values.size} numbers differ, by up to {apart.max():.3g}"
+
+
+def format_value(value: Any) -> str:
+    return " ".join(f"{number:.10g}" for number in np.atleast_1d(value).tolist())

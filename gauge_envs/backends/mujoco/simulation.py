@@ -1,0 +1,264 @@
+"""One MuJoCo simulation: driven, advanced, and its state read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import cos, sin
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.mujoco.deformables import nodes_of
+from gauge_envs.backends.mujoco.flex import FlexPart
+from gauge_envs.backends.mujoco.line import LinePart
+from gauge_envs.backends.mujoco.soft import SoftPart
+from gauge_envs.scene import Hinge, Motion, Pose, Scene
+
+__all__ = [
+    "SimulationMuJoCo",
+]
+
+
+class SimulationMuJoCo(Simulation):
+    """A scene in MuJoCo.
+
+    Args:
+        scene: The scene.
+        settings: Numerical settings in force, `timestep_s` among them.
+        spec: Its editable model.
+        model: The compiled model.
+        parts: What reads its deformable bodies, by name.
+
+    Attributes:
+        settings: As given.
+        spec: The editable model, for export and inspection.
+        model: The compiled model.
+        data: Its state.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Mapping[str, Any],
+        spec: mujoco.MjSpec,
+        model: mujoco.MjModel,
+        parts: Mapping[str, FlexPart],
+    ) -> None:
+        self.settings = settings
+        self.spec, self.model, self._parts = spec, model, parts
+        self.data = mujoco.MjData(self.model)
+        for part in dict.fromkeys(self._parts.values()):
+            part.bind(self.model, self.data)
+        self._timestep_s = float(settings["timestep_s"])
+        self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._readers: dict[tuple[str, ...], _Reader] = {}
+        self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
+        self._scene = scene
+
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start; MuJoCo draws no random numbers, so the seed changes nothing."""
+        mujoco.mj_resetData(self.model, self.data)
+
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Write the body's pose and velocity, and the force that accelerates its huge mass as asked."""
+        if body not in self._driven:
+            self._driven[body] = _driven_views(self.model, self.data, body)
+        place, speed, force, mass_kg = self._driven[body]
+        place[:3] = pose.position_m
+        place[3:] = pose.quaternion
+        speed[:3] = velocity[:3]
+        # MuJoCo keeps a free joint's angular velocity in the body frame.
+        speed[3:] = _rotated_back(pose.quaternion, velocity[3:])
+        # Mass and all moments of inertia of a driven body are the same number.
+        force[:] = mass_kg * acceleration
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Force and torque on a dynamic body; see `World.apply_wrench`."""
+        self.data.xfrc_applied[self.model.body(body).id] = wrench
+
+    def advance(self, seconds: float) -> None:
+        """Step the model."""
+        mujoco.mj_step(self.model, self.data, nstep=round(seconds / self._timestep_s))
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Poses and velocities of bodies, shape [len(names), 13]; see `Simulation.body_states`."""
+        return self._reader(names).states()
+
+    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
+        """Advance and read positions; see `Simulation.sample_positions`."""
+        positions = np.empty((count, len(names), 3))
+        read = self._reader(names).read_positions
+        steps = round(interval_s / self._timestep_s)
+        for row in positions:
+            mujoco.mj_step(self.model, self.data, nstep=steps)
+            read(row)
+        return positions
+
+    def _reader(self, names: Sequence[str]) -> _Reader:
+        key = tuple(names)
+        if key not in self._readers:
+            self._readers[key] = _reader(self._scene, self.model, self.data, key)
+        return self._readers[key]
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Nodes of a deformable body now [m], shape [node_count, 3]."""
+        return nodes_of(self._parts[name], name)
+
+    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+        """Reader of material points: shape functions of the elements in solids, places along ropes and rods."""
+        part = self._parts[name]
+        return part.track(points_m) if isinstance(part, SoftPart | LinePart) else None
+
+    def state(self) -> NDArray[np.float64]:
+        """Integration state, shape [state_size]."""
+        state = np.empty(self._state_size)
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return state
+
+    def restore(self, state: NDArray[np.float64]) -> None:
+        """Go back to an integration state."""
+        mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+
+    def close(self) -> None:
+        """Nothing is held outside memory."""
+
+
+class _Reader(Protocol):
+    """Reads the states of a fixed list of bodies."""
+
+    def states(self) -> NDArray[np.float64]: ...
+
+    def read_positions(self, out: NDArray[np.float64]) -> None: ...
+
+
+def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> _Reader:
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    if all(scene.body(name).motion is not Motion.FIXED and name not in hinges for name in names):
+        return _OneFreeBody(model, data, names[0]) if len(names) == 1 else _FreeBodies(model, data, names)
+    if len(names) == 1 and names[0] in hinges:
+        return _OneHingedBody(scene, model, data, hinges[names[0]])
+    return _AnyBodies(model, data, names)
+
+
+def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
+    joint = model.joint(name)
+    return int(joint.qposadr[0]), int(joint.dofadr[0])
+
+
+def _driven_views(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> tuple[NDArray[np.float64], ...]:
+    """Pose, velocity and force of a free body in MuJoCo's own arrays, and its mass."""
+    position, speed = _free_joint_addresses(model, name)
+    index = model.body(name).id
+    place, velocity = data.qpos[position : position + 7], data.qvel[speed : speed + 6]
+    return place, velocity, data.xfrc_applied[index], model.body_mass[index : index + 1]
+
+
+def _rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    inverse, rotated = np.empty(4), np.empty(3)
+    mujoco.mju_negQuat(inverse, np.asarray(quaternion))
+    mujoco.mju_rotVecQuat(rotated, vector, inverse)
+    return rotated
+
+
+class _OneFreeBody:
+    """A single free body: its state is a slice of qpos and qvel."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
+        position, velocity = _free_joint_addresses(model, name)
+        self._position = data.qpos[position : position + 3]
+        self._pose = data.qpos[position : position + 7]
+        self._quaternion = data.qpos[position + 3 : position + 7]
+        self._linear = data.qvel[velocity : velocity + 3]
+        self._angular = data.qvel[velocity + 3 : velocity + 6]
+
+    def states(self) -> NDArray[np.float64]:
+        """State of the body, shape [1, 13]."""
+        state = np.empty((1, 13))
+        row = state[0]
+        row[:7] = self._pose
+        row[7:10] = self._linear
+        mujoco.mju_rotVecQuat(row[10:], self._angular, self._quaternion)
+        return state
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Position of the body into `out`, shape [1, 3]."""
+        out[0] = self._position
+
+
+class _FreeBodies:
+    """Free bodies: qpos and qvel by index arrays."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
+        addresses = [_free_joint_addresses(model, name) for name in names]
+        self._qpos, self._qvel = data.qpos, data.qvel
+        starts = np.array(addresses, dtype=np.intp).reshape(-1, 2)
+        self._poses = starts[:, :1] + np.arange(7)
+        self._velocities = starts[:, 1:] + np.arange(6)
+
+    def states(self) -> NDArray[np.float64]:
+        """States of the bodies, shape [body_count, 13]."""
+        states = np.empty((len(self._poses), 13))
+        states[:, :7] = self._qpos[self._poses]
+        states[:, 7:] = self._qvel[self._velocities]
+        for state in states:
+            mujoco.mju_rotVecQuat(state[10:], state[10:].copy(), state[3:7])
+        return states
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Positions of the bodies into `out`, shape [body_count, 3]."""
+        out[:] = self._qpos[self._poses[:, :3]]
+
+
+class _AnyBodies:
+    """Free, hinged and fixed bodies, through MuJoCo's kinematics."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
+        self._model = model
+        self._data = data
+        ids = [model.body(name).id for name in names]
+        self._bodies = [(index, data.xpos[index], data.xquat[index]) for index in ids]
+        self._velocity = np.empty(6)
+
+    def states(self) -> NDArray[np.float64]:
+        """States of the bodies, shape [body_count, 13]."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_comVel(self._model, self._data)
+        states = np.empty((len(self._bodies), 13))
+        velocity = self._velocity
+        for state, (index, position, quaternion) in zip(states, self._bodies, strict=True):
+            mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, index, velocity, 0)
+            state[:3] = position
+            state[3:7] = quaternion
+            state[7:10] = velocity[3:]
+            state[10:] = velocity[:3]
+        return states
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Positions of the bodies into `out`, shape [body_count, 3]."""
+        mujoco.mj_kinematics(self._model, self._data)
+        for row, (_, position, _) in zip(out, self._bodies, strict=True):
+            row[:] = position
+
+
+class _OneHingedBody(_AnyBodies):
+    """A single hinged body: it moves on a circle, which is faster to evaluate than MuJoCo's kinematics."""
+
+    def __init__(self, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge) -> None:
+        super().__init__(model, data, (hinge.body,))
+        address = int(model.joint(hinge.body).qposadr[0])
+        self._angle = data.qpos[address : address + 1]
+        axis = np.asarray(hinge.axis)
+        arm = np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m
+        along = axis * (axis @ arm)
+        self._circle = np.column_stack([hinge.anchor_m + along, arm - along, np.cross(axis, arm)]).tolist()
+
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Position of the body into `out`, shape [1, 3]."""
+        angle = self._angle.item()
+        cosine, sine = cos(angle), sin(angle)
+        for axis, (centre, arm, side) in enumerate(self._circle):
+            out[0, axis] = centre + cosine * arm + sine * side

@@ -1,0 +1,1 @@
+"""Discretization of deformable bodies, shared by the engines."""

@@ -1,0 +1,1 @@
+"""Checks of engines: conformance to closed forms, and sanity of training configurations."""

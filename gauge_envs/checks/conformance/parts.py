@@ -1,0 +1,125 @@
+"""Bodies that the checks' scenes are made of."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from gauge_envs.scene import Attachment, Box, Cloth, Motion, Plane, Pose, Region, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
+
+__all__ = [
+    "STRETCH_OVER_SHEAR",
+    "ball",
+    "body",
+    "box",
+    "driver",
+    "fixed_box",
+    "ground",
+    "ramp",
+    "sheet",
+    "strip_on_rod",
+]
+
+STRETCH_OVER_SHEAR = 2.7
+"""K_s / K_sh of every sheet: between 2 and 4 an isotropic membrane can have both (materials.py)."""
+
+Vector = tuple[float, float, float]
+
+
+def body(name: str, shape: Shape, pose: Pose, *, mass_kg: float = 0.1, motion: Motion = Motion.DYNAMIC) -> RigidBody:
+    """Rigid body; dynamic unless said otherwise."""
+    return RigidBody(name=name, shape=shape, motion=motion, pose=pose, mass_kg=mass_kg)
+
+
+def ball(name: str, position_m: Vector, *, radius_m: float = 0.03, mass_kg: float = 0.1) -> RigidBody:
+    """Dynamic sphere."""
+    return body(name, Sphere(radius_m=radius_m), Pose(position_m=position_m), mass_kg=mass_kg)
+
+
+def box(
+    name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0), mass_kg: float = 0.2
+) -> RigidBody:
+    """Dynamic box."""
+    return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=mass_kg)
+
+
+def fixed_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0)) -> RigidBody:
+    """Box that never moves."""
+    return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=1.0, motion=Motion.FIXED)
+
+
+def ground(height_m: float = 0.0) -> RigidBody:
+    """Horizontal plane."""
+    return body("ground", Plane(), Pose(position_m=(0.0, 0.0, height_m)), mass_kg=0.0, motion=Motion.FIXED)
+
+
+def ramp(amount: float, *, start_s: float, duration_s: float, ramp_s: float) -> TrapezoidProfile:
+    """Motion by an amount [m or rad] with equally long speed-up and braking."""
+    return TrapezoidProfile(start_s=start_s, duration_s=duration_s, accelerate_s=ramp_s, brake_s=ramp_s, amount=amount)
+
+
+def driver(
+    name: str,
+    kind: Literal["translate", "rotate"],
+    axis: Vector,
+    *profiles: TrapezoidProfile,
+    point_m: Vector = (0.0, 0.0, 0.0),
+) -> Driver:
+    """Driver of one body by one motion."""
+    motion = DriverMotion(kind=kind, axis=axis, profiles=profiles, point_m=point_m)
+    return Driver(body=name, motions=(motion,), provenance="nominal")
+
+
+def sheet(
+    pose: Pose, size_m: tuple[float, float], *, areal_density: float, stretch_n_per_m: float, bend_n_m: float
+) -> Cloth:
+    """Sheet of a fabric that every engine's membrane can represent.
+
+    Args:
+        pose: Its frame, warp along x.
+        size_m: Edge lengths along x and y.
+        areal_density: Mass per area [kg/m^2].
+        stretch_n_per_m: K_s; the shear stiffness follows from it.
+        bend_n_m: K_theta.
+    """
+    return Cloth(
+        name="cloth",
+        pose=pose,
+        size_m=size_m,
+        mass_kg=areal_density * size_m[0] * size_m[1],
+        areal_density_kg_per_m2=areal_density,
+        thickness_m=1e-3,
+        stretch_stiffness_n_per_m=stretch_n_per_m,
+        shear_stiffness_n_per_m=stretch_n_per_m / STRETCH_OVER_SHEAR,
+        bend_stiffness_n_m_per_rad=bend_n_m,
+    )
+
+
+def strip_on_rod() -> Scene:
+    """A strip that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad within 0.4 s."""
+    pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
+    cloth = sheet(pose, (0.15, 0.1), areal_density=0.2, stretch_n_per_m=110.0, bend_n_m=1e-4)
+    top = 1.0 + 0.5 * 0.15
+    rod = body(
+        "rod",
+        Box(size_m=(0.01, 0.12, 0.01)),
+        Pose(position_m=(0.0, 0.0, top + 0.02)),
+        mass_kg=1.0,
+        motion=Motion.KINEMATIC,
+    )
+    way = DriverMotion(
+        kind="translate", axis=(1.0, 0.0, 0.0), profiles=(ramp(0.2, start_s=0.0, duration_s=0.4, ramp_s=0.15),)
+    )
+    turn = DriverMotion(
+        kind="rotate",
+        axis=(0.0, 0.0, 1.0),
+        profiles=(ramp(0.6, start_s=0.0, duration_s=0.4, ramp_s=0.15),),
+        point_m=(0.0, 0.0, top),
+    )
+    return Scene(
+        bodies=(rod,),
+        deformables=(cloth,),
+        attachments=(Attachment(deformable="cloth", region=Region(axis="x", side="high"), to="rod"),),
+        drivers=(Driver(body="rod", motions=(turn, way), provenance="nominal"),),
+        duration_s=1.0,
+    )

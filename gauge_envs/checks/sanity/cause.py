@@ -1,0 +1,234 @@
+"""Which setting is responsible: found by changing settings one at a time and measuring again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+from gauge_envs.checks.sanity.measure import INSIDE_WITHIN, Measured, Measurements
+from gauge_envs.checks.sanity.model import Cause, Trial, Verdict
+from gauge_envs.checks.sanity.phenomena import Phenomenon
+from gauge_envs.checks.sanity.stage import Stage
+
+__all__ = [
+    "differing_settings",
+    "find_cause",
+]
+
+LARGEST_GROUP = 3
+"""Most settings that are called responsible together; more are the configuration as a whole."""
+
+SEEN_DEVIATION = 0.1
+"""Change of a deviation, in standard deviations, below which a setting has no effect of its own."""
+
+SAME_DEVIATION = 1.0
+"""Deviations, in standard deviations, that are no further apart than this no trial can tell apart."""
+
+NOT_NUMERICAL = ("preset", "drive_interval_s")
+"""Settings that name others or follow from them."""
+
+
+def differing_settings(
+    measurements: Measurements, stage: Stage, settings: Mapping[str, Any]
+) -> dict[str, tuple[Any, Any]]:
+    """Settings in force on a stage that differ from the backend's default there: theirs, and the default.
+
+    Raises:
+        DeclinedError: The backend cannot build the scene, or refuses the settings for it.
+    """
+    default, configured = measurements.in_force(stage, {}), measurements.in_force(stage, settings)
+    return {
+        name: (value, default[name])
+        for name, value in configured.items()
+        if name not in NOT_NUMERICAL and name in default and default[name] != value
+    }
+
+
+def find_cause(
+    measurements: Measurements,
+    phenomenon: Phenomenon,
+    settings: Mapping[str, Any],
+    configured: Measured,
+    default: Measured,
+) -> Cause | None:
+    """Find the settings that make a phenomenon visibly unlike reality.
+
+    Settings are put back to the backend's default one at a time; the one that brings the phenomenon closest to reality,
+    into its scatter or to half the error, is responsible. Within the scatter no trial tells small differences: of
+    several that come as close, the one is responsible that alone on the default does most of the harm, if any does.
+    Where none helps, each setting is tried alone on the default, since several may suffice each, and then the fewest
+    that do it together are looked for.
+
+    Args:
+        measurements: What measures.
+        phenomenon: The phenomenon.
+        settings: The configuration's settings.
+        configured: What they gave.
+        default: What the backend's default gave.
+
+    Returns:
+        The cause; None where nothing is wrong, or nothing was measured.
+    """
+    if configured.verdict in (Verdict.INSIDE, Verdict.DECLINED):
+        return None
+    search = _Search(measurements, phenomenon, settings, configured, default)
+    if not search.explains(default):
+        return search.default_is_no_better()
+    return search.put_back_one() or search.each_alone() or search.together() or search.unexplained()
+
+
+class _Search:
+    """Changes settings and measures one phenomenon again, keeping what was tried."""
+
+    def __init__(
+        self,
+        measurements: Measurements,
+        phenomenon: Phenomenon,
+        settings: Mapping[str, Any],
+        configured: Measured,
+        default: Measured,
+    ) -> None:
+        self._measurements = measurements
+        self._phenomenon = phenomenon
+        self._settings = settings
+        self._configured = configured
+        self._default = default
+        self._differing = differing_settings(measurements, phenomenon.stage, settings)
+        self._tried: list[Trial] = []
+        self._put_back: dict[str, Measured] = {}
+        self._alone: dict[str, Measured] = {}
+
+    def explains(self, changed: Measured) -> bool:
+        """Whether a change brings the phenomenon into its scatter, or to half the error."""
+        return math.isfinite(changed.deviation) and changed.deviation <= max(
+            INSIDE_WITHIN, 0.5 * self._configured.deviation
+        )
+
+    def put_back_one(self) -> Cause | None:
+        """Each setting put back alone; the one that comes closest to reality, if it comes close enough."""
+        self._put_back = {name: self._with_put_back((name,)) for name in self._differing}
+        close = {name: changed for name, changed in self._put_back.items() if self.explains(changed)}
+        if not close:
+            return None
+        best = min(close, key=lambda name: close[name].deviation)
+        if close[best].verdict is Verdict.INSIDE:
+            alike = [name for name, one in close.items() if one.deviation <= close[best].deviation + SAME_DEVIATION]
+            best = self._strongest(alike) or best if len(alike) > 1 else best
+        others = [f"{name} alone to {self._value(close[name])}" for name in close if name != best]
+        if close[best].verdict is not Verdict.INSIDE:
+            others += self._completed(best)
+        return self._cause((best,), close[best], also=f" ({', '.join(others)})" if others else "")
+
+    def _strongest(self, names: Sequence[str]) -> str | None:
+        """Of settings that each mend it, the one that alone takes the default furthest towards the configuration.
+
+        None where no one alone does anything that can be seen.
+        """
+        self._alone |= {name: self._on_default(name) for name in names}
+        best = max(names, key=lambda name: self._shift(self._alone[name]))
+        return best if self._shift(self._alone[best]) > SEEN_DEVIATION * self._phenomenon.reality.scatter else None
+
+    def _shift(self, alone: Measured) -> float:
+        default, configured = self._default.value, self._configured.value
+        if alone.verdict is Verdict.DECLINED:
+            return -math.inf
+        if alone.value is None or default is None or configured is None:
+            return alone.deviation
+        return math.copysign(1.0, configured - default) * (alone.value - default)
+
+    def _completed(self, name: str) -> list[str]:
+        """In words, what has to be put back beside a setting to come into the scatter; empty if nothing does."""
+        pairs = {other: self._with_put_back((name, other)) for other in self._differing if other != name}
+        best = min(pairs, key=lambda other: pairs[other].deviation, default=None)
+        if best is None or pairs[best].verdict is not Verdict.INSIDE:
+            return []
+        return [f"with {best} too to {self._value(pairs[best])}"]
+
+    def each_alone(self) -> Cause | None:
+        """Each setting alone on the default; those that suffice, if putting all of them back helps."""
+        self._alone |= {name: self._on_default(name) for name in self._differing if name not in self._alone}
+        suffice = tuple(
+            name for name, one in self._alone.items() if one.verdict is not Verdict.DECLINED and not self.explains(one)
+        )
+        if not suffice:
+            return None
+        changed = self._with_put_back(suffice)
+        if not self.explains(changed):
+            return None
+        alone = ", ".join(f"{name} {self._value(self._alone[name])}" for name in suffice)
+        return self._cause(suffice, changed, also=f" (each alone on the default: {alone})")
+
+    def together(self) -> Cause | None:
+        """The pair that comes closest to reality when put back, or the best pair with one setting more."""
+        matter = [name for name in self._differing if self._matters(name)]
+        group: tuple[str, ...] = ()
+        for size in range(2, LARGEST_GROUP + 1):
+            groups = [g for g in combinations(matter, size) if set(group) <= set(g)]
+            if not groups:
+                return None
+            measured = {g: self._with_put_back(g) for g in groups}
+            group = min(measured, key=lambda g: measured[g].deviation)
+            if self.explains(measured[group]):
+                return self._cause(group, measured[group])
+        return None
+
+    def unexplained(self) -> Cause:
+        """No few settings explain it: the configuration as a whole does."""
+        line = f"no {LARGEST_GROUP} settings put back together explain it: " + ", ".join(self._differing)
+        return Cause(settings=(), line=line, tried=tuple(self._tried))
+
+    def default_is_no_better(self) -> Cause:
+        """The backend's default is off by more than half as much."""
+        return Cause(settings=(), line=f"also the backend's default: {self._value(self._default)}")
+
+    # --- changes ---
+
+    def _with_put_back(self, names: tuple[str, ...]) -> Measured:
+        changes = {name: self._differing[name][1] for name in names}
+        measured = self._measurements.measure(self._phenomenon, {**self._settings, **changes})
+        self._tried.append(Trial(changes=changes, value=measured.value))
+        return measured
+
+    def _on_default(self, name: str) -> Measured:
+        changes = {name: self._differing[name][0]}
+        measured = self._measurements.measure(self._phenomenon, changes)
+        self._tried.append(Trial(changes=changes, value=measured.value, on_default=True))
+        return measured
+
+    def _matters(self, name: str) -> bool:
+        """Whether a setting changed anything that can be seen, put back or alone: pairs of others are not tried."""
+        return _is_seen(self._configured, self._put_back[name]) or _is_seen(self._default, self._alone[name])
+
+    # --- words ---
+
+    def _value(self, measured: Measured) -> str:
+        if measured.value is None:
+            return measured.remark
+        unit = "" if self._phenomenon.unit == "1" else f" {self._phenomenon.unit}"
+        return f"{measured.value:.3g}{unit}"
+
+    def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
+        was, instead = ([_shown(self._differing[name][side]) for name in names] for side in (0, 1))
+        subject = " and ".join(names) + (" together" if len(names) > 1 and not also else "")
+        verb = "brings" if len(names) == 1 else "bring"
+        line = (
+            f"{subject}: {', '.join(instead)} instead of {', '.join(was)} {verb} {self._phenomenon.quantity} "
+            f"from {self._value(self._configured)} to {self._value(changed)}{also}"
+        )
+        return Cause(settings=names, line=line, tried=tuple(self._tried))
+
+
+def _is_seen(before: Measured, after: Measured) -> bool:
+    if before.value is None or after.value is None:
+        return before.value is not after.value
+    return abs(after.deviation - before.deviation) > SEEN_DEVIATION
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "the backend's own"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return f"({', '.join(map(_shown, value))})" if isinstance(value, list | tuple) else str(value)

@@ -1,0 +1,132 @@
+"""The check itself: every phenomenon by default, in the configuration, and with settings put back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from gauge_envs.backends import backend as find_backend
+from gauge_envs.checks.sanity.cause import find_cause
+from gauge_envs.checks.sanity.measure import Measured, Measurements
+from gauge_envs.checks.sanity.model import Configuration, Curve, Report, Row, Verdict
+from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray
+from gauge_envs.errors import ParameterError
+from gauge_envs.files import versions
+
+__all__ = [
+    "check",
+]
+
+CURVE_SAMPLES = 200
+"""Most samples of a curve that are kept: more than a figure shows."""
+
+
+def check(
+    target: Any,
+    *,
+    only: Sequence[str] = (),
+    include_deformables: bool = False,
+    notify: Callable[[Row], None] | None = None,
+) -> Report:
+    """Tell what physics a training configuration gets wrong, and which of its settings are responsible.
+
+    Args:
+        target: A `Configuration`, or what `gauge_envs.checks.sanity.configuration` takes.
+        only: Ids of phenomena or patterns as `creep-*`; all when empty.
+        include_deformables: Measure phenomena of deformable bodies too.
+        notify: Called with each row as it is done.
+
+    Returns:
+        A row for each phenomenon, in a fixed order.
+
+    Raises:
+        UnknownNameError: No such backend, or a pattern matches no phenomenon.
+        MissingExtraError: The backend's engine is not installed.
+        ParameterError: The backend refuses the settings for every scene.
+    """
+    started = time.perf_counter()
+    configuration = _configuration(target)
+    engine = find_backend(configuration.backend)
+    rows = []
+    for row in _rows(Measurements(engine), configuration, phenomena(only, include_deformables=include_deformables)):
+        rows.append(row)
+        if notify is not None:
+            notify(row)
+    if all(row.verdict is Verdict.DECLINED for row in rows) and any(row.default is not None for row in rows):
+        raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {rows[0].remark}")
+    return Report(
+        configuration=configuration,
+        rows=tuple(rows),
+        versions={**engine.versions(), **versions()},
+        wall_s=time.perf_counter() - started,
+    )
+
+
+def _configuration(target: Any) -> Configuration:
+    if isinstance(target, Configuration):
+        return target
+    from gauge_envs.checks.sanity.target import configuration
+
+    return configuration(target)
+
+
+def _rows(measurements: Measurements, configuration: Configuration, chosen: Sequence[Phenomenon]) -> Iterator[Row]:
+    for phenomenon in chosen:
+        configured = measurements.measure(phenomenon, configuration.settings)
+        default = measurements.measure(phenomenon, {})
+        yield Row(
+            phenomenon=phenomenon.id,
+            title=phenomenon.title,
+            experiment=phenomenon.stage.id,
+            unit=phenomenon.unit,
+            reality=phenomenon.reality,
+            default=default.value,
+            configured=configured.value,
+            verdict=configured.verdict,
+            default_verdict=default.verdict,
+            cause=find_cause(measurements, phenomenon, configuration.settings, configured, default),
+            remark=configured.remark,
+            curve=_curve(phenomenon, configured, default),
+        )
+
+
+def _curve(phenomenon: Phenomenon, configured: Measured, default: Measured) -> Curve | None:
+    trace = phenomenon.trace
+    if trace is None:
+        return None
+    times, values = _thinned(phenomenon, configured)
+    default_times, default_values = _thinned(phenomenon, default)
+    mean, scatter = _real_curve(phenomenon, np.asarray(default_times))
+    return Curve(
+        label=trace.label,
+        times_s=default_times,
+        default=default_values,
+        configured_times_s=times,
+        configured=values,
+        reality=tuple(mean.tolist()),
+        scatter=tuple(scatter.tolist()),
+    )
+
+
+def _real_curve(phenomenon: Phenomenon, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and standard deviation of reality at times; empty where only a value is known."""
+    trace, reality = phenomenon.trace, phenomenon.reality
+    if trace is not None and trace.reality is not None:
+        return trace.reality(times_s)
+    if trace is not None and trace.is_level:
+        return np.full_like(times_s, reality.value), np.full_like(times_s, reality.scatter)
+    return np.zeros(0), np.zeros(0)
+
+
+def _thinned(phenomenon: Phenomenon, measured: Measured) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Times and values of a trace, every so many samples; empty where there is no rollout."""
+    if measured.run is None or phenomenon.trace is None:
+        return (), ()
+    kept = measured.run.between(0.0, phenomenon.trace.until_s)
+    stride = max(1, -(-int(kept.sum()) // CURVE_SAMPLES))
+    times, values = measured.run.times_s[kept][::stride], phenomenon.trace.values(measured.run)[kept][::stride]
+    return tuple(times.tolist()), tuple(values.tolist())

@@ -1,0 +1,51 @@
+"""What real objects do in GAUGE's experiments, each phenomenon by one number with its scatter and its source."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from functools import cache
+
+from gauge_envs.checks.sanity.phenomena import (
+    carrying,
+    edges,
+    friction,
+    impact,
+    lines,
+    solids,
+    stacking,
+    swing,
+    textile,
+)
+from gauge_envs.checks.sanity.phenomena.kit import Phenomenon, Reading, Trace
+from gauge_envs.errors import UnknownNameError
+
+__all__ = [
+    "Phenomenon",
+    "Reading",
+    "Trace",
+    "phenomena",
+]
+
+
+@cache
+def _all() -> dict[str, Phenomenon]:
+    modules = (friction, impact, swing, carrying, edges, stacking, textile, solids, lines)
+    return {one.id: one for module in modules for one in module.phenomena()}
+
+
+def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) -> tuple[Phenomenon, ...]:
+    """All phenomena in a fixed order, or those whose id matches one of the patterns.
+
+    Args:
+        only: Ids or patterns as `creep-*`; all when empty.
+        include_deformables: With those of deformable bodies.
+
+    Raises:
+        UnknownNameError: A pattern matches none.
+    """
+    known = {name: one for name, one in _all().items() if include_deformables or not one.stage.scene.deformables}
+    for pattern in only:
+        if not any(fnmatchcase(name, pattern) for name in known):
+            raise UnknownNameError("phenomenon", pattern, known)
+    return tuple(one for name, one in known.items() if not only or any(fnmatchcase(name, p) for p in only))

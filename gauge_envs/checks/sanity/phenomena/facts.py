@@ -1,0 +1,53 @@
+"""Numbers about real objects: published scatter, facts of the trials, measurements in the recordings."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from typing import Any
+
+from gauge_envs.files import data_folder
+from gauge_envs.references.published import published_baselines
+
+__all__ = [
+    "RECORDINGS",
+    "facts",
+    "placing_scatter_mm",
+    "position_scatter_mm",
+    "recorded",
+]
+
+RECORDINGS = "scoring/facts/recordings/recordings.toml"
+"""Where `recorded` reads, for sources."""
+
+
+@cache
+def facts(name: str) -> dict[str, Any]:
+    """Table of `scoring/facts/<name>.toml`."""
+    return tomllib.loads((data_folder("scoring") / "facts" / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def recorded(recording: str, fact: str) -> dict[str, Any]:
+    """What was measured in a published recording: `value` and `sigma`, or `low` and `high`."""
+    table: dict[str, Any] = facts("recordings/recordings")[recording]["facts"][fact]
+    return table
+
+
+def position_scatter_mm(variant: str) -> float:
+    """Standard deviation of a recorded position along one axis [mm], from the published baseline of E_RMSE.
+
+    mean(R)^2 + std(R)^2 is the mean square distance of a trial from the mean trial, over three axes (scoring/README).
+    """
+    baseline = published_baselines(variant)["rmse"]
+    assert baseline.std is not None, "every RMSE is published with its standard deviation"
+    return float(((baseline.mean**2 + baseline.std**2) / 3.0) ** 0.5)
+
+
+def placing_scatter_mm() -> tuple[float, str]:
+    """Standard deviation of where real bodies are put, and seen to be [mm], and its source.
+
+    For heights and depths of which no scatter is published: a deviation within it cannot be seen in a trial.
+    """
+    trials = facts("bouncing_ball_summary")
+    source = f"of the start heights of {trials['trial_count']} real drops (scoring/facts/bouncing_ball_summary.toml)"
+    return 1e3 * float(trials["start_height_m"]["std"]), source

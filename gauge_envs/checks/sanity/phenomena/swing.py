@@ -1,0 +1,98 @@
+"""A frictionless pendulum: how long a swing takes, and what is left of its energy after a hundred seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gauge_envs.checks.conformance.laws import pendulum_period_s
+from gauge_envs.checks.sanity.model import Reality
+from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, recorded
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
+from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.evaluation.metrics import energy_loss
+from gauge_envs.references.published import published_baselines
+from gauge_envs.scene import Hinge, Sphere
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+
+__all__ = [
+    "phenomena",
+]
+
+VARIANT = "Pendulum-metal"
+PERIOD_S = 10.0
+"""The published period is that of the first 300 frames."""
+
+CURVE_S = 5.0
+"""Four swings are drawn: a hundred are a grey block."""
+
+PRINTED = 0.01
+"""Last printed digit of the published energy loss."""
+
+
+def phenomena() -> Iterator[Phenomenon]:
+    """Period and energy."""
+    real = published_baselines(VARIANT)["el"]
+    stage = Stage(
+        name="pendulum", variant=VARIANT, seconds=(real.frames - 1) / FRAME_RATE_HZ, interval_s=SAMPLE_INTERVAL_S
+    )
+    hinge = next(joint for joint in stage.scene.joints if isinstance(joint, Hinge))
+    ball = stage.scene.body(hinge.body)
+    assert isinstance(ball.shape, Sphere)
+    arm = np.asarray(ball.pose.position_m) - hinge.anchor_m
+    length = float(np.linalg.norm(arm))
+
+    def aside_mm(run: Rollout) -> FloatArray:
+        return np.asarray(1e3 * (run.position(ball.name)[:, 0] - hinge.anchor_m[0]))
+
+    def read_period(run: Rollout) -> Reading:
+        part = run.between(0.0, PERIOD_S)
+        return Reading(value=_period_s(run.times_s[part], aside_mm(run)[part]))
+
+    def read_energy(run: Rollout) -> Reading:
+        height = 1e3 * run.position(ball.name)[:, 2]
+        return Reading(value=energy_loss(height, rest_height_mm=1e3 * (hinge.anchor_m[2] - length)))
+
+    period = recorded("pendulum", "period_s")
+    yield Phenomenon(
+        id="period",
+        title="pendulum: period of a swing from 90 degrees",
+        quantity="period",
+        stage=stage,
+        unit="s",
+        reality=Reality(
+            value=pendulum_period_s(
+                length_m=length,
+                gyration_m=float(np.sqrt(0.4)) * ball.shape.radius_m,
+                amplitude_rad=float(np.arccos(-arm[2] / length)),
+                gravity_m_per_s2=stage.scene.gravity_m_per_s2,
+            ),
+            scatter=period["sigma"],
+            source="elliptic integral with the scene's length; scatter: of the recorded period, "
+            f"{period['value']:.3f} s with real damping ({RECORDINGS})",
+        ),
+        read=read_period,
+        trace=Trace(label="way aside [mm]", values=aside_mm, until_s=CURVE_S),
+    )
+    yield Phenomenon(
+        id="energy",
+        title=f"pendulum: energy lost within {stage.seconds:.0f} s",
+        quantity="energy loss",
+        stage=stage,
+        unit="1",
+        reality=Reality(
+            value=real.mean,
+            scatter=PRINTED,
+            source="energy loss of real trials, published as 0.00 (paper, Table 5); scatter: its last digit",
+        ),
+        read=read_energy,
+    )
+
+
+def _period_s(times_s: FloatArray, aside: FloatArray) -> float:
+    """Mean time between upward passes through the lowest point, by lines between samples; NaN for fewer than two."""
+    passes = np.flatnonzero((aside[:-1] < 0.0) & (aside[1:] >= 0.0))
+    share = -aside[passes] / (aside[passes + 1] - aside[passes])
+    moments = times_s[passes] + share * (times_s[1] - times_s[0])
+    return float((moments[-1] - moments[0]) / (len(moments) - 1)) if len(moments) > 1 else float("nan")

@@ -1,0 +1,167 @@
+"""Commands that check engines and training configurations."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gauge_envs.cli.arguments import Json, check_one_format, parsed_settings
+from gauge_envs.cli.output import (
+    EXIT_FAILED,
+    counted,
+    plain_text,
+    print_json_lines,
+    progress_bar,
+    stderr_console,
+    stdout_console,
+)
+from gauge_envs.errors import ParameterError
+
+if TYPE_CHECKING:
+    from gauge_envs.checks.sanity import Row
+
+
+__all__ = [
+    "FailOn",
+    "backend_app",
+    "backend_check",
+    "backend_list",
+    "sanity",
+]
+
+
+class FailOn(StrEnum):
+    """From which verdict on a sanity check fails."""
+
+    WRONG = "wrong"
+    VISIBLE = "visible"
+    NEVER = "never"
+
+
+def sanity(
+    target: Annotated[
+        str,
+        typer.Argument(
+            help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
+            "(robot.xml), a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box, newton)."
+        ),
+    ],
+    pair: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GEOM1,GEOM2", help="Contact whose constants are used, instead of the most frequent on ground."
+        ),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="Id or pattern of phenomena, as 'creep-*'; repeatable.")
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="Deformable bodies too, which take longer.")] = False,
+    fail_on: Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")] = (
+        FailOn.NEVER
+    ),
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Page with pictures, in one file; none is written without it.")
+    ] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
+    json_lines: Json = False,
+) -> None:
+    """Tell what physics a training configuration gets wrong, and which of its settings are responsible.
+
+    Runs measured objects with the numerical settings of the target and of its backend's default, and compares both
+    with real trials. Exit code 1 also when nothing could be measured.
+    """
+    from gauge_envs.checks.sanity import Verdict, check, configuration
+    from gauge_envs.checks.sanity.phenomena import phenomena
+    from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
+    from gauge_envs.report.sanity_page import check_can_draw, save_sanity_page
+
+    check_one_format(json_lines, markdown)
+    if html is not None:
+        check_can_draw()
+    checked = configuration(target, pair=_geom_pair(pair))
+    patterns = only or []
+    with progress_bar(stderr_console()) as progress:
+        bar = progress.add_task("phenomena", total=len(phenomena(patterns, include_deformables=every)))
+
+        def notify(row: Row) -> None:
+            progress.update(bar, advance=1, description=row.phenomenon)
+
+        report = check(checked, only=patterns, include_deformables=every, notify=notify)
+    if json_lines:
+        print_json_lines(sanity_rows(report))
+    elif markdown:
+        typer.echo(sanity_markdown(report), nl=False)
+    else:
+        stdout_console().print(sanity_view(report))
+    if html is not None:
+        stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
+    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
+    if report.worst in (*bad[fail_on], Verdict.DECLINED):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _geom_pair(text: str | None) -> tuple[str, str] | None:
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names):
+        raise ParameterError(f"--pair {text!r}: expected the names of two geoms, as floor,foot")
+    return names[0], names[1]
+
+
+backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=True)
+
+
+@backend_app.command("list")
+def backend_list(json_lines: Json = False) -> None:
+    """List installed backends and the versions of their engines."""
+    from gauge_envs.report import backend_rows, backend_table
+
+    rows = backend_rows()
+    if json_lines:
+        print_json_lines(rows)
+    else:
+        stdout_console().print(backend_table(rows))
+
+
+@backend_app.command("check")
+def backend_check(
+    names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Backends; one column of the table each.")],
+    only: Annotated[list[str] | None, typer.Option("--only", help="Id or pattern of checks; repeatable.")] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Numerical setting of the backends, as timestep_s=0.0005.")
+    ] = None,
+    json_lines: Json = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
+) -> None:
+    """Check backends against closed forms: small scenes that show where an engine is wrong, and why.
+
+    Exit code 1 when a check failed or raised an error; what a backend declines is no failure.
+    """
+    from gauge_envs.checks.conformance import checks, run_checks
+    from gauge_envs.report.conformance import findings_markdown, findings_view
+
+    engines = list(dict.fromkeys(names))
+    patterns, settings = only or [], parsed_settings(changes or [])
+    runs = [run_checks(name, settings=settings, only=patterns) for name in engines]
+    findings = []
+    stderr = stderr_console()
+    with progress_bar(stderr) as progress:
+        bar = progress.add_task("checks", total=len(checks(patterns)) * len(engines))
+        for run in runs:
+            for finding in run:
+                findings.append(finding)
+                progress.update(bar, advance=1, description=f"{finding.backend}: {finding.check}")
+                if json_lines:
+                    print_json_lines([finding.to_dict()])
+    if markdown:
+        typer.echo(findings_markdown(findings))
+    elif not json_lines:
+        stdout_console().print(findings_view(findings))
+    bad = sum(finding.is_bad for finding in findings)
+    stderr.print(f"{counted(len(findings), 'check')}, {bad} failed")
+    if bad:
+        raise typer.Exit(EXIT_FAILED)

@@ -1,0 +1,71 @@
+"""Commands that describe experiments and fabrics."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from gauge_envs.cli.arguments import AssetOption, Json, matching_variants
+from gauge_envs.cli.output import counted, print_json_lines, stdout_console
+
+__all__ = [
+    "list_",
+    "materials",
+    "show",
+]
+
+
+def list_(
+    pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
+    json_lines: Json = False,
+) -> None:
+    """List experiments: what they observe, how good their reference is, and which backends can run them."""
+    from gauge_envs.report import control_summary, list_rows, list_table
+
+    rows = list_rows(matching_variants(pattern))
+    if json_lines:
+        print_json_lines(rows)
+        return
+    families = len({row["family"] for row in rows})
+    console = stdout_console()
+    console.print(list_table(rows))
+    if pattern == "*":
+        console.print(control_summary(), soft_wrap=True)
+    console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
+
+
+def show(
+    name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/; or an experiment file.")],
+    asset: AssetOption = None,
+    json_lines: Json = False,
+) -> None:
+    """Show one experiment: scene, constants and where each number is from, reference, published scores.
+
+    Of a control task: its law, limit and reward.
+    """
+    from gauge_envs.envs.control import control_tasks, find_control_task
+    from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.report import control_description, control_view, description, description_view
+
+    if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
+        values = control_description(find_control_task(name))
+        view = control_view(values)
+    else:
+        values = description(load_experiment(name, asset=asset))
+        view = description_view(values)
+    if json_lines:
+        print_json_lines([values])
+    else:
+        stdout_console().print(view)
+
+
+def materials(json_lines: Json = False) -> None:
+    """Show the six fabrics in every engine's constants, what comes back from them, and what is lost."""
+    from gauge_envs.experiments.fabrics import fabrics
+    from gauge_envs.report import material_values, material_view
+
+    if json_lines:
+        print_json_lines([material_values(fabrics())])
+    else:
+        stdout_console().print(material_view(fabrics()))

@@ -1,0 +1,158 @@
+"""Commands that read results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gauge_envs.cli.arguments import Json, check_one_format
+from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, stderr_console, stdout_console
+from gauge_envs.errors import ParameterError, ResultFileError
+
+if TYPE_CHECKING:
+    from gauge_envs.analysis.error_budget import Diagnosis
+    from gauge_envs.runs.result import Result
+
+
+__all__ = [
+    "compare",
+    "diagnose",
+    "plot",
+]
+
+
+def plot(
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
+) -> None:
+    """Plot results over the real band, one PNG an experiment; several results of one experiment share it."""
+    from gauge_envs.report.figures.experiment import save_figures
+
+    results, skipped = _loaded(sources)
+    for path in save_figures(results, out):
+        typer.echo(path)
+    if skipped:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def compare(
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+    ] = None,
+    json_lines: Json = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Tables as GitHub Markdown.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures; none are drawn without it.")] = None,
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option("--metric", help="Repeatable: rmse, dtw, rmse_aligned, lsd, mte, pd, el; all by default."),
+    ] = None,
+) -> None:
+    """Compare engines, parameters and settings: scores side by side, and where they disagree without a reference.
+
+    Results that differ in their seed alone are repeats: mean and scatter. Exit code 1 when a damaged file was skipped.
+    """
+    from gauge_envs.analysis.comparison import check_metrics
+    from gauge_envs.analysis.comparison import compare as compare_results
+    from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view
+
+    check_one_format(json_lines, markdown)
+    chosen = check_metrics(metrics or [])
+    results, skipped = _loaded(sources)
+    comparison = compare_results(results)
+    if json_lines:
+        print_json_lines(comparison_rows(comparison, chosen))
+    elif markdown:
+        typer.echo(comparison_markdown(comparison, chosen), nl=False)
+    else:
+        stdout_console().print(comparison_view(comparison, chosen))
+    if out is not None:
+        from gauge_envs.report.figures.overview import save_comparison
+
+        for path in save_comparison(results, out, metric=chosen[0]):
+            stderr_console().print(plain_text(str(path)), soft_wrap=True)
+    if skipped:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def diagnose(
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option("--id", help="Files are trajectories of this experiment, as for gauge score.")
+    ] = None,
+    order: Annotated[
+        str, typer.Option(help="Parts in the order in which they are added to the fit.")
+    ] = "release,offset,rate",
+    measured_only: Annotated[bool, typer.Option("--measured-only", help="Leave out extrapolated frames.")] = False,
+    use_withheld: Annotated[
+        bool, typer.Option("--use-withheld", help="Also on a band that is withheld; gauge show tells why it is.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for a picture; none is drawn without it.")] = None,
+    json_lines: Json = False,
+) -> None:
+    """Split the error of episodes: release time, constant offset, rate or scale of the motion, and the rest.
+
+    Results without a reference, or that did not run to their end, are told and left out; exit code 2 where none is
+    left, 1 when a damaged file was skipped.
+    """
+    from gauge_envs.analysis.error_budget import DiagnosisError, stage_order
+    from gauge_envs.analysis.error_budget import diagnose as diagnose_result
+    from gauge_envs.report import diagnosis_rows, diagnosis_view
+    from gauge_envs.runs.score_file import score_file
+
+    stages = stage_order(part.strip() for part in order.split(","))
+    if name is None:
+        results, skipped = _loaded(sources)
+    else:
+        if not sources:
+            raise ParameterError("--id says what trajectory files are of: give the files")
+        results, skipped = [score_file(file, variant=name, use_withheld=use_withheld)[0] for file in sources], 0
+    pairs: list[tuple[Result, Diagnosis]] = []
+    reasons: list[str] = []
+    for result in results:
+        try:
+            diagnosis = diagnose_result(result, order=stages, measured_only=measured_only, use_withheld=use_withheld)
+            pairs.append((result, diagnosis))
+        except DiagnosisError as error:
+            reasons.append(str(error))
+    if results and not pairs:
+        raise DiagnosisError("; ".join(dict.fromkeys(reasons)))
+    for reason in dict.fromkeys(reasons):
+        stderr_console().print(f"[yellow]left out:[/] {plain_text(reason)}", soft_wrap=True)
+    if json_lines:
+        print_json_lines(diagnosis_rows(pairs))
+    else:
+        stdout_console().print(diagnosis_view(pairs))
+    if out is not None:
+        from gauge_envs.report.figures.budgets import save_diagnoses
+
+        stderr_console().print(plain_text(str(save_diagnoses(pairs, out))), soft_wrap=True)
+    if skipped:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _loaded(sources: Sequence[Path] | None) -> tuple[list[Result], int]:
+    """Results of files and folders, each file once, and how many were skipped because they are damaged."""
+    from gauge_envs.runs.result_file import load_result
+
+    files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))
+    results: list[Result] = []
+    for file in files:
+        try:
+            results.append(load_result(file))
+        except ResultFileError as error:
+            stderr_console().print(f"[yellow]skipped:[/] {plain_text(str(error))}", soft_wrap=True)
+    return results, len(files) - len(results)
+
+
+def _result_files(source: Path) -> list[Path]:
+    files = sorted(source.glob("*.json")) if source.is_dir() else [source]
+    if not files or not files[0].exists():
+        raise ResultFileError(f"{source}: holds no result files; gauge run writes them")
+    return files

@@ -1,0 +1,178 @@
+"""Commands that run and score."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gauge_envs.cli.arguments import (
+    AssetOption,
+    Json,
+    ParametersOption,
+    is_glob,
+    matching_subjects,
+    parsed_parameters,
+    parsed_settings,
+)
+from gauge_envs.cli.output import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    counted,
+    plain_text,
+    print_json_lines,
+    progress_bar,
+    stderr_console,
+    stdout_console,
+)
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene.jitter import Jitter
+
+if TYPE_CHECKING:
+    from gauge_envs.runs.result import Result
+
+
+__all__ = [
+    "run",
+    "score",
+]
+
+
+def run(
+    ids: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[ID or pattern]...", help="As 'SlopeSlider-*'; or experiment files, as crate.toml."),
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="All experiments that the backend can run.")] = False,
+    backends: Annotated[list[str] | None, typer.Option("--backend", help="Repeatable; mujoco by default.")] = None,
+    parameters: ParametersOption = None,
+    asset: AssetOption = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Numerical setting of the backend, as timestep_s=0.0005.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    marker_proxy: Annotated[
+        str,
+        typer.Option(help="What stands for a marker on a deformable body: node, the nearest, or material, its own."),
+    ] = "node",
+    repeats: Annotated[
+        int, typer.Option(min=1, help="Runs of each, at once, from starts that scatter as real ones do.")
+    ] = 1,
+    jitter_mm: Annotated[
+        float | None, typer.Option(min=0.0, help="Standard deviation of start positions [mm]; 1.0 with --repeats.")
+    ] = None,
+    jitter_deg: Annotated[
+        float | None, typer.Option(min=0.0, help="Standard deviation of start angles [deg]; 0.5 with --repeats.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
+    resume: Annotated[bool, typer.Option(help="Keep results that are there already.")] = False,
+    json_lines: Json = False,
+) -> None:
+    """Run experiments, score them against reality, and write a result file each.
+
+    Exit code 1 when an episode failed or diverged, or one that was asked for by its id was declined; those that a
+    pattern or --all adds may be declined.
+    """
+    from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.observables.observer import checked_proxy
+    from gauge_envs.report import summary_view
+    from gauge_envs.runs.batch import check_request, run_many
+    from gauge_envs.runs.result import Outcome
+
+    if not ids and not every:
+        raise ParameterError("nothing to run: give ids, patterns or --all; gauge list shows them")
+    patterns = ["*"] if every else ids or []
+    chosen = list(dict.fromkeys(subject for pattern in patterns for subject in matching_subjects(pattern)))
+    named = dict.fromkeys(
+        subject for pattern in ids or [] if not is_glob(pattern) for subject in matching_subjects(pattern)
+    )
+    engines = list(dict.fromkeys(backends or ["mujoco"]))
+    values, settings = parsed_parameters(parameters) or "calibrated", parsed_settings(changes or [])
+    check_request(chosen, backends=engines, parameters=values, settings=settings, asset=asset)
+    by_name = {load_experiment(subject, asset=asset).id for subject in named}
+
+    stderr = stderr_console()
+    results: list[Result] = []
+    episodes = run_many(
+        chosen,
+        backends=engines,
+        parameters=values,
+        settings=settings,
+        marker_proxy=checked_proxy(marker_proxy).value,
+        asset=asset,
+        seed=seed,
+        repeats=repeats,
+        jitter=_jitter(jitter_mm, jitter_deg),
+        out=out,
+        resume=resume,
+        notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
+    )
+    try:
+        with progress_bar(stderr) as progress:
+            bar = progress.add_task("episodes", total=len(chosen) * len(engines) * repeats)
+            for result in episodes:
+                results.append(result)
+                progress.update(bar, advance=1, description=result.id.removeprefix("GAUGE/"))
+                if json_lines:
+                    print_json_lines([result.to_dict(trajectory=False)])
+    except KeyboardInterrupt:
+        kept = sum(result.error is None for result in results)
+        stderr.print(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume goes on from there")
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    (stderr if json_lines else stdout_console()).print(summary_view(results))
+    stderr.print(_totals(results, out))
+    bad = (Outcome.FAILED, Outcome.DIVERGED)
+    if any(r.outcome in bad or (r.outcome is Outcome.DECLINED and r.id in by_name) for r in results):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def score(
+    file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
+    name: Annotated[
+        str | None, typer.Option("--id", help="Experiment, or experiment file; a JSON file may state it itself.")
+    ] = None,
+    parameters: ParametersOption = None,
+    use_withheld: Annotated[
+        bool, typer.Option("--use-withheld", help="Score on a band that is withheld; gauge show tells why it is.")
+    ] = False,
+    json_lines: Json = False,
+) -> None:
+    """Score a trajectory from your own simulator: g(t) in the observable's unit (mm for positions), no engine needed.
+
+    Columns are the coordinates that `gauge show ID` lists. Without a `time_s` column, rows are 30 Hz frames.
+    """
+    from gauge_envs.report import summary_view
+    from gauge_envs.runs.score_file import score_file
+
+    result, interpolated = score_file(
+        file, variant=name, parameters=parsed_parameters(parameters), use_withheld=use_withheld
+    )
+    if interpolated:
+        stderr_console().print(
+            f"[yellow]note:[/] {counted(interpolated, 'frame')} lay between samples: interpolated linearly"
+        )
+    if json_lines:
+        print_json_lines([result.to_dict(trajectory=False)])
+    else:
+        stdout_console().print(summary_view([result]))
+
+
+def _totals(results: Sequence[Result], out: Path) -> str:
+    counts: dict[str, int] = {}
+    for result in results:
+        counts[result.outcome.value] = counts.get(result.outcome.value, 0) + 1
+    return f"{', '.join(f'{number} {outcome}' for outcome, number in counts.items())}; results in {out}"
+
+
+def _jitter(position_mm: float | None, angle_deg: float | None) -> Jitter | None:
+    if position_mm is None and angle_deg is None:
+        return None
+    given: dict[str, float] = {}
+    if position_mm is not None:
+        given["position_m"] = 1e-3 * position_mm
+    if angle_deg is not None:
+        given["angle_rad"] = math.radians(angle_deg)
+    return Jitter(**given)

@@ -1,0 +1,187 @@
+"""Swing the pendulum to a height with the least work."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.limit import Ending, Limit
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.task_format import Variant
+from gauge_envs.scene import Hinge, Scene, Sphere
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+
+__all__ = [
+    "PendulumLimit",
+]
+
+BALL = "ball"
+
+TARGET_RAD = math.radians(60.0)
+"""Angle that the ball is to reach [rad]: half as high as the axle, and well below the published release, 90 degrees."""
+
+TORQUE_SHARE = 0.15
+"""Largest torque, over the weight times the length: too weak to lift the ball at once, so that it must be swung up."""
+
+LENGTH_SIGMA = 0.004 / 0.270
+"""Relative uncertainty of the effective length, from the recorded period (0.270 +- 0.004 m, tasks/pendulum.toml)."""
+
+MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
+"""Uncertainty of the mass, which is published to 0.1 g: that of rounding [kg]."""
+
+
+class PendulumLimit(ControlEnv):
+    """Swing a hanging ball to a height with the least work; the scene is that of Pendulum, at rest below the axle.
+
+    **Law.** Where the ball is higher by h, the motor has done at least the work m g h: W >= m g h.
+
+    **Reward.** With h_t the target, 2 d(h_max) / h_t - dW / (m g h_t) for each frame, with h_max the greatest height so
+    far and W the work that the motor has put in; what it takes back by braking is not returned. All over an episode it
+    earns 2 x - W / (m g h_t) with x = h_max / h_t, at most x by the law, so 1 at most. Just a policy that is at the
+    target at rest, and never brakes, has it. The episode ends at the target.
+
+    W is the sum of torque times turn over the samples in which it is positive; that is no less than the sum over all of
+    them, which the law bounds.
+
+    **Reached** is the target's height over the work, in m/J, and 0 where the ball did not get there; the limit is
+    1 / (m g). The height is told by the angle, so the length is uncertain.
+
+    **Action.** Torque about the axle, in units of 0.15 times weight times length.
+
+    Args:
+        material: Material of the ball: `metal`.
+        **options: As of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+    """
+
+    FAMILY = "Pendulum"
+    LAW = "W >= m g h, so h / W <= 1 / (m g)"
+    SIGMA_SOURCE = "length from the recorded period, 0.270 +- 0.004 m, as the angle tells the height; mass to 0.1 g"
+
+    DURATION_S = 6.0
+    """Five full swings; at full torque three are enough."""
+    OBSERVED: ClassVar[tuple[str, ...]] = (
+        "angle_rad",
+        "rate_rad_per_s",
+        "highest_over_target",
+        "work_over_least",
+        "time_s",
+    )
+    _at_time_limit = Ending.MISSED
+
+    def __init__(self, material: str = "metal", **options: Any) -> None:
+        super().__init__(f"{self.FAMILY}-{material}", **options)
+        scene = self.experiment.scene
+        hinge, ball = scene.joints[0], scene.body(BALL)
+        assert isinstance(hinge, Hinge) and isinstance(ball.shape, Sphere)
+        self._anchor_m, self._axis = np.asarray(hinge.anchor_m), np.asarray(hinge.axis)
+        self._hanging = np.asarray(ball.pose.position_m) - self._anchor_m
+        self._sideways = np.cross(self._axis, self._hanging)
+        self._inertia_kg_m2 = ball.mass_kg * (self._length_m**2 + 0.4 * ball.shape.radius_m**2)
+        self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
+
+    def _placed(self, variant: Variant, parameters: Parameters) -> Parameters:
+        """The ball hangs straight down."""
+        return dict(load_experiment(variant, parameters).overrides) | {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
+
+    def _drivers(self, scene: Scene) -> tuple[Driver, ...]:
+        """Nothing is driven: the motor is a torque."""
+        return ()
+
+    @property
+    def _weight_n(self) -> float:
+        scene = self.experiment.scene
+        return scene.body(BALL).mass_kg * scene.gravity_m_per_s2
+
+    @property
+    def _length_m(self) -> float:
+        scene = self.experiment.scene
+        return math.dist(scene.body(BALL).pose.position_m, scene.joints[0].anchor_m)
+
+    @property
+    def _target_m(self) -> float:
+        return self._length_m * (1.0 - math.cos(TARGET_RAD))
+
+    def _limit(self) -> Limit:
+        value = 1.0 / self._weight_n
+        return Limit(
+            quantity="height over work",
+            unit="m/J",
+            value=value,
+            sigma=value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / self.experiment.scene.body(BALL).mass_kg),
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
+
+    # --- course ---
+
+    def _begin(self) -> None:
+        self._angle, self._rate = self._swing()
+        self._highest_m = self._work_j = 0.0
+
+    def _swing(self) -> tuple[float, float]:
+        """Angle from hanging [rad] and its rate [rad/s]."""
+        state = self.simulation.body_states((BALL,))[0]
+        arm = state[:3] - self._anchor_m
+        angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
+        return angle, float(self._axis @ state[10:])
+
+    def _advance(self, command: float) -> tuple[float, Ending | None]:
+        torque = command * self._largest_torque_n_m
+        self.simulation.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(torque * self._axis)]))
+        highest_m, work_j = self._highest_m, self._work_j
+        for _ in range(SAMPLES_PER_FRAME):
+            self.simulation.advance(SAMPLE_INTERVAL_S)
+            before, (self._angle, self._rate) = self._angle, self._swing()
+            self._work_j += max(torque * (self._angle - before), 0.0)
+            self._highest_m = max(self._highest_m, self._length_m * (1.0 - math.cos(self._angle)))
+            if self._highest_m >= self._target_m:
+                break
+        self._highest_m = min(self._highest_m, self._target_m)
+        gained = (self._highest_m - highest_m) / self._target_m
+        spent = (self._work_j - work_j) / (self._weight_n * self._target_m)
+        return 2.0 * gained - spent, Ending.REACHED if self._highest_m == self._target_m else None
+
+    def _observation(self) -> NDArray[np.float64]:
+        least_j = self._weight_n * self._target_m
+        return np.array(
+            [self._angle, self._rate, self._highest_m / self._target_m, self._work_j / least_j, self.time_s]
+        )
+
+    def _reached(self) -> float:
+        return self._target_m / self._work_j if self._highest_m == self._target_m else 0.0
+
+    def _law_command(self, fraction: float) -> float:
+        """Push the way the ball swings until m g h_t / fraction is spent, and then let it swing.
+
+        A `fraction` below 1 spends more than the least work and arrives; one above 1 spends less and does not.
+        """
+        left_j = self._weight_n * self._target_m / fraction - self._work_j
+        frame_s = 1.0 / FRAME_RATE_HZ
+        way = math.copysign(1.0, self._rate) if self._work_j > 0.0 else 1.0
+        torque = way * self._largest_torque_n_m
+        turn = self._turn(torque, frame_s)
+        # Near a turning point a push would brake in the second half of the frame.
+        if left_j <= 0.0 or (
+            self._work_j > 0.0 and (turn * way <= 0.0 or self._rate_after(torque, frame_s) * way <= 0)
+        ):
+            return 0.0
+        for _ in range(5):
+            torque = way * min(self._largest_torque_n_m, left_j / abs(self._turn(torque, frame_s)))
+        return torque / self._largest_torque_n_m
+
+    def _acceleration(self, torque: float) -> float:
+        """Angular acceleration now [rad/s^2]."""
+        return (torque - self._weight_n * self._length_m * math.sin(self._angle)) / self._inertia_kg_m2
+
+    def _turn(self, torque: float, seconds: float) -> float:
+        """Turn in the coming time [rad], to second order."""
+        return (self._rate + 0.5 * self._acceleration(torque) * seconds) * seconds
+
+    def _rate_after(self, torque: float, seconds: float) -> float:
+        return self._rate + self._acceleration(torque) * seconds

@@ -1,0 +1,65 @@
+"""Policies in control tasks: an episode with one, and how far an engine itself follows the law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.limit import Ending, LimitReport
+from gauge_envs.errors import ParameterError
+
+__all__ = [
+    "Policy",
+    "engine_limit",
+    "play",
+]
+
+Policy = Callable[[NDArray[np.float64]], NDArray[np.floating]]
+"""Action, shape [1], for an observation."""
+
+
+def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
+    """Run one episode; the environment then holds its trajectory.
+
+    Args:
+        env: The task, without wrappers.
+        policy: What acts.
+        seed: Seed of the reset.
+    """
+    observation, _ = env.reset(seed=seed)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(policy(observation))
+        over = terminated or truncated
+    return env.report()
+
+
+def engine_limit(env: ControlEnv, *, bounds: tuple[float, float] = (0.2, 1.5), resolution: float = 0.002) -> float:
+    """How much of the law's limit the law's own policy can use in the engine before it fails, by bisection.
+
+    It is 1 in an engine that obeys the law; above 1 the engine pays what reality does not.
+
+    Args:
+        env: The task, without wrappers.
+        bounds: A fraction of the limit with which it succeeds, and one with which it fails.
+        resolution: How far apart the two may be at the end; what is returned lies between them.
+
+    Raises:
+        ParameterError: It fails at the lower bound, or does not at the upper.
+    """
+    low, high = bounds
+
+    def succeeds(fraction: float) -> bool:
+        return play(env, lambda _: env.law_action(fraction)).ending in (Ending.HELD, Ending.REACHED)
+
+    for bound, wanted in ((low, True), (high, False)):
+        if succeeds(bound) is not wanted:
+            outcome = "fails" if wanted else "succeeds"
+            raise ParameterError(f"{type(env).__name__}: the law's policy {outcome} with {bound} of the limit")
+    while high - low > resolution:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if succeeds(middle) else (low, middle)
+    return 0.5 * (low + high)

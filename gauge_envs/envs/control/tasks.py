@@ -1,0 +1,77 @@
+"""The control tasks that there are: their ids, and how they are made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gymnasium.envs.registration import WrapperSpec, register, registry
+
+from gauge_envs.errors import UnknownNameError
+
+__all__ = [
+    "ControlTask",
+    "control_tasks",
+    "find_control_task",
+    "register_control_tasks",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlTask:
+    """One registered control task.
+
+    Attributes:
+        name: As `Turntable-Limit-wood`.
+        entry_point: Its environment, as Gymnasium wants it named.
+        material: Material of what moves.
+    """
+
+    name: str
+    entry_point: str
+    material: str
+
+    @property
+    def id(self) -> str:
+        """Gymnasium id."""
+        return f"GAUGE/{self.name}"
+
+
+_TASKS = {
+    "Turntable": ("gauge_envs.envs.control.turntable:TurntableLimit", ("wood", "plastic", "metal")),
+    "SlopeSlider": ("gauge_envs.envs.control.slope_slider:SlopeSliderLimit", ("wood", "plastic", "metal")),
+    "Pendulum": ("gauge_envs.envs.control.pendulum:PendulumLimit", ("metal",)),
+}
+
+
+def control_tasks() -> tuple[ControlTask, ...]:
+    """All control tasks; they are extra to the experiments that `gauge_envs.variants` lists."""
+    return tuple(
+        ControlTask(name=f"{family}-Limit-{material}", entry_point=entry_point, material=material)
+        for family, (entry_point, materials) in _TASKS.items()
+        for material in materials
+    )
+
+
+def find_control_task(name: str) -> ControlTask:
+    """Control task by its name or Gymnasium id.
+
+    Raises:
+        UnknownNameError: There is none; the message offers the nearest.
+    """
+    by_name = {task.name: task for task in control_tasks()}
+    try:
+        return by_name[name.removeprefix("GAUGE/")]
+    except KeyError:
+        raise UnknownNameError("control task", name, by_name) from None
+
+
+def register_control_tasks() -> None:
+    """Register every control task with Gymnasium; importing gauge_envs has done so already."""
+    for task in control_tasks():
+        if task.id not in registry:
+            register(
+                id=task.id,
+                entry_point=task.entry_point,
+                kwargs={"material": task.material},
+                additional_wrappers=(WrapperSpec("ReportLimit", "gauge_envs.envs.control.wrapper:ReportLimit", {}),),
+            )

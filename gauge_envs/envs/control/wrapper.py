@@ -1,0 +1,45 @@
+"""Wrapper of control tasks. `gymnasium.make` applies `ReportLimit` to every one of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+
+from gauge_envs.envs.control.env import ControlEnv
+
+__all__ = [
+    "ReportLimit",
+]
+
+
+class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
+    """Says at the end of an episode what the policy reached, beside what the law allows.
+
+    Adds to `info` at the last step: `limit`, a `gauge_envs.envs.control.LimitReport`.
+
+    Example:
+        >>> import gymnasium as gym, gauge_envs
+        >>> env = gym.make("GAUGE/SlopeSlider-Limit-metal")
+        >>> _ = env.reset(seed=0)
+        >>> over = False
+        >>> while not over:
+        ...     *_, terminated, truncated, info = env.step(env.unwrapped.law_action(0.98))
+        ...     over = terminated or truncated
+        >>> report = info["limit"]
+        >>> print(report.ending, f"{report.reached:.3f} of {report.limit.value:.3f}, ratio {report.ratio:.2f}")
+        held 0.258 of 0.263, ratio 0.98
+    """
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        gymnasium.Wrapper.__init__(self, env)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and report at the end."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            env = self.unwrapped
+            assert isinstance(env, ControlEnv)
+            info["limit"] = env.report()
+        return observation, reward, terminated, truncated, info

@@ -1,0 +1,148 @@
+"""The suite as `dm_env` environments, for agents of that interface; needs the extra `dm`.
+
+    from gauge_envs import dm_control
+
+    env = dm_control.load("SlopeSlider-2-wood")
+
+It takes nothing from the package `dm_control` but the interface and the name of its loader: the engine is a backend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.errors import MissingExtraError, UnknownNameError
+from gauge_envs.evaluation.score import Score
+
+try:
+    import dm_env
+    from dm_env import specs
+except ImportError as error:
+    raise MissingExtraError("gauge_envs.envs.dm_env", "dm", error) from error
+
+__all__ = [
+    "DmEnvironment",
+    "load",
+]
+
+SCORED = "gauge_envs.envs.wrappers:scored_env"
+"""Entry point of the ids that are scored experiments; control tasks have others."""
+
+
+def load(name: str, *, seed: int = 0, options: Mapping[str, Any] | None = None, **arguments: Any) -> DmEnvironment:
+    """Make an experiment as a `dm_env.Environment`.
+
+    Args:
+        name: Name of the variant, as `SlopeSlider-2-wood`, or its Gymnasium id.
+        seed: Seed of the first episode; each next one has one more.
+        options: Options of every reset, as `{"jitter": True}`.
+        **arguments: As of `gymnasium.make`: `backend`, `settings`, `parameters`, ...
+
+    Raises:
+        UnknownNameError: No such variant or backend.
+        GaugeError: As of `GaugeEnv`.
+
+    Example:
+        >>> from gauge_envs import dm_control
+        >>> env = dm_control.load("SlopeSlider-2-wood")
+        >>> step = env.reset()
+        >>> while not step.last():
+        ...     step = env.step(env.action_spec().generate_value())
+        >>> step.discount, round(env.score.rmse_normalized, 2)
+        (1.0, 0.41)
+    """
+    scored = [spec.name for spec in gymnasium.registry.values() if spec.entry_point == SCORED]
+    variant = name.removeprefix("GAUGE/")
+    if variant not in scored:
+        raise UnknownNameError("experiment", name, scored)
+    env = gymnasium.make(f"GAUGE/{variant}", disable_env_checker=True, **arguments)
+    return DmEnvironment(env, seed=seed, options=options)
+
+
+class DmEnvironment(dm_env.Environment):
+    """An environment of this suite behind dm_env's interface.
+
+    Observations, actions and rewards are those of `GaugeEnv`. The last frame has a discount of 1, since the motion
+    goes on and only the recording ends; a simulation that diverges ends with 0.
+
+    Args:
+        env: Made by `gymnasium.make`, with wrappers or without; its observation is an array or a dictionary of such.
+        seed: Seed of the first episode; each next one has one more.
+        options: Options of every reset.
+
+    Attributes:
+        score: Score of the last episode that has ended; None before the first, and where a wrapper cut it short.
+        info: What Gymnasium's `info` says of the last step.
+    """
+
+    def __init__(self, env: gymnasium.Env, *, seed: int = 0, options: Mapping[str, Any] | None = None) -> None:
+        self.score: Score | None = None
+        self.info: Mapping[str, Any] = {}
+        self._env = env
+        self._next_seed = seed
+        self._options = dict(options or {})
+        self._is_over = True
+
+    def reset(self) -> dm_env.TimeStep:
+        """Start an episode.
+
+        Raises:
+            ParameterError: There is no such reset option, or nothing can be jittered.
+        """
+        observation, self.info = self._env.reset(seed=self._next_seed, options=self._options)
+        self._next_seed += 1
+        self._is_over = False
+        return dm_env.restart(observation)
+
+    def step(self, action: Any) -> dm_env.TimeStep:
+        """Simulate one frame, 1/30 s; after the end of an episode, and at first, start one and ignore the action.
+
+        Raises:
+            ActionError: The action has the wrong shape, is out of range or is not a number.
+        """
+        if self._is_over:
+            return self.reset()
+        observation, reward, terminated, truncated, self.info = self._env.step(action)
+        self._is_over = terminated or truncated
+        if not self._is_over:
+            return dm_env.transition(reward, observation)
+        inner: GaugeEnv = self._env.unwrapped  # type: ignore[assignment]
+        self.score = inner.score()
+        end = dm_env.termination if terminated else dm_env.truncation
+        return end(reward, observation)
+
+    def observation_spec(self) -> specs.BoundedArray | dict[str, specs.BoundedArray]:
+        """Shape and bounds of each array of the observation."""
+        space = self._env.observation_space
+        if isinstance(space, spaces.Dict):
+            return {name: _array(name, entry) for name, entry in space.items()}
+        return _array("observation", space)
+
+    def action_spec(self) -> specs.BoundedArray:
+        """A velocity in [-1, 1] for each driven motion; the choice of 0 alone where nothing is driven."""
+        space = self._env.action_space
+        return specs.DiscreteArray(1, name="action") if isinstance(space, spaces.Discrete) else _array("action", space)
+
+    def reward_spec(self) -> specs.BoundedArray:
+        """A number that is not above 0."""
+        return specs.BoundedArray((), np.float64, -np.inf, 0.0, name="reward")
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Picture of the scene now, as `GaugeEnv.render`."""
+        return self._env.render()  # type: ignore[return-value]
+
+    def close(self) -> None:
+        """Free the simulation; calling it twice is harmless."""
+        self._env.close()
+
+
+def _array(name: str, space: spaces.Space[Any]) -> specs.BoundedArray:
+    assert isinstance(space, spaces.Box)
+    return specs.BoundedArray(space.shape, space.dtype, space.low, space.high, name=name)

@@ -1,0 +1,77 @@
+"""Pictures of an environment: the renderer is made when the first one is asked for, and copies make their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import Scene
+
+if TYPE_CHECKING:
+    from gauge_envs.envs.rendering.renderer import SceneRenderer
+
+__all__ = [
+    "RENDER_MODES",
+    "Pictures",
+]
+
+RENDER_MODES = ("rgb_array",)
+"""How environments of this suite can be shown, beside not at all."""
+
+
+class Pictures:
+    """Draws a scene that an environment simulates.
+
+    Args:
+        render_mode: None or `rgb_array`.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
+
+    Raises:
+        ParameterError: There is no such mode.
+    """
+
+    def __init__(self, render_mode: str | None, *, width: int, height: int) -> None:
+        if render_mode not in (None, *RENDER_MODES):
+            raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        self._size = (width, height)
+        self._renderer: SceneRenderer | None = None
+
+    def draw(
+        self,
+        scene: Scene,
+        rest_nodes_m: Mapping[str, NDArray[np.float64]],
+        *,
+        poses: Mapping[str, NDArray[np.float64]],
+        nodes_m: Mapping[str, NDArray[np.float64]],
+    ) -> NDArray[np.uint8]:
+        """Picture of a scene now, shape [height, width, 3]; the same scene each time until `close`.
+
+        Args:
+            scene: What to draw.
+            rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
+            poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
+            nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
+
+        Raises:
+            RenderError: The machine has no OpenGL library.
+        """
+        if self._renderer is None:
+            from gauge_envs.envs.rendering.renderer import SceneRenderer
+
+            self._renderer = SceneRenderer(scene, rest_nodes_m, *self._size)
+        return self._renderer.picture(poses, nodes_m)
+
+    def close(self) -> None:
+        """Free the renderer; the next picture makes another one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The renderer holds a place on the graphics device, which neither pickles nor copies."""
+        return vars(self) | {"_renderer": None}

@@ -1,0 +1,236 @@
+"""Pictures of a scene: one renderer for all engines, fed with poses, without a display."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from ctypes.util import find_library
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.mujoco.model import add_geoms
+from gauge_envs.envs.rendering.skin import Skin
+from gauge_envs.errors import RenderError
+from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, Rope, Scene, SoftBody
+
+__all__ = [
+    "SceneRenderer",
+]
+
+COLORS = {
+    Motion.DYNAMIC: (0.90, 0.52, 0.17, 1.0),
+    Motion.KINEMATIC: (0.30, 0.50, 0.75, 1.0),
+    Motion.FIXED: (0.72, 0.66, 0.56, 1.0),
+}
+STRING_COLOR = (0.25, 0.25, 0.25, 1.0)
+STRING_RADIUS_M = 0.0015
+ELEVATION_DEG = -18.0
+AZIMUTH_DEG = 125.0
+FIELD_OF_VIEW_DEG = 40.0
+FLOOR_IN_VIEW_M = 0.6
+"""A floor further below everything solid than this is left out of the picture."""
+
+DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
+
+
+def _graphics_context(width: int, height: int) -> Any:
+    """An off-screen OpenGL context: what MUJOCO_GL names, else EGL, else OSMesa, whichever library is there."""
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    if not wanted:
+        wanted = "egl" if find_library("EGL") else "osmesa" if find_library("OSMesa") else ""
+    try:
+        if wanted == "egl":
+            from mujoco.egl import GLContext
+        elif wanted == "osmesa":
+            from mujoco.osmesa import GLContext
+        elif wanted:
+            from mujoco.gl_context import GLContext
+        else:
+            raise ImportError("neither libEGL nor libOSMesa is installed")
+        context = GLContext(width, height)
+        context.make_current()
+    except Exception as error:
+        # OpenGL bindings raise whatever their loader trips over: ImportError, AttributeError, their own errors.
+        raise RenderError(
+            f"no off-screen OpenGL (MUJOCO_GL={os.environ.get('MUJOCO_GL', '')!r}): {error}. On Debian or Ubuntu: "
+            f"apt-get install {DEBIAN_PACKAGES}; or libosmesa6 alone, with MUJOCO_GL=osmesa"
+        ) from error
+    return context
+
+
+class SceneRenderer:
+    """Draws a scene from its bodies' poses and nodes; no physics runs in it.
+
+    Args:
+        scene: What to draw.
+        rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
+        width: Picture width [pixels].
+        height: Picture height [pixels].
+
+    Raises:
+        RenderError: The machine has no OpenGL library; the message names the packages.
+    """
+
+    def __init__(self, scene: Scene, rest_nodes_m: Mapping[str, NDArray[np.float64]], width: int, height: int) -> None:
+        self._context = _graphics_context(width, height)
+        self._scene = scene
+        self._viewport = mujoco.MjrRect(0, 0, width, height)
+        self._skins = [
+            Skin(body, rest_nodes_m[body.name]) for body in scene.deformables if isinstance(body, Cloth | SoftBody)
+        ]
+        self._lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
+        self._model = _visual_model(scene, self._skins, width, height)
+        self._data = mujoco.MjData(self._model)
+        self._mocap_ids = {body.name: int(self._model.body(body.name).mocapid[0]) for body in scene.bodies}
+        self._option = mujoco.MjvOption()
+        segments = sum(len(rest_nodes_m[line.name]) for line in self._lines)
+        self._drawing = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + len(scene.joints) + segments + 100)
+        self._drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        self._camera = _camera(scene)
+        self._device = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
+
+    def picture(
+        self, poses: Mapping[str, NDArray[np.float64]], nodes_m: Mapping[str, NDArray[np.float64]]
+    ) -> NDArray[np.uint8]:
+        """Draw the scene with bodies at given poses.
+
+        Args:
+            poses: For each body that has moved, position [m] and quaternion w x y z, shape [7].
+            nodes_m: For each deformable body its nodes now [m], in the order of `rest_nodes_m`.
+
+        Returns:
+            Shape [height, width, 3], top row first.
+        """
+        for name, pose in poses.items():
+            index = self._mocap_ids[name]
+            self._data.mocap_pos[index] = pose[:3]
+            self._data.mocap_quat[index] = pose[3:]
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._context.make_current()
+        for skin in self._skins:
+            skin.upload(self._model, self._device, nodes_m[skin.name])
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._drawing
+        )
+        for joint in self._scene.joints:
+            end = self._data.mocap_pos[self._mocap_ids[joint.body]]
+            self._draw_segment(np.asarray(joint.anchor_m), end, STRING_RADIUS_M, STRING_COLOR)
+        for line in self._lines:
+            for start, end in pairwise(nodes_m[line.name]):
+                self._draw_segment(start, end, line.radius_m, COLORS[Motion.DYNAMIC])
+        pixels = np.empty((self._viewport.height, self._viewport.width, 3), dtype=np.uint8)
+        mujoco.mjr_render(self._viewport, self._drawing, self._device)
+        mujoco.mjr_readPixels(pixels, None, self._viewport, self._device)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._device.free()
+        self._context.free()
+
+    def _draw_segment(
+        self, start: NDArray[np.float64], end: NDArray[np.float64], radius_m: float, color: tuple[float, ...]
+    ) -> None:
+        geom = self._drawing.geoms[self._drawing.ngeom]
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+        rgba = np.array(color, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+        mujoco.mjv_connector(geom, kind, radius_m, start, end)
+        self._drawing.ngeom += 1
+
+
+def _visual_model(scene: Scene, skins: Sequence[Skin], width: int, height: int) -> mujoco.MjModel:
+    """A model of shapes without physics: every body is a mocap body, placed by hand."""
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth = width
+    spec.visual.global_.offheight = height
+    spec.visual.global_.fovy = FIELD_OF_VIEW_DEG
+    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+    spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
+    spec.visual.headlight.specular = [0.1, 0.1, 0.1]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.95, 0.96, 0.98],
+        rgb2=[0.72, 0.76, 0.82],
+        width=64,
+        height=64,
+    )
+    spec.add_texture(
+        name="table",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.33, 0.35, 0.38],
+        rgb2=[0.38, 0.40, 0.43],
+        width=256,
+        height=256,
+    )
+    textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "table"
+    # One checker square is 25 mm, the hole pitch of the real optical table.
+    spec.add_material(name="table", textures=textures, texrepeat=[40, 40], texuniform=True, reflectance=0.0)
+    spec.worldbody.add_light(pos=[0.0, -1.0, 2.5], dir=[0.2, 0.5, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    for body in scene.bodies:
+        frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
+        for geom in add_geoms(spec, frame, body.name, body.shape):
+            if isinstance(body.shape, Plane):
+                geom.material = "table"
+                geom.size = [0.0, 0.0, 0.05]
+            else:
+                geom.rgba = COLORS[body.motion]
+    for skin in skins:
+        skin.add(spec, COLORS[Motion.DYNAMIC])
+    model = spec.compile()
+    for skin in skins:
+        skin.place(model)
+    return model
+
+
+def _camera(scene: Scene) -> mujoco.MjvCamera:
+    """Looks at the middle of what the scene can fill: solids at the start, swings, and the floor below what falls."""
+    points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
+    points += [body.pose.to_world(_outline_m(body)) for body in scene.deformables]
+    for driver in scene.drivers:
+        start = scene.body(driver.body).pose
+        away = np.subtract(driver.pose(start, scene.duration_s).position_m, start.position_m)
+        carried = {a.deformable for a in scene.attachments if a.to == driver.body}
+        points.append(start.to_world(scene.body(driver.body).shape.corners_m) + away)
+        points += [body.pose.to_world(_outline_m(body)) + away for body in scene.deformables if body.name in carried]
+    azimuth_deg = AZIMUTH_DEG
+    for joint in scene.joints:
+        anchor = np.asarray(joint.anchor_m)
+        arm = np.linalg.norm(anchor - scene.body(joint.body).pose.position_m)
+        axis = np.asarray(joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0))
+        sideways = np.cross(axis, (0.0, 0.0, 1.0))
+        points.append(anchor + arm * np.array([sideways, -sideways, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)]))
+        # Nearly along the axis, so that the swing is seen face on.
+        azimuth_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) + 20.0
+    corners = np.concatenate(points) if points else np.zeros((1, 3))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    hanging = {joint.body for joint in scene.joints}
+    falls = any(body.name not in hanging for body in scene.dynamic_bodies)
+    if falls and low[2] - scene.floor_height_m < FLOOR_IN_VIEW_M:
+        low[2] = min(low[2], scene.floor_height_m)
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat[:] = 0.5 * (low + high)
+    radius = 0.5 * float(np.linalg.norm(high - low))
+    camera.distance = 1.25 * radius / np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+    camera.azimuth, camera.elevation = azimuth_deg, ELEVATION_DEG
+    return camera
+
+
+def _outline_m(body: Deformable) -> NDArray[np.float64]:
+    """Corners of a deformable body in its own frame [m], shape [8, 3]."""
+    if isinstance(body, SoftBody):
+        return body.shape.corners_m
+    if isinstance(body, Cloth):
+        return Box(size_m=(*body.size_m, 0.0)).corners_m
+    return Box(size_m=(body.length_m, 0.0, 0.0) if isinstance(body, Rope) else (0.0, 0.0, body.length_m)).corners_m

@@ -1,0 +1,43 @@
+"""Scores of a motion: distance to the real mean (trajectory), events of a swing (events), physical laws (law)."""
+
+from gauge_envs.evaluation.metrics.events import (
+    energy_loss,
+    longest_stationary_duration,
+    momentum_transfer_efficiency,
+    oscillation_period,
+)
+from gauge_envs.evaluation.metrics.law import (
+    coefficient_of_determination,
+    dynamic_error,
+    fitted_acceleration,
+    quadratic_form_improvement,
+)
+from gauge_envs.evaluation.metrics.trajectory import (
+    band_coverage,
+    dtw_path,
+    mean_abs_z,
+    release_offset,
+    signed_error,
+    trajectory_dtw,
+    trajectory_rmse,
+    z_scores,
+)
+
+__all__ = [
+    "band_coverage",
+    "coefficient_of_determination",
+    "dtw_path",
+    "dynamic_error",
+    "energy_loss",
+    "fitted_acceleration",
+    "longest_stationary_duration",
+    "mean_abs_z",
+    "momentum_transfer_efficiency",
+    "oscillation_period",
+    "quadratic_form_improvement",
+    "release_offset",
+    "signed_error",
+    "trajectory_dtw",
+    "trajectory_rmse",
+    "z_scores",
+]

@@ -1,0 +1,75 @@
+"""The reference of an experiment: the one place that decides which band counts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.references.bands import Band, BandGrade, _bundled_band, _folder
+from gauge_envs.references.imported import DriverSource
+from gauge_envs.references.published import carried_band, law_for
+from gauge_envs.scene import Scene
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = [
+    "band_grade",
+    "load_band",
+    "reference_band",
+]
+
+
+def reference_band(resolved: Experiment, *, use_withheld: bool = False) -> Band | None:
+    """The best reference there is for an experiment: real trials, else a recording, else a law, else none.
+
+    Args:
+        resolved: The experiment.
+        use_withheld: Take a band too that is withheld by default, as it may be of another material or covers too
+            little; `Band.withheld` gives the reason.
+    """
+    if resolved.reference is not None:
+        return resolved.reference.band
+    band = load_band(resolved.name)
+    if band is not None and (use_withheld or band.withheld is None):
+        return band
+    law = law_for(resolved.name)
+    if law is None:
+        return None
+    # An asset changes what is simulated, not what it is held against.
+    scene = (
+        resolved.scene if resolved.asset is None else load_experiment(resolved.name, drivers=DriverSource.BUNDLED).scene
+    )
+    return carried_band(
+        variant=resolved.name,
+        positions_mm=_carried_positions_mm(scene, law.body, law.carrier, resolved.frame_count),
+    )
+
+
+def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:
+    """Positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
+    start = scene.body(carrier).pose
+    place = start.to_body(np.asarray(scene.body(body).pose.position_m))
+    driver = next((d for d in scene.drivers if d.body == carrier), None)
+    poses = [start if driver is None else driver.pose(start, k / FRAME_RATE_HZ) for k in range(frame_count)]
+    return 1e3 * np.array([pose.to_world(place) for pose in poses])
+
+
+def load_band(variant: str) -> Band | None:
+    """The band of a variant: that of imported trials where there are some, else the bundled one; None without either.
+
+    Raises:
+        ReferenceFileError: A file of the band is damaged.
+    """
+    from gauge_envs.references.imported import load_imported  # the store holds bands, so it imports this module
+
+    imported = load_imported(variant)
+    return _bundled_band(_folder("bands"), variant) if imported is None else imported.band
+
+
+def band_grade(variant: str) -> BandGrade:
+    """The grade of what a variant is scored on; a band that is withheld does not count."""
+    band = load_band(variant)
+    if band is not None and band.withheld is None:
+        return band.grade
+    return BandGrade.NONE if law_for(variant) is None else BandGrade.LAW

@@ -1,0 +1,344 @@
+"""Trajectories that users bring from their own simulator: CSV, NPZ or JSON -> g(t), checked, with its 30 Hz frames.
+
+No physics engine is needed. Values are in the unit of the observable: mm for positions, rad for curvatures, mm^2 for
+face areas. Columns are the coordinates of g(t) in the order of `coordinate_names`.
+
+- CSV: one row a sample; an optional header; a column `time_s` where the header names one; `#` starts a comment.
+- NPZ: arrays `g`, shape [T, C], and optionally `time_s`, shape [T].
+- JSON: an object with `g`, a list of rows, optionally `time_s` and `id`; or a result file that this package wrote.
+
+A CSV header that names coordinates (`cube.x`, also `cube.x [mm]`) may list them in any order; other headers only say
+that the first row is not data. Without times, rows are the 30 Hz frames. With times, the first is 0; a sample within
+0.5 ms (and a tenth of the sample spacing) of a frame counts as that frame, and frames between two samples are
+interpolated linearly, which `interpolated_frames` counts. What comes after the last published frame is not used.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = [
+    "UserTrajectory",
+    "read_trajectory",
+    "recorded_id",
+]
+
+FRAME_TOLERANCE_S = 5e-4
+"""Samples this close to a frame count as the frame: times printed with three digits are off by that much [s]."""
+
+LARGEST = 10**12
+"""Larger values are a mistake, and their squares would overflow."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UserTrajectory:
+    """A generalized trajectory that covers every frame of its experiment.
+
+    Attributes:
+        times_s: Strictly increasing times from 0 to the last frame [s], the 30 Hz frames among them, shape
+            [sample_count].
+        values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
+        interpolated_frames: Frames that no sample of the file falls on.
+    """
+
+    times_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+    interpolated_frames: int
+
+
+def recorded_id(file: Path) -> tuple[str | None, Any, bool]:
+    """Id and parameters that a trajectory file states; None where it states none, as CSV and NPZ never do.
+
+    Returns:
+        Id, parameters, and whether it is a result whose scene was that of an asset.
+
+    Raises:
+        TrajectoryFileError: The file cannot be read, or its `id` is not text.
+    """
+    if file.suffix.lower() != ".json":
+        return None, None, False
+    content = _json_object(file)
+    name, parameters = content.get("id"), content.get("parameters")
+    if name is not None and not isinstance(name, str):
+        raise TrajectoryFileError(f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'")
+    return name, parameters, bool(content.get("asset"))
+
+
+def read_trajectory(file: Path, resolved: Experiment) -> UserTrajectory:
+    """Read the trajectory of an experiment from a CSV, NPZ or JSON file (formats: see the module).
+
+    Args:
+        file: Its suffix says the format.
+        resolved: The experiment that it is of.
+
+    Raises:
+        TrajectoryFileError: The file cannot be read or used; the message names file, place and what was expected.
+    """
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
+    reader = readers.get(file.suffix.lower())
+    if reader is None:
+        raise TrajectoryFileError(f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}")
+    layout = _Layout(file, resolved.coordinates, resolved.score.observable.unit)
+    times, values = reader(layout)
+    if times is None:
+        times = np.arange(len(values)) / FRAME_RATE_HZ
+    return _on_frames(file, times, values, resolved.frame_count)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What a file must hold, for the messages."""
+
+    file: Path
+    names: tuple[str, ...]
+    unit: str
+
+    def error(self, place: str, reason: str) -> TrajectoryFileError:
+        return TrajectoryFileError(f"{self.file}: {place}: {reason}" if place else f"{self.file}: {reason}")
+
+    @property
+    def expected(self) -> str:
+        shown = [f"{name} [{self.unit}]" for name in self.names]
+        if len(shown) > 6:
+            shown = [*shown[:3], "...", shown[-1]]
+        return f"expected {len(self.names)} columns: {', '.join(shown)}"
+
+    def number(self, place: str, column: str, value: Any) -> float:
+        """A finite number, whatever the file holds at that place."""
+        unit = "s" if column == "time_s" else self.unit
+        try:
+            if isinstance(value, bool):
+                raise ValueError
+            number = float(value)
+        except (TypeError, ValueError, OverflowError):
+            raise self.error(place, f"{column} is {_short(value)}, expected a number [{unit}]") from None
+        if not math.isfinite(number):
+            raise self.error(place, f"{column} is {_short(value)}, expected a finite number [{unit}]")
+        if abs(number) > LARGEST:
+            raise self.error(place, f"{column} is {_short(value)}, expected at most {LARGEST:g} [{unit}]")
+        return number
+
+    def table(self, rows: Sequence[Any], places: Sequence[str]) -> NDArray[np.float64]:
+        """Rows of numbers as an array, shape [len(rows), coordinate_count]."""
+        values = np.empty((len(rows), len(self.names)))
+        for index, (row, place) in enumerate(zip(rows, places, strict=True)):
+            if not isinstance(row, list):
+                raise self.error(place, f"{_short(row)} is not a list of numbers; {self.expected}")
+            if len(row) != len(self.names):
+                raise self.error(place, f"{len(row)} columns, {self.expected}")
+            values[index] = [self.number(place, *entry) for entry in zip(self.names, row, strict=True)]
+        return values
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict | list):
+        return f"a {type(value).__name__} of {len(value)}"
+    text = repr(value) if not isinstance(value, int) or abs(value) <= LARGEST else "a huge integer"
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+# --- formats ---------------------------------------------------------------------------------------------------------
+
+Columns = tuple[NDArray[np.float64] | None, NDArray[np.float64]]
+"""Times [s], shape [T], or None where the file has none; g(t), shape [T, C]."""
+
+
+def _bytes(file: Path) -> bytes:
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise TrajectoryFileError(f"{file}: cannot be read: {error.strerror or error}") from error
+    if not content.strip():
+        raise TrajectoryFileError(f"{file}: the file is empty")
+    return content
+
+
+def _read_csv(layout: _Layout) -> Columns:
+    lines: list[tuple[str, list[str]]] = []
+    comment: list[str] | None = None
+    try:
+        reader = csv.reader(io.StringIO(_bytes(layout.file).decode("utf-8-sig"), newline=""))
+        for fields in reader:
+            if not any(field.strip() for field in fields):
+                continue
+            if not fields[0].lstrip().startswith("#"):
+                lines.append((f"line {reader.line_num}", [field.strip() for field in fields]))
+            elif not lines and "time_s" in (names := [field.strip(" #\t") for field in fields]):
+                comment = names  # numpy.savetxt writes its header as a comment.
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise layout.error("", f"not a CSV file: {error}") from error
+    if not lines:
+        raise layout.error("", "no rows")
+    place, first = lines[0]
+    if len(first) == 1 < len(layout.names) and len(first[0].replace(";", " ").split()) > 1:
+        raise layout.error(place, f"one column, expected columns separated by commas; {layout.expected}")
+    header = comment
+    if not any(_is_number(field) for field in first) and "" not in first:
+        header = lines.pop(0)[1]
+    places, rows = [place for place, _ in lines], [fields for _, fields in lines]
+    order, time_column = _csv_columns(layout, header)
+    width = len(order) + (time_column is not None)
+    for place, fields in lines:
+        if len(fields) != width:
+            timed = "time_s and then " if time_column == 0 else "time_s and " if time_column is not None else ""
+            named = "" if header else "; a time column needs a header that names it time_s"
+            raise layout.error(place, f"{len(fields)} columns, {timed}{layout.expected}{named}")
+    times = None
+    if time_column is not None:
+        times = np.array(
+            [layout.number(place, "time_s", row[time_column]) for place, row in zip(places, rows, strict=True)]
+        )
+    return times, layout.table([[row[i] for i in order] for row in rows], places)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _csv_columns(layout: _Layout, header: list[str] | None) -> tuple[list[int], int | None]:
+    """Column of each coordinate, and of the time where there is one."""
+    if header is None:
+        return list(range(len(layout.names))), None
+    named = []
+    for column in header:
+        name, bracket, rest = column.partition("[")
+        name, unit = name.strip(), rest.strip(" ]")
+        wanted = "s" if name == "time_s" else layout.unit
+        if bracket and (name in layout.names or name == "time_s") and unit != wanted:
+            raise layout.error("header", f"column {name} is in [{unit}], expected [{wanted}]")
+        named.append(name)
+    if len(set(named)) < len(named):
+        twice = next(name for name in named if named.count(name) > 1)
+        raise layout.error("header", f"column {twice!r} appears twice")
+    time_column = named.index("time_s") if "time_s" in named else None
+    others = [index for index in range(len(named)) if index != time_column]
+    if set(named) & set(layout.names):
+        missing = [name for name in layout.names if name not in named]
+        unknown = [named[index] for index in others if named[index] not in layout.names]
+        if missing or unknown:
+            fault = f"no column {missing[0]!r}" if missing else f"unknown column {unknown[0]!r}"
+            raise layout.error("header", f"{fault}, {layout.expected}")
+        return [named.index(name) for name in layout.names], time_column
+    if len(others) != len(layout.names):
+        raise layout.error("header", f"{len(others)} columns beside time_s, {layout.expected}")
+    return others, time_column
+
+
+def _read_npz(layout: _Layout) -> Columns:
+    content = _bytes(layout.file)
+    try:
+        archive = np.load(io.BytesIO(content), allow_pickle=False)
+        members = {name: archive[name] for name in archive.files} if isinstance(archive, np.lib.npyio.NpzFile) else {}
+    except Exception as error:  # A damaged archive makes zipfile, zlib and numpy raise whatever they meet first.
+        raise layout.error("", f"not an NPZ file: {error}") from error
+    arrays = {name: member for name, member in members.items() if isinstance(member, np.ndarray)}
+    if "g" not in arrays:
+        raise layout.error("", f"no array 'g', it has: {', '.join(arrays) or 'none'}; {layout.expected}")
+    for name, array in arrays.items():
+        if name in ("g", "time_s") and array.dtype.kind not in "fiu":
+            raise layout.error(name, f"holds {array.dtype} values, expected numbers")
+    with np.errstate(over="ignore"):
+        g = np.asarray(arrays["g"], dtype=np.float64)
+        times = np.asarray(arrays["time_s"], dtype=np.float64) if "time_s" in arrays else None
+    if g.ndim != 2 or g.shape[1] != len(layout.names):
+        raise layout.error("g", f"shape is {list(g.shape)}, expected [T, {len(layout.names)}]; {layout.expected}")
+    for row, column in np.argwhere(~(np.abs(g) <= LARGEST))[:1]:
+        layout.number(f"g, row {row}", layout.names[column], g[row, column].item())
+    if times is None:
+        return None, g
+    if times.shape != g.shape[:1]:
+        raise layout.error("time_s", f"shape is {list(times.shape)}, expected [{len(g)}] as g has {len(g)} rows")
+    for row in np.flatnonzero(~(np.abs(times) <= LARGEST))[:1]:
+        layout.number(f"row {row}", "time_s", times[row].item())
+    return times, g
+
+
+def _json_object(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(_bytes(file).decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise TrajectoryFileError(f"{file}: not a JSON file: {error}") from error
+    if not isinstance(content, dict):
+        raise TrajectoryFileError(f"{file}: expected a JSON object with 'g', got a {type(content).__name__}")
+    return content
+
+
+def _read_json(layout: _Layout) -> Columns:
+    content = _json_object(layout.file)
+    key, times = "g", content.get("time_s")
+    if "g" not in content and isinstance(content.get("trajectory"), dict):
+        content = content["trajectory"]
+        key, times = "samples", content.get("times_s")
+    rows = content.get(key)
+    if not isinstance(rows, list):
+        raise layout.error("", f"no list {key!r} of rows; {layout.expected}")
+    values = layout.table(rows, [f"{key}, row {index}" for index in range(len(rows))])
+    if times is None:
+        return None, values
+    if not isinstance(times, list) or len(times) != len(rows):
+        count = f"{len(times)} entries" if isinstance(times, list) else _short(times)
+        raise layout.error("time_s", f"{count}, expected a list of {len(rows)} times as {key} has {len(rows)} rows")
+    return np.array([layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]), values
+
+
+# --- times -----------------------------------------------------------------------------------------------------------
+
+
+def _on_frames(
+    file: Path, times_s: NDArray[np.float64], values: NDArray[np.float64], frame_count: int
+) -> UserTrajectory:
+    """Check the times, put every frame among them, and cut after the last one."""
+    frames = np.arange(frame_count) / FRAME_RATE_HZ
+    needed = f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
+    if len(times_s) < 2:
+        raise TrajectoryFileError(f"{file}: {len(times_s)} rows; {needed}")
+    steps = np.diff(times_s)
+    if (steps <= 0.0).any():
+        row = int(np.argmax(steps <= 0.0)) + 1
+        raise TrajectoryFileError(
+            f"{file}: row {row}: time_s is {times_s[row]:g} after {times_s[row - 1]:g}, expected increasing times"
+        )
+    tolerance = min(FRAME_TOLERANCE_S, 0.1 * float(np.median(steps))) + 1e-9
+    if abs(times_s[0]) > tolerance:
+        raise TrajectoryFileError(f"{file}: row 0: time_s is {times_s[0]:g}, expected 0: the episode starts there")
+    if times_s[-1] < frames[-1] - tolerance:
+        raise TrajectoryFileError(f"{file}: {len(times_s)} rows end at {times_s[-1]:.4f} s; {needed}")
+    # A sample counts for a frame when it is the nearest one and near enough; that keeps the times increasing.
+    right = np.clip(np.searchsorted(times_s, frames), 1, len(times_s) - 1)
+    nearest = np.where(frames - times_s[right - 1] <= times_s[right] - frames, right - 1, right)
+    hit = np.abs(times_s[nearest] - frames) <= tolerance
+    gap = times_s[right] - times_s[right - 1]
+    wide = ~hit & (gap > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance)
+    if wide.any():
+        frame = int(wide.argmax())
+        before, after = times_s[right[frame] - 1], times_s[right[frame]]
+        raise TrajectoryFileError(
+            f"{file}: no sample at frame {frame} (t = {frames[frame]:.4f} s), the nearest are at {before:.4f} and "
+            f"{after:.4f} s; {needed}"
+        )
+    times = times_s.copy()
+    times[nearest[hit]] = frames[hit]
+    between = frames[~hit]
+    added = np.column_stack([np.interp(between, times_s, column) for column in values.T])
+    order = np.argsort(np.concatenate([times, between]), kind="stable")
+    times, values = np.concatenate([times, between])[order], np.concatenate([values, added])[order]
+    used = times <= frames[-1]
+    return UserTrajectory(times_s=times[used], values=values[used], interpolated_frames=len(between))

@@ -1,0 +1,1 @@
+"""Experiments: task files and files of users, resolved to a scene and how it is observed and scored."""

@@ -1,0 +1,64 @@
+"""MJCF files of the variants, with the variant, its parameters and its sources in the header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.mjcf_reader import DRIVER_PREFIX, driver_rows
+from gauge_envs.backends.mujoco.mjcf_writer import add_stiffness_tables, exact_xml, replay_note, without_rest
+from gauge_envs.errors import ResultFileError
+from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.experiments.export.usd_layer import SOURCE
+from gauge_envs.experiments.task_files import task_path
+from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+__all__ = [
+    "mjcf_text",
+    "write_mjcf",
+]
+
+
+def write_mjcf(resolved: TaskExperiment, path: Path) -> None:
+    """Write the MuJoCo model of a variant as a self-contained file, in full precision.
+
+    Where a body is driven, the file carries its motion as custom numbers `driver/<body>`; where compiled tables of a
+    deformable body have to be overwritten, it carries what is missing as `<table>/<body>/...`. A comment at the top
+    says how to use both.
+
+    Raises:
+        ResultFileError: The file cannot be written.
+    """
+    text = mjcf_text(resolved)
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def mjcf_text(resolved: TaskExperiment) -> str:
+    """The text that `write_mjcf` writes."""
+    scene = resolved.scene
+    simulation = BackendMuJoCo().build(scene)
+    notes = [
+        f"{resolved.spec.title}: {resolved.id}, parameters: {resolved.parameters}.",
+        f"Task file: tasks/{task_path(resolved.variant.family).name}, sha256 {resolved.file_sha256}.",
+        SOURCE,
+    ]
+    if scene.deformables:
+        notes += add_stiffness_tables(simulation)
+    for driver in scene.drivers:
+        path = DriverPath(driver, scene, resolved.frame_count)
+        rows = driver_rows(simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S))
+        moving = without_rest(rows)
+        name = f"{DRIVER_PREFIX}{driver.body}"
+        simulation.spec.add_numeric(name=name, size=moving.size, data=moving.ravel().tolist())
+        notes.append(replay_note(driver.body, driver.provenance, simulation, moving, len(rows)))
+    root = exact_xml(simulation)
+    root.set("model", resolved.name)
+    comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")
+    comment.tail = "\n\n  "
+    root.insert(0, comment)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"

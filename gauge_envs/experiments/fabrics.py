@@ -1,0 +1,38 @@
+"""The calibrated fabrics of the benchmark, read from a task file."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from gauge_envs.experiments.task_files import task_spec
+from gauge_envs.experiments.task_format import ClothConstants
+from gauge_envs.scene.fabrics import Fabric
+
+__all__ = [
+    "fabrics",
+]
+
+
+FABRICS_FROM = "TextileFlinging"
+"""Family whose task file names the six calibrated fabrics; the other families repeat its constants."""
+
+
+def fabrics(family: str = FABRICS_FROM) -> dict[str, Fabric]:
+    """Calibrated fabrics of a family, by name, read from its task file.
+
+    The default holds the six of the benchmark. The nylon of `TableclothPulling` is another cloth of the same name.
+
+    Raises:
+        UnknownNameError: No such family.
+        TaskFileError: Its file is wrong.
+    """
+    spec = task_spec(family)
+    return {
+        material: _fabric(ClothConstants.model_validate(spec.constants_of(cloth, material, None)))
+        for cloth in spec.cloths
+        for material in spec.constants[cloth]
+    }
+
+
+def _fabric(constants: ClothConstants) -> Fabric:
+    return Fabric(**{field.name: getattr(constants, field.name) for field in fields(Fabric)})

@@ -1,0 +1,193 @@
+"""Builds the scene of one variant from its task file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from gauge_envs.errors import ParameterError, TaskFileError
+from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec, Variant
+from gauge_envs.scene import (
+    Attachment,
+    Box,
+    Cloth,
+    Contact,
+    Deformable,
+    Hinge,
+    Markers,
+    Motion,
+    Region,
+    RigidBody,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+    Tether,
+)
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = [
+    "Parameters",
+]
+
+
+Parameters = str | Mapping[str, Any]
+"""`calibrated`, the name of another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
+
+
+def parameter_overrides(spec: TaskSpec, variant: Variant, parameters: Parameters) -> tuple[str, dict[str, Any]]:
+    if isinstance(parameters, Mapping):
+        return ("custom" if parameters else "calibrated"), dict(parameters)
+    if parameters == "calibrated":
+        return parameters, {}
+    if parameters not in spec.parameters:
+        known = ", ".join(["calibrated", *spec.parameters])
+        raise ParameterError(f"{variant.name} has no parameter set {parameters!r}; it has: {known}")
+    values = spec.parameters[parameters].values
+    return parameters, {k: v[variant.material] if isinstance(v, dict) else v for k, v in values.items()}
+
+
+class SceneBuilder:
+    """Puts one variant's scene together from its task file."""
+
+    def __init__(self, path: Path, spec: TaskSpec, variant: Variant, overrides: Mapping[str, Any]) -> None:
+        self.path = path
+        self.spec = spec
+        self.variant = variant
+        self.subtask = spec.subtasks[variant.subtask] if variant.subtask else None
+        self.present = self.subtask.bodies if self.subtask and self.subtask.bodies else spec.names
+        self.placements = self._placements()
+        self.constants = {
+            name: spec.constants_of(name, spec.owner(name).material or variant.material, variant.subtask)
+            for name in self.present
+            if name in spec.constants
+        }
+        for key, value in overrides.items():
+            self._override(key, value)
+        frames = self.subtask.frames if self.subtask else spec.frames
+        try:
+            self.frame_count = frames.get(variant.material) or frames["all"]
+        except KeyError:
+            raise TaskFileError(path, "frames", f"no frame count for {variant.name}") from None
+
+    def _placements(self) -> dict[str, Placement]:
+        merged: dict[str, Placement] = {}
+        tables = [self.spec.initial] + ([self.subtask.initial] if self.subtask else [])
+        for table in tables:
+            for material in ("all", self.variant.material):
+                merged.update(table.get(material, {}))
+        for name in self.present:
+            if name not in merged:
+                raise TaskFileError(self.path, "initial", f"no start of {name!r} for {self.variant.name}")
+        return merged
+
+    def _override(self, key: str, value: Any) -> None:
+        name, _, constant = key.rpartition(".")
+        if name not in self.present:
+            known = ", ".join(self.present)
+            raise ParameterError(f"{self.variant.name}: override {key!r} names no body of the scene; bodies: {known}")
+        try:
+            if constant in Placement.model_fields:
+                placed = self.placements[name].model_dump(exclude_none=True) | {constant: value}
+                self.placements[name] = Placement.model_validate(placed)
+            elif constant in self.constants.get(name, {}):
+                self.constants[name] = self.constants[name] | {constant: value}
+                self.spec.constants_model(name).model_validate(self.constants[name])
+            else:
+                known = ", ".join([*self.constants.get(name, {}), *Placement.model_fields])
+                raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; it has: {known}")
+        except ValidationError as error:
+            reason = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
+            raise ParameterError(f"{self.variant.name}: override {key!r} = {value!r}: {reason}") from error
+
+    def spec_name(self, body: str) -> str:
+        """Name in the task file of a scene body: counted bodies share one entry."""
+        return body if body in self.spec.bodies else body.rpartition("-")[0]
+
+    def build(self) -> Scene:
+        bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))
+        poses = {body.name: body.pose for body in bodies}
+        names = [*poses, *(n for n in self.present if n not in self.spec.bodies)]
+        specs = self.subtask.drivers if self.subtask and self.subtask.drivers is not None else self.spec.drivers
+        drivers = tuple(
+            Driver(
+                body=driver.body,
+                motions=tuple(motion.build(poses[driver.body]) for motion in driver.motions),
+                provenance=driver.provenance
+                if isinstance(driver.provenance, str)
+                else driver.provenance[self.variant.material],
+            )
+            for driver in specs
+        )
+        for driver in drivers:
+            motion = next(body.motion for body in bodies if body.name == driver.body)
+            if motion is not Motion.KINEMATIC:
+                raise TaskFileError(self.path, "drivers", f"{driver.body!r} is driven but {motion}, not kinematic")
+        markers = self.spec.markers
+        return Scene(
+            bodies=bodies,
+            deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
+            joints=tuple(self._joint(joint) for joint in self.spec.joints),
+            attachments=tuple(
+                Attachment(deformable=a.deformable, region=Region(**a.region.model_dump()), to=a.to)
+                for a in self.spec.attachments
+            ),
+            contacts=tuple(self._contacts(names)),
+            drivers=drivers,
+            markers=None if markers is None else Markers(**markers.model_dump()),
+            duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
+        )
+
+    def _bodies(self, name: str) -> Iterator[RigidBody]:
+        body = self.spec.bodies[name]
+        motion = self.subtask.motion.get(name, body.motion) if self.subtask else body.motion
+        poses = self.placements[name].poses()
+        if len(poses) != (body.count or 1):
+            raise TaskFileError(self.path, f"initial.{name}", f"{len(poses)} positions for {body.count or 1} bodies")
+        mass = self.constants.get(name, {}).get("mass_kg") or 0.0
+        for index, pose in enumerate(poses):
+            yield RigidBody(
+                name=f"{name}-{index + 1}" if body.count else name,
+                shape=body.shape.build(),
+                motion=motion,
+                pose=pose,
+                mass_kg=mass,
+            )
+
+    def _deformable(self, name: str) -> Deformable:
+        values: dict[str, Any] = dict(self.constants[name])
+        pose = self.placements[name].poses()[0]
+        for key in ("friction", "restitution", "density_kg_per_m3"):
+            values.pop(key, None)
+        if name in self.spec.cloths:
+            return Cloth(name=name, pose=pose, size_m=self.spec.cloths[name].size_m, **values)
+        if name in self.spec.soft_bodies:
+            return SoftBody(name=name, pose=pose, shape=Box(size_m=self.spec.soft_bodies[name].size_m), **values)
+        line, kind = (self.spec.ropes[name], Rope) if name in self.spec.ropes else (self.spec.rods[name], Rod)
+        return kind(name=name, pose=pose, length_m=line.length_m, radius_m=line.radius_m, **values)
+
+    def _joint(self, joint: JointSpec) -> Hinge | Tether:
+        placement = self.placements[joint.body]
+        if placement.hangs_from_m is None or placement.length_m is None:
+            raise TaskFileError(self.path, "joints", f"the start of {joint.body!r} lacks hangs_from_m")
+        if joint.axis is not None:
+            return Hinge(body=joint.body, anchor_m=placement.hangs_from_m, axis=joint.axis)
+        return Tether(body=joint.body, anchor_m=placement.hangs_from_m, length_m=placement.length_m)
+
+    def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
+        contacts = self.spec.contacts
+        if self.subtask and self.subtask.contacts is not None:
+            contacts = self.subtask.contacts
+        for contact in contacts:
+            first, second = (tuple(n for n in names if fnmatchcase(n, pattern)) for pattern in contact.bodies)
+            constants = self.constants.get(contact.constants_of, {}) if contact.constants_of else {}
+            friction = contact.friction if contact.friction is not None else constants.get("friction")
+            restitution = contact.restitution if contact.restitution is not None else constants.get("restitution")
+            if friction is None or restitution is None:
+                raise TaskFileError(self.path, "contacts", f"{contact.constants_of!r} has no friction or restitution")
+            yield Contact(first=first, second=second, friction=friction, restitution=restitution, mode=contact.mode)

@@ -1,0 +1,168 @@
+"""Assets as the source of a scene: a USD layer, or a model file of an engine, in the place of a variant's task file.
+
+From the file come bodies, constants and driven motion; what is observed, for how long, and what it is scored against
+stay those of the variant. So the file must fit it: the recorded bodies move, and what carries markers is there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gauge_envs.errors import AssetError
+from gauge_envs.experiments.experiment import Asset, AssetKind
+from gauge_envs.scene import Hinge, Motion
+from gauge_envs.scene.diff import scene_changes
+
+if TYPE_CHECKING:
+    from gauge_envs.experiments.experiment import Experiment, TaskExperiment
+    from gauge_envs.scene.usd.reader import UsdScene
+
+__all__ = [
+    "USD_SUFFIXES",
+    "check_fit",
+    "contents_sha256",
+    "is_experiment_file",
+    "read_bytes",
+    "with_asset",
+]
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of USD layers."""
+
+EXPERIMENT_SUFFIX = ".toml"
+
+
+def is_experiment_file(path: Path) -> bool:
+    """Whether a path is that of an experiment file, judged by its suffix."""
+    return path.suffix == EXPERIMENT_SUFFIX
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of an asset.
+
+    Raises:
+        AssetError: It cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise AssetError(path, "", f"cannot be read: {error.strerror or error}") from error
+
+
+def contents_sha256(contents: Sequence[bytes]) -> str:
+    """Hash of the contents of files in a given order; of a single one the usual hash of its bytes."""
+    if len(contents) == 1:
+        return hashlib.sha256(contents[0]).hexdigest()
+    return hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in contents)).hexdigest()
+
+
+# --- the scene of a variant, from a file -----------------------------------------------------------------------------
+
+
+def with_asset(resolved: TaskExperiment, path: Path) -> TaskExperiment:
+    """An experiment with the scene of a file.
+
+    Args:
+        resolved: The experiment with its calibrated scene and bundled drivers.
+        path: USD layer, or model file of an installed engine.
+
+    Raises:
+        AssetError: The file cannot be read, is of another variant, or does not fit this one.
+    """
+    from gauge_envs.backends.registry import backend_of_suffix
+    from gauge_envs.experiments.experiment import driver_provenance
+
+    contents = [read_bytes(path)]
+    changes: tuple[str, ...]
+    if path.suffix in USD_SUFFIXES:
+        layer = _usd_scene(resolved, path)
+        kind, scene = AssetKind.USD, layer.scene
+        contents += map(read_bytes, layer.used_files)
+        changes = tuple(scene_changes(resolved.scene, scene))
+    elif (engine := backend_of_suffix(path.suffix)) is not None:
+        kind, file = AssetKind.MODEL, engine.read_file(path, resolved.scene)
+        scene, changes = file.scene, file.changes
+    else:
+        raise AssetError(path, "", f"suffix {path.suffix!r} is neither USD ({', '.join(USD_SUFFIXES)}) nor an engine's")
+    found = replace(
+        resolved,
+        scene=scene,
+        driver_provenance=driver_provenance(scene),
+        asset=Asset(path=path, kind=kind, sha256=contents_sha256(contents), edited=bool(changes), changes=changes),
+    )
+    check_fit(found, resolved)
+    return found
+
+
+def _usd_scene(resolved: TaskExperiment, path: Path) -> UsdScene:
+    from gauge_envs.scene.usd.reader import read_usd
+
+    duration_s = resolved.scene.duration_s
+    found = read_usd(path, duration_s=duration_s)
+    of = found.metadata.get("variant", resolved.name)
+    if of != resolved.name:
+        raise AssetError(
+            path,
+            "customLayerData",
+            f"it is the scene of {of}, and {resolved.name} was asked for; if that is meant, delete 'variant' there",
+        )
+    if not math.isclose(found.scene.duration_s, duration_s, rel_tol=1e-9):
+        raise AssetError(
+            path,
+            "gauge:duration_s",
+            f"it lasts {found.scene.duration_s:.10g} s, but an episode of {resolved.name} {duration_s:.10g} s",
+        )
+    return found
+
+
+def check_fit(found: Experiment, wanted: Experiment) -> None:
+    """Raise when what an experiment observes is not in its scene.
+
+    Args:
+        found: The experiment with the scene of its asset.
+        wanted: The same with the scene that says what is observed.
+
+    Raises:
+        AssetError: A recorded body is missing or does not move, or markers are others, or on a rigid body.
+    """
+    assert found.asset is not None
+    path, scene = found.asset.path, found.scene
+    names = [body.name for body in scene.bodies]
+    for name in found.recorded:
+        if name not in names:
+            raise AssetError(path, name, f"no body of that name, which {found.name} records; it has: {_listed(names)}")
+        if scene.body(name).motion is not Motion.DYNAMIC:
+            raise AssetError(
+                path, name, f"{found.name} records it, so it must move under forces: {scene.body(name).motion}"
+            )
+    if not found.recorded:
+        if scene.markers is None:
+            raise AssetError(path, "", f"no markers, which {found.name} records")
+        known = [body.name for body in scene.deformables]
+        for name in scene.markers.bodies:
+            if name not in known:
+                raise AssetError(
+                    path,
+                    name,
+                    f"no deformable body of that name carries markers; it has: {_listed(known)}; markers are read off "
+                    "nodes, and rigid bodies have none: record those by position",
+                )
+        count = len(wanted.coordinates)
+        if len(found.coordinates) != count:
+            raise AssetError(path, "markers", f"{len(found.coordinates)} coordinates, {found.name} has {count}")
+    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
+    if {"lsd", "mte", "pd", "el"} & set(found.score.metrics) and found.recorded[0] not in hinged:
+        raise AssetError(path, found.recorded[0], f"no hinge, which {', '.join(found.score.metrics)} are measured from")
+
+
+# --- what differs ----------------------------------------------------------------------------------------------------
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return ", ".join(names[:12]) + more if names else "none"

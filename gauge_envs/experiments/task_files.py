@@ -1,0 +1,252 @@
+"""Task files: finds, reads and validates them, and names the variants that they define.
+
+A variant is a family, a subtask where the family has several, and a material: `SlopeSlider-2-wood`. Everything that
+differs between variants is data in `tasks/*.toml`; no Python file holds a number of any experiment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from gauge_envs.errors import TaskFileError, UnknownNameError
+from gauge_envs.experiments.tables import PlaneSpec
+from gauge_envs.experiments.task_format import PROVENANCES, TaskSpec, Variant
+from gauge_envs.files import data_folder
+
+__all__ = [
+    "find_variant",
+    "load_task",
+    "task_files",
+    "task_path",
+    "task_sha256",
+    "task_spec",
+    "variants",
+]
+
+
+def task_files() -> tuple[Path, ...]:
+    """All task files, sorted by name."""
+    return tuple(sorted(data_folder("tasks").glob("*.toml")))
+
+
+def load_task(path: Path) -> TaskSpec:
+    """Read and validate one task file.
+
+    Raises:
+        TaskFileError: The file does not parse, has an unknown key, a value out of range, a name that nothing
+            defines, or a number without provenance; the message names file, key and reason.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise TaskFileError(path, "(file)", str(error)) from error
+    try:
+        spec = TaskSpec.model_validate(raw)
+    except ValidationError as error:
+        raise task_file_error(path, error) from error
+    _check_names(path, spec)
+    _check_constants(path, spec)
+    _check_provenance(path, spec, raw)
+    return spec
+
+
+def task_file_error(path: Path, error: ValidationError, prefix: str = "") -> TaskFileError:
+    first = error.errors(include_url=False)[0]
+    key = ".".join([*([prefix] if prefix else []), *(str(part) for part in first["loc"])])
+    if first["type"] == "extra_forbidden":
+        return TaskFileError(path, key, "unknown key")
+    if first["type"] == "missing":
+        return TaskFileError(path, key, "missing key")
+    reason = first["msg"].removeprefix("Value error, ")
+    given = first["input"]
+    shown = f" (given: {given!r})" if isinstance(given, int | float | str) else ""
+    return TaskFileError(path, key, reason + shown)
+
+
+def _check_names(path: Path, spec: TaskSpec) -> None:
+    """Every name that the file uses is one that it defines."""
+
+    def check(key: str, name: str, known: Sequence[str]) -> None:
+        if not any(fnmatchcase(candidate, name) for candidate in known):
+            raise TaskFileError(path, key, f"{name!r} is not defined; known: {', '.join(known)}")
+
+    counted = [f"{n}-{i + 1}" for n, b in spec.bodies.items() if b.count for i in range(b.count)]
+    names = [*spec.names, *counted]
+    everywhere = ["all", *spec.materials]
+    for key, table in [("frames", spec.frames)] + [
+        (f"subtasks.{k}.frames", s.frames) for k, s in spec.subtasks.items()
+    ]:
+        for material in table:
+            check(key, material, everywhere)
+    for key, initial in [("initial", spec.initial)] + [
+        (f"subtasks.{k}.initial", s.initial) for k, s in spec.subtasks.items()
+    ]:
+        for material, placements in initial.items():
+            check(key, material, everywhere)
+            for name in placements:
+                check(f"{key}.{material}", name, spec.names)
+    for k, subtask in spec.subtasks.items():
+        for name in [*subtask.bodies, *subtask.motion]:
+            check(f"subtasks.{k}", name, spec.names)
+    for i, joint in enumerate(spec.joints):
+        check(f"joints.{i}.body", joint.body, names)
+    for i, attachment in enumerate(spec.attachments):
+        check(f"attachments.{i}.deformable", attachment.deformable, names)
+        check(f"attachments.{i}.to", attachment.to, names)
+    contact_lists = [("contacts", spec.contacts)]
+    driver_lists = [("drivers", spec.drivers)]
+    for k, subtask in spec.subtasks.items():
+        contact_lists.append((f"subtasks.{k}.contacts", subtask.contacts or ()))
+        driver_lists.append((f"subtasks.{k}.drivers", subtask.drivers or ()))
+    for key, contacts in contact_lists:
+        for i, contact in enumerate(contacts):
+            for name in [*contact.bodies, *([contact.constants_of] if contact.constants_of else [])]:
+                check(f"{key}.{i}", name, names)
+            given = contact.friction is not None and contact.restitution is not None
+            if contact.constants_of is None and not given:
+                raise TaskFileError(path, f"{key}.{i}", "give constants_of, or both friction and restitution")
+    for key, drivers in driver_lists:
+        for i, driver in enumerate(drivers):
+            check(f"{key}.{i}.body", driver.body, list(spec.bodies))
+            if isinstance(driver.provenance, dict) and set(driver.provenance) != set(spec.materials):
+                raise TaskFileError(path, f"{key}.{i}.provenance", f"name each of {', '.join(spec.materials)} once")
+    if spec.markers is not None:
+        for name in spec.markers.bodies:
+            check("markers.bodies", name, names)
+
+
+def _check_constants(path: Path, spec: TaskSpec) -> None:
+    """Every body has the constants of every material that a variant may ask for, each in range."""
+    for name in spec.constants:
+        if name not in spec.names:
+            raise TaskFileError(path, f"constants.{name}", f"no body of that name; known: {', '.join(spec.names)}")
+    for name in spec.names:
+        if name in spec.bodies and isinstance(spec.bodies[name].shape, PlaneSpec):
+            continue
+        owner = spec.owner(name)
+        needed = [owner.material] if owner.material else list(spec.materials)
+        tables = spec.constants.get(name, {})
+        for material in needed:
+            if material not in tables:
+                raise TaskFileError(path, f"constants.{name}.{material}", f"missing material {material!r}")
+        for material, table in tables.items():
+            for subtask in spec.subtasks or [None]:
+                values = spec.constants_of(name, material, subtask)
+                try:
+                    spec.constants_model(name).model_validate(values)
+                except ValidationError as error:
+                    raise task_file_error(path, error, f"constants.{name}.{material}") from error
+            for key, value in table.items():
+                if isinstance(value, dict):
+                    for subtask in value:
+                        if subtask not in spec.subtasks:
+                            raise TaskFileError(path, f"constants.{name}.{material}.{key}", f"no subtask {subtask!r}")
+
+
+def _number_keys(value: Any, key: str = "") -> Iterator[str]:
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _number_keys(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list) and any(isinstance(entry, dict) for entry in value):
+        for index, inner in enumerate(value):
+            yield from _number_keys(inner, f"{key}.{index}")
+    elif isinstance(value, list):
+        if not all(isinstance(entry, str) for entry in value):
+            yield key
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield key
+
+
+def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
+    """Every number of the file is covered by a provenance entry of a known kind."""
+    for key, provenance in spec.provenance.items():
+        if provenance.split(":")[0] not in PROVENANCES:
+            raise TaskFileError(
+                path, f"provenance.{key}", f"{provenance!r} must start with one of {', '.join(PROVENANCES)}"
+            )
+    for key in _number_keys({k: v for k, v in raw.items() if k != "provenance"}):
+        try:
+            spec.provenance_of(key)
+        except UnknownNameError as error:
+            raise TaskFileError(path, key, "a number without an entry in [provenance]") from error
+
+
+@cache
+def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
+    """Path and raw content of every task file, by family; read once, validated only when a family is used."""
+    headers = {}
+    for path in task_files():
+        try:
+            raw = tomllib.loads(path.read_text(encoding="utf-8"))
+            headers[raw["family"]] = (path, raw)
+        except (tomllib.TOMLDecodeError, KeyError) as error:
+            raise TaskFileError(path, "family", f"cannot be read: {error}") from error
+    return headers
+
+
+def task_path(family: str) -> Path:
+    """Path of a family's task file.
+
+    Raises:
+        UnknownNameError: No such family.
+    """
+    try:
+        return _headers()[family][0]
+    except KeyError:
+        raise UnknownNameError("family", family, _headers()) from None
+
+
+@cache
+def task_sha256(family: str) -> str:
+    """Hash of the task file of a family.
+
+    Raises:
+        UnknownNameError: No such family.
+    """
+    return hashlib.sha256(task_path(family).read_bytes()).hexdigest()
+
+
+@cache
+def task_spec(family: str) -> TaskSpec:
+    """The validated task file of a family.
+
+    Raises:
+        UnknownNameError: No such family.
+        TaskFileError: Its file is wrong.
+    """
+    return load_task(task_path(family))
+
+
+@cache
+def variants() -> tuple[Variant, ...]:
+    """All variants, in the order of the task files.
+
+    Reads only names, so that importing the package stays light; a file is validated when one of its variants is used.
+    """
+    return tuple(
+        Variant(family, subtask, material)
+        for family, (_, raw) in _headers().items()
+        for subtask in raw.get("subtasks") or {None: None}
+        for material in raw["materials"]
+    )
+
+
+def find_variant(name: str) -> Variant:
+    """Variant by its name or Gymnasium id.
+
+    Raises:
+        UnknownNameError: There is none; the message offers the nearest.
+    """
+    by_name = {variant.name: variant for variant in variants()}
+    try:
+        return by_name[name.removeprefix("GAUGE/")]
+    except KeyError:
+        raise UnknownNameError("experiment", name, by_name) from None

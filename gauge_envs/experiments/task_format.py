@@ -1,0 +1,366 @@
+"""The format of a task file: one pydantic table for each TOML table, in SI units; unknown keys are errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from gauge_envs.errors import UnknownNameError
+from gauge_envs.experiments.tables import (
+    DriverSpec,
+    Finite,
+    Fraction,
+    NonNegative,
+    Positive,
+    ShapeSpec,
+    Table,
+    UnitVector,
+    Vector3,
+)
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.scene import ContactMode, Motion, Pose
+
+__all__ = [
+    "PROVENANCES",
+    "ClothConstants",
+    "ContactSpec",
+    "Group",
+    "JointSpec",
+    "MarkersSpec",
+    "Placement",
+    "RigidConstants",
+    "ScoreSpec",
+    "SolidConstants",
+    "TaskSpec",
+    "Variant",
+]
+
+
+PROVENANCES = ("metadata", "paper", "video", "mocap", "derived", "nominal")
+"""Where a number can be from; each is explained in the README."""
+
+
+class Group(StrEnum):
+    """Kind of matter that an experiment is about."""
+
+    RIGID = "rigid"
+    ROPE = "rope"
+    TEXTILE = "textile"
+    DEFORMABLE = "deformable"
+
+
+def _admissible_poisson(value: float) -> float:
+    if not -1.0 < value < 0.5:
+        raise ValueError(f"Poisson ratio {value} is out of range: an isotropic solid needs -1 < nu < 0.5")
+    return value
+
+
+PoissonRatio = Annotated[float, AfterValidator(_admissible_poisson)]
+
+
+class BodySpec(Table):
+    """A rigid body, or `count` equal ones named `<name>-1`, `<name>-2`, ..."""
+
+    shape: ShapeSpec
+    motion: Motion
+    recorded: bool = False
+    material: str | None = None
+    count: Annotated[int, Field(ge=1)] | None = None
+
+
+class ClothSpec(Table):
+    """A rectangular sheet."""
+
+    size_m: tuple[Positive, Positive]
+    material: str | None = None
+
+
+class SoftBodySpec(Table):
+    """A volumetric elastic block."""
+
+    size_m: tuple[Positive, Positive, Positive]
+    material: str | None = None
+
+
+class LineSpec(Table):
+    """A rope or an elastic rod."""
+
+    length_m: Positive
+    radius_m: Positive
+    material: str | None = None
+
+
+class Substituted(Table):
+    """A calibrated constant that no simulation can use as it stands, and what is used in its place."""
+
+    calibrated: Finite
+    used: Finite
+    reason: str
+
+
+class RigidConstants(Table):
+    """Calibrated constants of a rigid body; friction and restitution are those of its contact in this experiment."""
+
+    mass_kg: Positive
+    density_kg_per_m3: Positive | None = None
+    friction: NonNegative | None = None
+    restitution: Fraction | None = None
+
+
+class ClothConstants(Table):
+    """Calibrated constants of a fabric."""
+
+    mass_kg: Positive
+    areal_density_kg_per_m2: Positive
+    thickness_m: Positive
+    stretch_stiffness_n_per_m: Positive
+    shear_stiffness_n_per_m: Positive
+    bend_stiffness_n_m_per_rad: Positive
+    friction: NonNegative
+    restitution: Fraction
+
+
+class SolidConstants(Table):
+    """Calibrated constants of a foam, a rubber, a rope or a rod."""
+
+    mass_kg: Positive
+    density_kg_per_m3: Positive | None = None
+    young_modulus_pa: Positive
+    poisson_ratio: PoissonRatio | None = None
+    friction: NonNegative
+    restitution: Fraction
+
+
+class Placement(Table):
+    """Where a body starts.
+
+    Give `position_m`; or `positions_m` for counted bodies; or `hangs_from_m` and `length_m` for a body on a string or
+    light rod, whose hanging position is then turned about the anchor by `euler_deg`.
+    """
+
+    position_m: Vector3 | None = None
+    positions_m: tuple[Vector3, ...] | None = None
+    hangs_from_m: Vector3 | None = None
+    length_m: Positive | None = None
+    euler_deg: Vector3 = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Placement:
+        given = [self.position_m is not None, self.positions_m is not None, self.hangs_from_m is not None]
+        if sum(given) != 1:
+            raise ValueError("give exactly one of position_m, positions_m, hangs_from_m")
+        if (self.hangs_from_m is None) != (self.length_m is None):
+            raise ValueError("hangs_from_m and length_m go together")
+        return self
+
+    def poses(self) -> list[Pose]:
+        """World poses of the body or bodies."""
+        if self.hangs_from_m is not None and self.length_m is not None:
+            turned = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
+            x, y, z = (self.hangs_from_m + turned.to_world(np.array([0.0, 0.0, -self.length_m]))).tolist()
+            return [Pose(position_m=(x, y, z), quaternion=turned.quaternion)]
+        positions = self.positions_m if self.positions_m is not None else (self.position_m,)
+        return [Pose.from_euler_deg(position, self.euler_deg) for position in positions if position is not None]
+
+
+class JointSpec(Table):
+    """A hinge or a string to the world at the point that the body hangs from."""
+
+    kind: Literal["hinge", "tether"]
+    body: str
+    axis: UnitVector | None = None
+
+    @model_validator(mode="after")
+    def _axis(self) -> JointSpec:
+        if (self.kind == "hinge") != (self.axis is not None):
+            raise ValueError("a hinge needs an axis, a tether has none")
+        return self
+
+
+class RegionSpec(Table):
+    """End of a deformable body."""
+
+    axis: Literal["x", "y", "z"]
+    side: Literal["low", "high"]
+    depth_m: NonNegative = 0.0
+
+
+class AttachmentSpec(Table):
+    """Glues a region of a deformable body to another body."""
+
+    deformable: str
+    region: RegionSpec
+    to: str
+
+
+class ContactSpec(Table):
+    """Which bodies collide, and whose calibrated constants hold for the pair."""
+
+    bodies: tuple[str, str]
+    constants_of: str | None = None
+    friction: NonNegative | None = None
+    restitution: Fraction | None = None
+    mode: ContactMode = ContactMode.SUSTAINED
+
+
+class MarkersSpec(Table):
+    """Motion-capture markers; `positions_m` in the published order."""
+
+    bodies: tuple[str, ...] = Field(min_length=1)
+    positions_m: tuple[Vector3, ...] = Field(min_length=1)
+    faces: tuple[tuple[int, int, int], ...] = ()
+    lines: tuple[tuple[int, int], ...] = ()
+    corner: tuple[int, ...] = ()
+    edge: tuple[int, ...] = ()
+
+    @model_validator(mode="after")
+    def _indices(self) -> MarkersSpec:
+        count = len(self.positions_m)
+        for key in ("faces", "lines", "corner", "edge"):
+            for entry in getattr(self, key):
+                for index in entry if isinstance(entry, tuple) else (entry,):
+                    if not 0 <= index < count:
+                        raise ValueError(f"{key}: marker index {index} is out of range: there are {count} markers")
+        return self
+
+
+class ScoreSpec(Table):
+    """How the experiment is observed and scored."""
+
+    observable: Observable
+    metrics: tuple[Literal["rmse", "dtw", "lsd", "mte", "pd", "el"], ...] = ()
+    period_axis: Literal["x", "y", "z"] | None = None
+
+
+class ParameterSetSpec(Table):
+    """Named alternative values, keyed `body.constant`; per material where they differ."""
+
+    summary: str
+    values: dict[str, Any] = Field(min_length=1)
+
+
+class SourceSpec(Table):
+    """What the file was transcribed from."""
+
+    metadata: str
+    paper: str
+    video: str | None = None
+
+
+class SubtaskSpec(Table):
+    """What a subtask adds to, or replaces in, the family."""
+
+    title: str
+    frames: dict[str, Annotated[int, Field(ge=2)]]
+    bodies: tuple[str, ...] = ()
+    motion: dict[str, Motion] = {}
+    initial: dict[str, dict[str, Placement]] = {}
+    contacts: tuple[ContactSpec, ...] | None = None
+    drivers: tuple[DriverSpec, ...] | None = None
+
+
+@dataclass(frozen=True, order=True)
+class Variant:
+    """Family, subtask (None where the family has one experiment) and material."""
+
+    family: str
+    subtask: str | None
+    material: str
+
+    @property
+    def name(self) -> str:
+        """`SlopeSlider-2-wood`."""
+        return "-".join(part for part in (self.family, self.subtask, self.material) if part)
+
+    @property
+    def id(self) -> str:
+        """Gymnasium id, `GAUGE/SlopeSlider-2-wood`."""
+        return f"GAUGE/{self.name}"
+
+
+class TaskSpec(Table):
+    """One task file; its keys stand in this order."""
+
+    family: str
+    title: str
+    group: Group
+    summary: str
+    evaluates: tuple[str, ...]
+    materials: tuple[str, ...] = Field(min_length=1)
+    metadata_materials: dict[str, str] = {}
+    decisions: tuple[str, ...] = ()
+    source: SourceSpec
+    bodies: dict[str, BodySpec] = {}
+    cloths: dict[str, ClothSpec] = {}
+    soft_bodies: dict[str, SoftBodySpec] = {}
+    ropes: dict[str, LineSpec] = {}
+    rods: dict[str, LineSpec] = {}
+    constants: dict[str, dict[str, dict[str, float | Substituted | dict[str, float]]]]
+    initial: dict[str, dict[str, Placement]] = {}
+    joints: tuple[JointSpec, ...] = ()
+    attachments: tuple[AttachmentSpec, ...] = ()
+    contacts: tuple[ContactSpec, ...] = ()
+    score: ScoreSpec
+    frames: dict[str, Annotated[int, Field(ge=2)]] = {}
+    drivers: tuple[DriverSpec, ...] = ()
+    markers: MarkersSpec | None = None
+    parameters: dict[str, ParameterSetSpec] = {}
+    subtasks: dict[str, SubtaskSpec] = {}
+    provenance: dict[str, str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bodies, rigid and deformable, as the file spells them."""
+        return (*self.bodies, *self.cloths, *self.soft_bodies, *self.ropes, *self.rods)
+
+    def owner(self, name: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec:
+        """The table that defines a body; KeyError where there is none."""
+        for table in (self.bodies, self.cloths, self.soft_bodies, self.ropes, self.rods):
+            if name in table:
+                return table[name]
+        raise KeyError(name)
+
+    def constants_model(self, name: str) -> type[RigidConstants | ClothConstants | SolidConstants]:
+        """What constants a body has."""
+        if name in self.bodies:
+            return RigidConstants
+        return ClothConstants if name in self.cloths else SolidConstants
+
+    def constants_of(self, name: str, material: str, subtask: str | None) -> dict[str, float | None]:
+        """Constants of one body in one variant: per-subtask values picked, substitutes put in."""
+        values: dict[str, float | None] = {}
+        for key, value in self.constants[name][material].items():
+            if isinstance(value, Substituted):
+                values[key] = value.used
+            else:
+                values[key] = value.get(subtask or "") if isinstance(value, dict) else value
+        return values
+
+    def variants(self) -> tuple[Variant, ...]:
+        """Variants of the family: subtasks first, then materials, in the file's order."""
+        return tuple(
+            Variant(self.family, subtask, material)
+            for subtask in (self.subtasks or [None])
+            for material in self.materials
+        )
+
+    def provenance_of(self, key: str) -> str:
+        """Where the number under a dotted key is from.
+
+        The entry with the longest matching prefix counts; of several as long, the one with the fewest wildcards.
+
+        Raises:
+            UnknownNameError: No entry covers the key.
+        """
+        parts = key.split(".")
+        for length in range(len(parts), 0, -1):
+            prefix = ".".join(parts[:length])
+            matching = [p for p in self.provenance if p.count(".") == prefix.count(".") and fnmatchcase(prefix, p)]
+            if matching:
+                return self.provenance[min(matching, key=lambda pattern: pattern.count("*"))]
+        raise UnknownNameError("provenance of", key, self.provenance)

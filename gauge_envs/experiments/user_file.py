@@ -1,0 +1,350 @@
+"""Experiment files: what USD does not say of a scene, so that it can be run and scored. Format: docs/assets.md.
+
+A USD layer by whoever, and a short TOML file beside it: how long it lasts, what is observed, what it is scored against
+and where that is from. The file is validated by pydantic; unknown keys are errors.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from gauge_envs.errors import AssetError, TaskFileError
+from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
+from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
+from gauge_envs.experiments.tables import DriverSpec, Fraction, NonNegative, Positive, Table, Vector3
+from gauge_envs.experiments.task_files import task_file_error
+from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band, read_band
+from gauge_envs.references.published import ENGINES, Baseline, Reference
+from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = [
+    "ExperimentFile",
+    "FileExperiment",
+    "experiment_record",
+    "load_experiment_file",
+    "recorded_experiment_file",
+]
+
+
+class PairSpec(Table):
+    """What holds for the contact of two bodies instead of what the USD layer says, which has no contact modes."""
+
+    bodies: tuple[str, str]
+    friction: NonNegative | None = None
+    restitution: Fraction | None = None
+    mode: ContactMode | None = None
+
+
+class FileMarkersSpec(MarkersSpec):
+    """Markers on deformable bodies: listed here, or the points of a prim of the layer.
+
+    Attributes:
+        prim: Path of a Points or Mesh prim, in the place of `positions_m`.
+    """
+
+    positions_m: tuple[Vector3, ...] = ()
+    prim: str | None = None
+
+    @model_validator(mode="after")
+    def _indices(self) -> FileMarkersSpec:
+        if bool(self.positions_m) == (self.prim is not None):
+            raise ValueError("one of prim and positions_m is expected")
+        # Indices are checked where the layer is read, since only then it is known how many points a prim has.
+        return self
+
+
+class BandSpec(Table):
+    """Table of mean and scatter, and what is to be said of it; keys as in scoring/README.md."""
+
+    file: str
+    grade: Literal["trials", "recording", "law"]
+    sigma_source: Literal["trials", "baseline", "measurement"]
+    coordinates: tuple[str, ...] = Field(min_length=1)
+    projection: tuple[tuple[float, ...], ...] | None = None
+    indices: tuple[int, ...] | None = None
+    width: Annotated[int, Field(ge=1)] | None = None
+    sigma: Positive | None = None
+    trial_count: Annotated[int, Field(ge=1)] | None = None
+    source: str
+
+
+class BaselineSpec(Table):
+    """Score of real trials against their own mean, in the unit of the metric: scores are divided by it."""
+
+    mean: Positive
+    std: NonNegative | None = None
+
+
+class ExperimentFile(Table):
+    """One experiment file.
+
+    Attributes:
+        name: Short name; results are filed under `Asset-<name>`.
+        title: What it is called.
+        summary: What happens, one sentence.
+        evaluates: Physical effects that it tests.
+        usd: The USD layer, relative to the file.
+        frames: Length at 30 Hz, the first frame included.
+        friction: Which of USD's two coefficients counts where they differ; None makes that an error.
+        score: As in a task file: observable, metrics, period_axis.
+        recorded: Bodies whose positions are observed, by prim path or name; empty where markers are.
+        markers: Markers on deformable bodies, where the layer has none of its own, or others are to be read.
+        contacts: What holds for single pairs.
+        drivers: Motion of kinematic bodies that the layer does not animate.
+        band: What it is scored against; None gives no score.
+        baseline: Scores of real trials, by metric.
+        provenance: Where numbers are from, by what they are of.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+    title: str
+    summary: str = ""
+    evaluates: tuple[str, ...] = ()
+    usd: str
+    frames: Annotated[int, Field(ge=2)]
+    friction: Literal["dynamic", "static"] | None = None
+    score: ScoreSpec
+    recorded: tuple[str, ...] = ()
+    markers: FileMarkersSpec | None = None
+    contacts: tuple[PairSpec, ...] = ()
+    drivers: tuple[DriverSpec, ...] = ()
+    band: BandSpec | None = None
+    baseline: dict[Literal["rmse", "dtw", "lsd", "mte", "pd"], BaselineSpec] = Field(default_factory=dict)
+    provenance: dict[str, str] = Field(min_length=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileExperiment(Experiment):
+    """The experiment of an experiment file.
+
+    Attributes:
+        definition: The file.
+    """
+
+    definition: ExperimentFile
+
+
+def load_experiment_file(path: Path) -> FileExperiment:
+    """Read an experiment file, and the USD layer and the band that it names.
+
+    Raises:
+        TaskFileError: The file does not parse, has an unknown key or a value out of range; names file, key and reason.
+        AssetError: The USD layer cannot be read, or lacks a prim that the file names.
+        ReferenceFileError: The band is wrong.
+    """
+    content = read_bytes(path)
+    try:
+        definition = ExperimentFile.model_validate(tomllib.loads(content.decode("utf-8")))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise TaskFileError(path, "(file)", str(error)) from error
+    except ValidationError as error:
+        raise task_file_error(path, error) from error
+    layer = path.parent / definition.usd
+    scene, recorded, used_files = _scene(path, layer, definition)
+    contents = [content, read_bytes(layer), *map(read_bytes, used_files)]
+    band = None
+    if definition.band is not None:
+        table = path.parent / definition.band.file
+        band = read_band(table, _band_facts(definition), path)
+        contents.append(read_bytes(table))
+    resolved = _resolved(
+        definition.model_copy(update={"recorded": recorded}),
+        scene,
+        band,
+        asset=Asset(path=path, kind=AssetKind.EXPERIMENT, sha256=contents_sha256(contents)),
+        file_sha256=contents_sha256(contents),
+    )
+    check_fit(resolved, resolved)
+    _check_band(path, resolved)
+    return resolved
+
+
+def _resolved(
+    definition: ExperimentFile, scene: Scene, band: Band | None, *, asset: Asset, file_sha256: str
+) -> FileExperiment:
+    name = f"{ASSET_NAME}-{definition.name}"
+    unit = definition.score.observable.unit
+    baselines: dict[str, Baseline] = {
+        metric: Baseline(
+            variant=name,
+            metric=metric,
+            frames=definition.frames,
+            unit={"mte": "1", "lsd": "s", "pd": "s"}.get(metric, unit),
+            mean=stated.mean,
+            std=stated.std,
+            engines=dict.fromkeys(ENGINES),
+        )
+        for metric, stated in definition.baseline.items()
+    }
+    return FileExperiment(
+        name=name,
+        title=definition.title,
+        score=definition.score,
+        scene=scene,
+        recorded=definition.recorded,
+        frame_count=definition.frames,
+        parameters="calibrated",
+        overrides={},
+        driver_provenance=driver_provenance(scene),
+        file_sha256=file_sha256,
+        asset=asset,
+        reference=Reference(band=band, baselines=baselines),
+        definition=definition,
+    )
+
+
+# --- in a result -----------------------------------------------------------------------------------------------------
+
+
+def experiment_record(resolved: FileExperiment) -> dict[str, Any]:
+    """What a result keeps of an experiment file beside the scene, JSON-ready: the file, and its band."""
+    band = resolved.reference.band if resolved.reference is not None else None
+    return {
+        "definition": resolved.definition.model_dump(mode="json"),
+        "band": None if band is None else band.to_dict(),
+    }
+
+
+def recorded_experiment_file(
+    record: Mapping[str, Any], scene: Scene, *, asset: Asset, file_sha256: str
+) -> FileExperiment:
+    """Inverse of `experiment_record`.
+
+    Raises:
+        ValueError: The record is damaged.
+    """
+    definition = ExperimentFile.model_validate(record["definition"])
+    band = None if record["band"] is None else Band.from_dict(record["band"])
+    return _resolved(definition, scene, band, asset=asset, file_sha256=file_sha256)
+
+
+# --- scene -----------------------------------------------------------------------------------------------------------
+
+
+def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, tuple[str, ...], tuple[Path, ...]]:
+    """The scene of the layer with what the file adds to it, the names of the recorded bodies, and the layer's files."""
+    from gauge_envs.scene.usd.reader import read_usd
+
+    duration_s = (definition.frames - 1) / FRAME_RATE_HZ
+    has_markers = definition.markers is None
+    found = read_usd(layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers)
+    scene = replace(found.scene, duration_s=duration_s)
+    names = _Names(path, layer, found.paths)
+    for index, pair in enumerate(definition.contacts):
+        scene = _with_pair(path, f"contacts.{index}", scene, names, pair)
+    scene = replace(scene, drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)))
+    if definition.markers is not None:
+        scene = replace(scene, markers=_markers(path, layer, names, definition.markers))
+    if (definition.score.observable is Observable.POSITION) != bool(definition.recorded):
+        needed = "recorded bodies" if not definition.recorded else "no recorded bodies, but markers"
+        raise TaskFileError(path, "recorded", f"observable {definition.score.observable.value!r} needs {needed}")
+    return scene, tuple(names.body("recorded", name) for name in definition.recorded), found.used_files
+
+
+class _Names:
+    """Bodies of a layer, by name or prim path."""
+
+    def __init__(self, path: Path, layer: Path, paths: Mapping[str, str]) -> None:
+        self._path = path
+        self._layer = layer
+        self._names = {name: name for name in paths} | {prim: name for name, prim in paths.items()}
+
+    def body(self, key: str, stated: str) -> str:
+        """Name of the body.
+
+        Raises:
+            AssetError: There is none.
+        """
+        if stated not in self._names:
+            prims = ", ".join(name for name in self._names if name.startswith("/")) or "none"
+            raise AssetError(self._path, key, f"{stated!r} is no body of {self._layer.name}, which has: {prims}")
+        return self._names[stated]
+
+
+def _markers(path: Path, layer: Path, names: _Names, spec: FileMarkersSpec) -> Markers:
+    from gauge_envs.scene.usd.reader import read_points
+
+    stated = spec.model_dump(exclude={"prim"})
+    if spec.prim is not None:
+        try:
+            stated["positions_m"] = read_points(layer, spec.prim).tolist()
+        except AssetError as error:
+            raise AssetError(path, "markers.prim", f"{error.place} of {layer.name}: {error.reason}") from None
+    try:
+        whole = MarkersSpec.model_validate(stated)
+    except ValidationError as error:
+        raise task_file_error(path, error, "markers") from error
+    bodies = tuple(names.body("markers.bodies", name) for name in spec.bodies)
+    return Markers(**(whole.model_dump() | {"bodies": bodies}))
+
+
+def _with_pair(path: Path, key: str, scene: Scene, names: _Names, pair: PairSpec) -> Scene:
+    """The scene with what holds for one pair of bodies; its contact is split where it is one of several pairs."""
+    wanted = frozenset(names.body(f"{key}.bodies", name) for name in pair.bodies)
+    changes = pair.model_dump(exclude={"bodies"}, exclude_none=True)
+    contacts: list[Contact] = []
+    found = False
+    for contact in scene.contacts:
+        pairs = list(scene.colliding_pairs(contact))
+        if not any(frozenset(one) == wanted for one in pairs):
+            contacts.append(contact)
+            continue
+        found = True
+        for first, second in pairs:
+            one = replace(contact, first=(first,), second=(second,))
+            contacts.append(replace(one, **changes) if frozenset((first, second)) == wanted else one)
+    if not found:
+        raise AssetError(path, f"{key}.bodies", f"{' and '.join(sorted(wanted))} do not collide in the USD layer")
+    return replace(scene, contacts=tuple(contacts))
+
+
+def _drivers(path: Path, names: _Names, scene: Scene, specs: Sequence[DriverSpec]) -> list[Driver]:
+    drivers = []
+    for index, spec in enumerate(specs):
+        key = f"drivers.{index}"
+        body = scene.body(names.body(f"{key}.body", spec.body))
+        if body.motion is not Motion.KINEMATIC:
+            raise AssetError(path, f"{key}.body", f"{body.name} is {body.motion.value} in the USD layer, not kinematic")
+        if any(driver.body == body.name for driver in scene.drivers):
+            raise AssetError(path, f"{key}.body", f"{body.name} is animated in the USD layer already")
+        if not isinstance(spec.provenance, str):
+            raise TaskFileError(path, f"{key}.provenance", "one word is expected: there are no materials here")
+        motions = tuple(motion.build(body.pose) for motion in spec.motions)
+        drivers.append(Driver(body=body.name, motions=motions, provenance=spec.provenance))
+    return drivers
+
+
+# --- band ------------------------------------------------------------------------------------------------------------
+
+
+def _band_facts(definition: ExperimentFile) -> dict[str, Any]:
+    """What `read_band` needs of the table, as a sidecar would state it."""
+    assert definition.band is not None
+    stated = definition.band.model_dump(mode="json", exclude={"file"}, exclude_none=True)
+    unit, frames = definition.score.observable.unit, definition.frames
+    given = {"unit": unit, "frames": frames}
+    if definition.band.projection is None and definition.band.indices is None:
+        count = len(definition.band.coordinates)
+        return stated | given | {"indices": list(range(count)), "width": count}
+    return stated | given
+
+
+def _check_band(path: Path, resolved: FileExperiment) -> None:
+    band = resolved.reference.band if resolved.reference is not None else None
+    names = resolved.coordinates
+    if band is not None and band.projection.shape[1] != len(names):
+        raise TaskFileError(
+            path,
+            "band",
+            f"it takes {band.projection.shape[1]} coordinates, g(t) has {len(names)}: {', '.join(names[:6])}",
+        )

@@ -1,0 +1,247 @@
+"""Reads the generalized trajectory g(t) from a running simulation: body positions, or what the markers do.
+
+Simulated nodes are not where the markers are glued. The paper takes the nearest node as a marker's proxy; tracking the
+marker's own material point, by its barycentric coordinates between nodes, is the more faithful alternative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, QhullError
+
+from gauge_envs.backends.base import Simulation, World
+from gauge_envs.errors import ParameterError, ShapeError
+from gauge_envs.observables.functions import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
+
+__all__ = [
+    "MarkerProxy",
+    "Observer",
+    "ObserverMarkers",
+    "ObserverPositions",
+    "checked_proxy",
+]
+
+MARKER_REACH_M = 0.01
+"""A marker further than this from its proxy is refused (paper, simulation and track: below 1 cm)."""
+
+
+class MarkerProxy(StrEnum):
+    """What stands for a marker in a simulation."""
+
+    NODE = "node"
+    """The nearest node, each taken once (Hungarian assignment): what the paper does."""
+    MATERIAL = "material"
+    """The marker's own material point, interpolated between the nodes of the element that holds it."""
+
+
+def checked_proxy(name: str) -> MarkerProxy:
+    """The proxy of that name.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    if name not in list(MarkerProxy):
+        known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
+        raise ParameterError(f"marker_proxy {name!r}: choose {known}")
+    return MarkerProxy(name)
+
+
+class Observer(Protocol):
+    """Reads one kind of observable.
+
+    Attributes:
+        width: Number of coordinates of g(t).
+        markers_m: Marker positions at the last observation [m], shape [marker_count, 3]; none where bodies are read.
+    """
+
+    width: int
+    markers_m: NDArray[np.float64]
+
+    def now(self, world: World) -> NDArray[np.float64]:
+        """g(t) now, shape [width]."""
+
+    def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
+        """Advance `count` intervals and observe after each, shape [count, width]."""
+
+
+class ObserverPositions:
+    """Positions of rigid bodies [mm].
+
+    Args:
+        names: Names of the bodies.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self.width = 3 * len(self._names)
+        self.markers_m = np.zeros((0, 3))
+
+    def now(self, world: World) -> NDArray[np.float64]:
+        """Positions now, shape [width]."""
+        return 1e3 * world.body_states(self._names)[:, :3].ravel()
+
+    def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
+        """Advance and observe, shape [count, width]."""
+        positions = simulation.sample_positions(self._names, count, interval_s)
+        return 1e3 * positions.reshape(count, self.width)
+
+
+class ObserverMarkers:
+    """What markers on deformable bodies do: their positions, curvature or triangle areas.
+
+    Args:
+        scene: The scene; its markers say where the markers are at rest.
+        observable: What to make of their positions.
+        world: The world at the start, for its nodes.
+        proxy: What stands for a marker.
+
+    Attributes:
+        markers_m: Marker positions at the last observation [m], shape [marker_count, 3].
+        largest_distance_m: Distance of the worst marker from its proxy at rest.
+
+    Raises:
+        ShapeError: A marker lies more than 1 cm from every free node, or outside the material.
+    """
+
+    def __init__(self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy) -> None:
+        if scene.markers is None:
+            raise ShapeError(f"observable {observable.value!r} needs markers, and the scene has none")
+        self._markers = scene.markers
+        self._observable = observable
+        rest = {name: world.nodes(name) for name in scene.markers.bodies}
+        targets = np.asarray(scene.markers.positions_m)
+        self._read = _tracker(world, tuple(rest), targets) if proxy is MarkerProxy.MATERIAL else None
+        if proxy is MarkerProxy.NODE:
+            nodes = np.concatenate(list(rest.values()))
+            self._indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
+            self._weights = np.ones((len(targets), 1))
+        elif self._read is None:
+            deformables = {body.name: body for body in scene.deformables}
+            self._indices, self._weights = _material_points(targets, rest, deformables)
+        self.markers_m = self._marker_positions(world)
+        self.largest_distance_m = float(np.linalg.norm(self.markers_m - targets, axis=1).max())
+        self.width = len(self._observed(self.markers_m[None])[0])
+
+    def now(self, world: World) -> NDArray[np.float64]:
+        """g(t) now, shape [width]."""
+        self.markers_m = self._marker_positions(world)
+        return self._observed(self.markers_m[None])[0]
+
+    def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
+        """Advance and observe, shape [count, width]."""
+        markers = np.empty((count, *self.markers_m.shape))
+        for row in markers:
+            simulation.advance(interval_s)
+            row[:] = self._marker_positions(simulation)
+        self.markers_m = markers[-1].copy()
+        return self._observed(markers)
+
+    def _marker_positions(self, world: World) -> NDArray[np.float64]:
+        if self._read is not None:
+            return self._read()
+        nodes = np.concatenate([world.nodes(name) for name in self._markers.bodies])
+        return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
+
+    def _observed(self, markers_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """g(t) of marker positions, shape [sample_count, width]."""
+        return observe_markers(markers_m, self._markers, self._observable)
+
+
+def _tracker(
+    world: World, names: Sequence[str], targets_m: NDArray[np.float64]
+) -> Callable[[], NDArray[np.float64]] | None:
+    """The engine's own reader of the markers, if one of the bodies answers for all of them."""
+    refusal = None
+    for name in names:
+        try:
+            return world.track(name, targets_m)
+        except ShapeError as error:
+            refusal = error
+    raise refusal or ShapeError("the markers are on no body")
+
+
+def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable: Observable) -> NDArray[np.float64]:
+    """g(t) of marker positions.
+
+    Args:
+        markers_m: Marker positions [m], shape [sample_count, marker_count, 3]; NaN where a marker was not seen.
+        markers: Faces, lines, corners and edges of the marker set.
+        observable: What to compute.
+
+    Returns:
+        In the observable's unit, shape [sample_count, coordinate_count]; NaN where it cannot be known.
+
+    Raises:
+        ShapeError: Positions and marker set disagree.
+    """
+    if observable is Observable.CURVATURE:
+        return angle_deficit_curvature(markers_m, markers.faces, corner=markers.corner, edge=markers.edge)
+    if observable is Observable.LINE_CURVATURE:
+        return line_turning_angle(markers_m, markers.lines)
+    if observable is Observable.FACE_AREA:
+        return face_areas_mm2(markers_m, markers.faces)
+    return 1e3 * np.asarray(markers_m).reshape(len(markers_m), -1)
+
+
+def _material_points(
+    targets_m: NDArray[np.float64], rest: dict[str, NDArray[np.float64]], deformables: dict[str, Deformable]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Nodes and barycentric weights of each marker, shape [marker_count, 4]; cloth uses three of the four."""
+    indices = np.zeros((len(targets_m), 4), dtype=np.intp)
+    weights = np.zeros((len(targets_m), 4))
+    best = np.full(len(targets_m), np.inf)
+    first = 0
+    for name, nodes in rest.items():
+        flat = (
+            _sheet_coordinates(deformables[name].pose, nodes, targets_m)
+            if isinstance(deformables[name], Cloth)
+            else None
+        )
+        points, queries = (nodes, targets_m) if flat is None else flat
+        for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
+            missed = float(np.linalg.norm(share @ nodes[simplex] - targets_m[marker]))
+            if missed < best[marker]:
+                best[marker] = missed
+                indices[marker], weights[marker] = 0, 0.0
+                indices[marker, : len(simplex)], weights[marker, : len(simplex)] = first + simplex, share
+        first += len(nodes)
+    if best.max() > MARKER_REACH_M:
+        worst = int(best.argmax())
+        raise ShapeError(
+            f"marker {worst} lies {1e3 * best[worst]:.1f} mm from the material, more than {1e3 * MARKER_REACH_M:.0f} mm"
+        )
+    return indices, weights
+
+
+def _sheet_coordinates(
+    pose: Pose, nodes: NDArray[np.float64], targets_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return pose.to_body(nodes)[:, :2], pose.to_body(targets_m)[:, :2]
+
+
+def _barycentric(
+    name: str, points: NDArray[np.float64], queries: NDArray[np.float64]
+) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
+    """Simplex and weights of each query; one just outside is taken to the surface of the nearest simplex."""
+    try:
+        mesh = Delaunay(points)
+    except QhullError as error:
+        raise ShapeError(f"{name}: its nodes span no area or volume to interpolate in") from error
+    centres = points[mesh.simplices].mean(axis=1)
+    found = mesh.find_simplex(queries, tol=1e-9)
+    outside = found < 0
+    found[outside] = ((queries[outside, None] - centres[None]) ** 2).sum(axis=2).argmin(axis=1)
+    results = []
+    for query, simplex in zip(queries, found, strict=True):
+        transform = mesh.transform[simplex]
+        share = transform[:-1] @ (query - transform[-1])
+        share = np.clip(np.append(share, 1.0 - share.sum()), 0.0, None)
+        results.append((mesh.simplices[simplex], share / share.sum()))
+    return results

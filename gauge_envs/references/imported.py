@@ -1,0 +1,424 @@
+"""Imported bands and drivers in the user's data folder.
+
+Each variant has `<variant>.json`, what the numbers are and where they are from, and beside it an NPZ file with the
+numbers, named by its hash. The NPZ is written first and the JSON then put in place of the old one, so that a reader
+finds the old import or the new one, whole, whenever a writer is interrupted.
+
+The folder is `GAUGE_DATA_DIR` where that is set, else the platform's: `$XDG_DATA_HOME/gauge-envs`, on Linux
+`~/.local/share/gauge-envs`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from gauge_envs.errors import DatasetError, ReferenceFileError
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.scene.drivers import Driver, SampledProfile
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = [
+    "DriverRecord",
+    "DriverSource",
+    "ImportedVariant",
+    "SpreadRecord",
+    "VariantRecord",
+    "choose_drivers",
+    "chosen_drivers",
+    "dataset_record",
+    "load_imported",
+    "recorded_drivers",
+    "user_data_folder",
+    "write_imported",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SpreadRecord(_Record):
+    """Mean and sample standard deviation (n - 1) over trials of one metric, in its unit."""
+
+    unit: str
+    mean: float
+    std: float | None
+    trial_count: int
+
+
+class DriverRecord(_Record):
+    """A recorded driver: what the mean over trials leaves out.
+
+    Attributes:
+        body: Name of the driven body.
+        trial_count: Trials that show it.
+        residual_mm: Root mean square over trials and frames of the distance that the driver's motions cannot follow.
+        residual_deg: The same of the angle; None where no trial has orientations.
+        start_offset_mm: Mean over trials of the distance from the calibrated start, which the driver keeps.
+        scatter_mm: Largest standard deviation over trials of a translation, 0 for a single trial; None without one.
+        scatter_deg: The same of a rotation. Trials that are not in step have a mean that none of them shows.
+    """
+
+    body: str
+    trial_count: int
+    residual_mm: float
+    residual_deg: float | None
+    start_offset_mm: float
+    scatter_mm: float | None
+    scatter_deg: float | None
+
+
+class VariantRecord(_Record):
+    """What one imported variant is, and where it is from.
+
+    Attributes:
+        format: Version of the stored form.
+        variant: Name of the variant.
+        arrays: Name of the NPZ file.
+        arrays_sha256: Its hash.
+        unit: Unit of the band.
+        coordinates: Names of its coordinates.
+        frame_count: Its number of frames.
+        trial_count: Trials that it rests on.
+        left_out: Trial files that were left out.
+        revision: Revision of the dataset; None where its folder did not say.
+        files: The trials' paths below the dataset's folder.
+        files_sha256: Hash over the hashes of these files, in that order.
+        task_sha256: Hash of the task file that they were imported for.
+        metrics: Score of the trials among themselves, by metric.
+        drivers: Recorded drivers.
+        created: When, ISO 8601, UTC.
+        gauge_envs: Version of gauge-envs that imported it.
+    """
+
+    format: Literal[1] = 1
+    variant: str
+    arrays: str
+    arrays_sha256: str
+    unit: str
+    coordinates: tuple[str, ...]
+    frame_count: int
+    trial_count: int
+    left_out: int
+    revision: str | None
+    files: tuple[str, ...]
+    files_sha256: str
+    task_sha256: str
+    metrics: dict[str, SpreadRecord]
+    drivers: tuple[DriverRecord, ...]
+    created: str
+    gauge_envs: str
+
+    @property
+    def origin(self) -> str:
+        """Where the trials are from: `dataset revision 9e0acb7, 20 trials, sha256 0123456789ab`."""
+        revision = "of unknown revision" if self.revision is None else f"revision {self.revision[:12]}"
+        return f"imported dataset {revision}, {self.trial_count} trials, sha256 {self.files_sha256[:12]}"
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedVariant:
+    """One imported variant.
+
+    Attributes:
+        record: What it is.
+        band: Its band, of grade `trials`.
+        driver_values: Mean recorded coordinates of each driven body, relative to its start [m or rad], shape
+            [frame_count, motion_count]; NaN where no trial shows it.
+    """
+
+    record: VariantRecord
+    band: Band
+    driver_values: Mapping[str, FloatArray]
+
+
+class _Choice(_Record):
+    drivers: DriverSource
+
+
+# --- folder ----------------------------------------------------------------------------------------------------------
+
+
+def user_data_folder() -> Path:
+    """Folder of imported data; it need not exist."""
+    given = os.environ.get("GAUGE_DATA_DIR")
+    if given:
+        return Path(given).expanduser()
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "gauge-envs"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Application Support" / "gauge-envs"
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "gauge-envs"
+
+
+def _trials_folder() -> Path:
+    return user_data_folder() / "trials"
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write_imported(
+    band: Band,
+    drivers: Mapping[str, FloatArray],
+    *,
+    variant: str,
+    left_out: int,
+    revision: str | None,
+    files: Mapping[str, str],
+    task_sha256: str,
+    metrics: Mapping[str, SpreadRecord],
+    driver_records: tuple[DriverRecord, ...],
+) -> VariantRecord:
+    """Store an imported variant in place of an earlier import of it.
+
+    Args:
+        band: Its band, in the coordinates of g(t).
+        drivers: As `ImportedVariant.driver_values`.
+        variant: Name of the variant.
+        left_out: As in `VariantRecord`.
+        revision: As in `VariantRecord`.
+        files: Hash of each trial file, by its path below the dataset's folder.
+        task_sha256: As in `VariantRecord`.
+        metrics: As in `VariantRecord`.
+        driver_records: As in `VariantRecord`.
+
+    Raises:
+        DatasetError: The user's data folder cannot be written.
+    """
+    stream = io.BytesIO()
+    arrays: dict[str, Any] = {"mean": band.mean, "sigma": band.sigma, "measured": band.measured}
+    arrays |= {f"driver.{body}": values for body, values in drivers.items()}
+    np.savez_compressed(stream, **arrays)
+    content = stream.getvalue()
+    digest = hashlib.sha256(content).hexdigest()
+    record = VariantRecord(
+        variant=variant,
+        arrays=f"{variant}.{digest[:16]}.npz",
+        arrays_sha256=digest,
+        unit=band.unit,
+        coordinates=band.coordinates,
+        frame_count=len(band.mean),
+        trial_count=band.trial_count or 0,
+        left_out=left_out,
+        revision=revision,
+        files=tuple(files),
+        files_sha256=hashlib.sha256("\n".join(files.values()).encode()).hexdigest(),
+        task_sha256=task_sha256,
+        metrics=dict(metrics),
+        drivers=driver_records,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        gauge_envs=version("gauge-envs"),
+    )
+    folder = _trials_folder()
+    _write(folder / record.arrays, content)
+    _write(folder / f"{variant}.json", record.model_dump_json(indent=1).encode() + b"\n")
+    for stale in folder.glob(f"{variant}.*.npz"):
+        if stale.name != record.arrays:
+            stale.unlink(missing_ok=True)
+    return record
+
+
+def _write(file: Path, content: bytes) -> None:
+    """Write a file whole or not at all."""
+    part: Path | None = None
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=f".{file.name}.", delete=False) as stream:
+            part = Path(stream.name)
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(file)
+    except OSError as error:
+        raise DatasetError(f"{file}: cannot be written: {error.strerror or error}") from error
+    finally:
+        if part is not None:
+            part.unlink(missing_ok=True)
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def load_imported(variant: str) -> ImportedVariant | None:
+    """What was imported of a variant; None where nothing was.
+
+    Raises:
+        ReferenceFileError: Its files are damaged, or of another version of gauge-envs; importing again renews them.
+    """
+    file = _trials_folder() / f"{variant}.json"
+    try:
+        stamp = file.stat()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from error
+    return _load(file, stamp.st_mtime_ns, stamp.st_ino)
+
+
+@lru_cache(maxsize=256)
+def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
+    """Read a variant; the file's time and number are there to tell one import from the next."""
+    record = _record(file)
+    arrays_file = file.with_name(record.arrays)
+    try:
+        content = arrays_file.read_bytes()
+        if hashlib.sha256(content).hexdigest() != record.arrays_sha256:
+            raise ValueError("its content is not what was imported")
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
+            band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"])
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise ReferenceFileError(arrays_file, None, f"{_reason(error)}; gauge data import renews it") from None
+    return ImportedVariant(record, band, drivers)
+
+
+def _record(file: Path) -> VariantRecord:
+    try:
+        record = VariantRecord.model_validate_json(file.read_bytes())
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise ReferenceFileError(
+            file, None, f"is no import of this version: {place}: {first['msg']}; gauge data import renews it"
+        ) from None
+    except OSError as error:
+        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
+    if Path(record.arrays).name != record.arrays or record.variant != file.name.removesuffix(".json"):
+        raise ReferenceFileError(file, None, f"is of {record.variant!r}; gauge data import renews it")
+    return record
+
+
+def _reason(error: Exception) -> str:
+    return error.strerror or str(error) if isinstance(error, OSError) else f"is damaged: {error}"
+
+
+def _band(record: VariantRecord, mean: FloatArray, sigma: FloatArray, measured: NDArray[np.bool_]) -> Band:
+    if mean.shape != (record.frame_count, len(record.coordinates)):
+        raise ValueError(f"its mean has shape {mean.shape}")
+    return Band(
+        grade=BandGrade.TRIALS,
+        unit=record.unit,
+        coordinates=record.coordinates,
+        projection=np.eye(len(record.coordinates)),
+        mean=mean,
+        sigma=sigma,
+        measured=measured,
+        trial_count=record.trial_count,
+        source=record.origin,
+    )
+
+
+# --- drivers ---------------------------------------------------------------------------------------------------------
+
+
+def chosen_drivers() -> DriverSource:
+    """Which drivers `gauge data use` chose; imported ones where it was never asked.
+
+    Raises:
+        ReferenceFileError: The file that holds the choice is damaged.
+    """
+    file = user_data_folder() / "choice.json"
+    try:
+        return _Choice.model_validate_json(file.read_bytes()).drivers
+    except FileNotFoundError:
+        return DriverSource.IMPORTED
+    except (OSError, ValidationError):
+        raise ReferenceFileError(file, None, "is damaged; gauge data use --drivers imported renews it") from None
+
+
+def choose_drivers(source: DriverSource) -> None:
+    """Choose the drivers that experiments use from now on, where their maker does not say.
+
+    Raises:
+        DatasetError: The user's data folder cannot be written.
+    """
+    _write(user_data_folder() / "choice.json", _Choice(drivers=source).model_dump_json().encode() + b"\n")
+
+
+def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver, ...]:
+    """The drivers of a variant, with recorded motion for every body that imported trials show.
+
+    Args:
+        variant: Name of the variant.
+        bundled: Its drivers as the task file states them; axes and action rates stay.
+
+    Raises:
+        ReferenceFileError: The import is damaged, or of a task file whose drivers had other motions.
+    """
+    imported = load_imported(variant)
+    if imported is None:
+        return bundled
+    return tuple(
+        _recorded(driver, imported.driver_values[driver.body], variant)
+        if driver.body in imported.driver_values
+        else driver
+        for driver in bundled
+    )
+
+
+def _recorded(driver: Driver, values: FloatArray, variant: str) -> Driver:
+    if values.ndim != 2 or values.shape[1] != len(driver.motions):
+        raise ReferenceFileError(
+            _trials_folder() / f"{variant}.json",
+            None,
+            f"the driver of {driver.body} has {len(driver.motions)} motions, imported were {values.shape[-1]}; "
+            "gauge data import renews it",
+        )
+    motions = []
+    for motion, column in zip(driver.motions, values.T, strict=True):
+        frames = np.flatnonzero(np.isfinite(column))
+        profile = SampledProfile(
+            times_s=tuple((frames / FRAME_RATE_HZ).tolist()), values=tuple(column[frames].tolist())
+        )
+        motions.append(replace(motion, profiles=(profile,)))
+    return replace(driver, motions=tuple(motions), provenance="mocap")
+
+
+def dataset_record(variant: str, drivers: DriverSource) -> dict[str, str]:
+    """What a result keeps of the import that it rests on: `revision`, `sha256`, `drivers`; empty where there is none.
+
+    Args:
+        variant: Name of the variant.
+        drivers: Which drivers were in use.
+
+    Raises:
+        ReferenceFileError: The import is damaged.
+    """
+    imported = load_imported(variant)
+    if imported is None:
+        return {}
+    record = imported.record
+    return {
+        "revision": record.revision or "unknown",
+        "sha256": record.files_sha256,
+        "drivers": drivers.value if record.drivers else "none recorded",
+    }
+
+
+class DriverSource(StrEnum):
+    """Which motion a driven body follows, where there are two to choose from."""
+
+    IMPORTED = "imported"
+    """The mean motion of the real trials of an imported dataset, where it has the variant; else as bundled."""
+    BUNDLED = "bundled"
+    """The motion that the task file states."""

@@ -1,0 +1,210 @@
+"""Published scores of real trials and of three engines, and laws that state the real outcome."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
+from gauge_envs.references.bands import Band, BandGrade, SigmaSource, _count, _field, _folder, _number, _rows, _toml
+
+__all__ = [
+    "ENGINES",
+    "Baseline",
+    "Law",
+    "Reference",
+    "carried_band",
+    "law_for",
+    "published_baselines",
+    "published_variants",
+]
+
+
+ENGINES = ("isaacsim", "genesis", "newton")
+"""Engines whose scores were published."""
+
+
+_BASELINE_COLUMNS = ("variant", "frames", "metric", "unit", "baseline_mean", "baseline_std", *ENGINES)
+
+
+_METRICS = ("rmse", "dtw", "lsd", "mte", "pd", "el")
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One row of the published results (paper, Table 5): the scatter of real trials, and what three engines scored.
+
+    Attributes:
+        variant: Variant id, as in `SlopeSlider-2-wood`.
+        metric: `rmse`, `dtw`, `lsd`, `mte`, `pd` or `el`.
+        frames: Number of 30 Hz frames that were evaluated.
+        unit: Unit of mean and std: `mm`, `rad`, `mm^2`, `s` or `1`. MTE is a ratio here, a percentage in the paper.
+        mean: Mean over real trials.
+        std: Standard deviation over real trials; None where none was published.
+        engines: Published score of `isaacsim`, `genesis` and `newton` over `mean` (el: the raw value, as its mean is
+            0); None where none was published.
+    """
+
+    variant: str
+    metric: str
+    frames: int
+    unit: str
+    mean: float
+    std: float | None
+    engines: Mapping[str, float | None]
+
+
+def published_baselines(variant: str) -> dict[str, Baseline]:
+    """Published baselines of a variant by metric; empty where the paper scores none.
+
+    Raises:
+        ReferenceFileError: The table is damaged.
+    """
+    return dict(_all_baselines(_folder("published")).get(variant, {}))
+
+
+def published_variants() -> tuple[str, ...]:
+    """Variants with a published baseline, in the order of the paper's Table 5."""
+    return tuple(_all_baselines(_folder("published")))
+
+
+@cache
+def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
+    file = folder / "engine_results.csv"
+    table: dict[str, dict[str, Baseline]] = {}
+    for line, row in _rows(file, _BASELINE_COLUMNS):
+        variant, metric, unit = row["variant"], row["metric"], row["unit"]
+        if metric not in _METRICS:
+            raise ReferenceFileError(file, line, f"metric {metric!r} is none of {', '.join(_METRICS)}")
+        if metric in table.setdefault(variant, {}):
+            raise ReferenceFileError(file, line, f"{variant} has a second row for {metric}")
+        number = {name: _number(file, line, name, row[name]) for name in _BASELINE_COLUMNS[4:] if row[name]}
+        if "baseline_mean" not in number:
+            raise ReferenceFileError(file, line, "baseline_mean is empty")
+        mean, std = number["baseline_mean"], number.get("baseline_std")
+        if unit == "percent":
+            mean, std, unit = mean / 100, None if std is None else std / 100, "1"
+        table[variant][metric] = Baseline(
+            variant=variant,
+            metric=metric,
+            frames=_count(file, line, "frames", row["frames"]),
+            unit=unit,
+            mean=mean,
+            std=std,
+            engines={engine: number.get(engine) for engine in ENGINES},
+        )
+    return table
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What an experiment file brings to be scored against.
+
+    Attributes:
+        band: Mean and scatter of reality; None where the file has none.
+        baselines: Scores of real trials by metric, which scores are divided by.
+    """
+
+    band: Band | None
+    baselines: Mapping[str, Baseline]
+
+
+_LAW_KEYS = ("variants", "kind", "body", "carrier", "condition", "evidence")
+
+
+_LAW_KINDS = ("carried",)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A closed form that gives the real outcome of some variants (`scoring/bands/laws.toml`).
+
+    Attributes:
+        variants: Shell-style pattern of the variants that it covers.
+        kind: `carried`: the body keeps its place on a carrier, whose motion the scene's driver gives.
+        body: Name of the body that the law is about.
+        carrier: Name of the body that carries it.
+        condition: When the law holds, with the numbers that decide it.
+        evidence: What in the published results supports it.
+    """
+
+    variants: str
+    kind: str
+    body: str
+    carrier: str
+    condition: str
+    evidence: str
+
+
+def law_for(variant: str) -> Law | None:
+    """The law that gives the real outcome of a variant; None where none is known.
+
+    Raises:
+        ReferenceFileError: The table of laws is damaged.
+    """
+    return next((law for law in _all_laws(_folder("bands")) if fnmatchcase(variant, law.variants)), None)
+
+
+def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
+    """Band of a body that a law says is rigidly carried: the caller's mean, sigma from the published baseline.
+
+    Sigma is constant in time. The mean over trials of the squared E_RMSE is the time-averaged variance of the vector
+    deviation, hence sigma_rms^2 = mean^2 + std^2 of the published E_RMSE. That is exact where all three divide by the
+    number of trials n; where std and sigma divide by n - 1, sigma_rms^2 is larger by mean^2 / (n - 1), which is left
+    out, as n is not published (sigma then is at most 2.6 % too small for n = 20). How the variance splits over x, y
+    and z is not published either: it is taken as equal, sigma_rms / sqrt(3) each.
+
+    Args:
+        variant: A variant for which `law_for` gives a law of kind `carried`.
+        positions_mm: Position of the carried body as the law and the scene's driver give it, in mm, shape
+            [published frame count, 3].
+
+    Returns:
+        Band of grade `law` over x, y and z in mm; every frame counts as measured, as the law states every frame.
+
+    Raises:
+        UnknownNameError: No law says that the body is carried in this variant.
+        ShapeError: `positions_mm` is not of the published length and width 3, or not finite.
+    """
+    law, baseline = law_for(variant), published_baselines(variant).get("rmse")
+    if law is None or baseline is None:
+        raise UnknownNameError("carried variant", variant, filter(law_for, published_variants()))
+    positions = np.asarray(positions_mm, dtype=np.float64)
+    if positions.shape != (baseline.frames, 3):
+        raise ShapeError(f"positions_mm has shape {positions.shape}; {(baseline.frames, 3)} is needed for {variant}")
+    if not np.isfinite(positions).all():
+        raise ShapeError("positions_mm holds a value that is not finite")
+    sigma_rms = math.hypot(baseline.mean, baseline.std or 0.0)
+    return Band(
+        grade=BandGrade.LAW,
+        sigma_source=SigmaSource.BASELINE,
+        unit=baseline.unit,
+        coordinates=("x", "y", "z"),
+        projection=np.eye(3),
+        mean=positions,
+        sigma=np.full(positions.shape, sigma_rms / math.sqrt(3)),
+        measured=np.ones(len(positions), dtype=bool),
+        trial_count=None,
+        source=f"{law.body} carried by {law.carrier}, {law.condition}; sigma from the paper's Table 5",
+    )
+
+
+@cache
+def _all_laws(folder: Path) -> tuple[Law, ...]:
+    file = folder / "laws.toml"
+    laws = []
+    for table in _field(file, _toml(file), "law", list):
+        if not isinstance(table, dict) or set(table) != set(_LAW_KEYS):
+            raise ReferenceFileError(file, None, f"law {table!r}: expected a table of {', '.join(_LAW_KEYS)}")
+        law = Law(**{key: _field(file, table, key, str) for key in _LAW_KEYS})
+        if law.kind not in _LAW_KINDS:
+            raise ReferenceFileError(file, None, f"kind {law.kind!r} is none of {', '.join(_LAW_KINDS)}")
+        laws.append(law)
+    return tuple(laws)

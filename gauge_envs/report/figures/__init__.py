@@ -1,0 +1,1 @@
+"""Figures of results, comparisons and error budgets."""

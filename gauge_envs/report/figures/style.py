@@ -1,0 +1,81 @@
+"""Colours, markers and helpers that the figures share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gauge_envs.errors import MissingExtraError, ResultFileError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+__all__ = []
+
+
+OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colours of results: Okabe and Ito's, which colour-blind readers can tell apart."""
+
+
+ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
+
+
+REAL = "#303030"
+
+
+UNSCORED = "#f4f4f4"
+
+
+ENGINE_MARKERS = ("s", "^", "D")
+
+
+LINE_STYLES = ("-", "--", ":", "-.")
+
+
+HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
+
+
+WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
+
+
+HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 2}
+
+
+CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "ls": "", "zorder": 4}
+
+
+BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError("plotting", "plot", error) from error
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save_png(figure: Figure, path: Path) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def tidy_axis(axis: Axes) -> None:
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(color="#ececec", lw=0.7)
+    axis.set_axisbelow(True)
+
+
+def legend_above(axis: Axes) -> None:
+    """Legend above the curves, where it hides none of them; its lines are bold where those of a crowd are faint."""
+    columns = max(1, min(3, len(axis.get_legend_handles_labels()[0])))
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderpad": 0.2}
+    legend = axis.legend(fontsize=8, frameon=False, ncols=columns, **place)
+    for line in legend.get_lines():
+        line.set(alpha=1.0, linewidth=max(1.4, line.get_linewidth()))

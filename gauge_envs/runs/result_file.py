@@ -1,0 +1,100 @@
+"""Reads and writes result files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.experiments.task_files import find_variant
+from gauge_envs.runs.result import Result
+
+__all__ = [
+    "load_result",
+    "result_file_name",
+    "write_result",
+]
+
+
+def result_file_name(result: Result) -> str:
+    """`SlopeSlider-2-wood.mujoco.calibrated.json`; what else was chosen by a hash, seeds other than 0."""
+    named = result.parameters
+    parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
+    parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
+    if result.is_edited:
+        parts.append(f"asset-{result.asset['sha256'][:8]}")
+    if result.settings_given:
+        parts.append(f"settings-{_digest(result.settings_given)}")
+    if result.jitter:
+        parts.append(f"jitter-{_digest(result.jitter)}")
+    if result.marker_proxy != "node":
+        parts.append(result.marker_proxy)
+    if result.seed:
+        parts.append(f"seed-{result.seed}")
+    return ".".join([*parts, "json"])
+
+
+def _digest(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:8]
+
+
+def write_result(result: Result, file: Path) -> None:
+    """Write a result file, whole or not at all.
+
+    Raises:
+        ResultFileError: It cannot be written.
+    """
+    part = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        with part.open("w", encoding="utf-8") as stream:
+            json.dump(result.to_dict(), stream, allow_nan=False)
+            stream.write("\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(file)
+    except OSError as error:
+        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load_result(file: Path) -> Result:
+    """Read a result file.
+
+    Raises:
+        ResultFileError: It cannot be read, or is not a whole and consistent result file.
+    """
+    try:
+        content = json.loads(file.read_bytes())
+        if not isinstance(content, dict):
+            raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
+        # Older files lack these keys, and stand for the defaults.
+        content.setdefault("jitter", {})
+        content.setdefault("marker_proxy", "node")
+        content.setdefault("dataset", {})
+        content.setdefault("asset", {})
+        missing = [key.name for key in fields(Result) if key.name not in content]
+        if missing:
+            raise ValueError(f"no {missing[0]!r}")
+        result = TypeAdapter(Result).validate_python(content)
+        if not result.has_experiment_file:
+            find_variant(result.id)
+        if result.trajectory is None:
+            raise ValueError("it has no trajectory")
+    except OSError as error:
+        raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ResultFileError(f"{file}: not a result file: {place}: {first['msg']}") from error
+    except (ValueError, RecursionError, UnknownNameError) as error:
+        raise ResultFileError(f"{file}: not a result file: {error}") from error
+    return result

@@ -1,0 +1,83 @@
+"""The scene of an asset, as a result file keeps it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from gauge_envs.errors import GaugeError, ResultFileError
+from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment, driver_provenance
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.user_file import FileExperiment, experiment_record, recorded_experiment_file
+from gauge_envs.references.imported import DriverSource
+from gauge_envs.runs.result import Result
+from gauge_envs.scene import Scene
+from gauge_envs.scene.usd.reader import from_usd
+from gauge_envs.scene.usd.writer import to_usd
+
+__all__ = [
+    "asset_record",
+    "recorded_experiment",
+]
+
+
+def asset_record(resolved: Experiment) -> dict[str, Any]:
+    """What a result keeps of the asset that an experiment was built from; empty where there was none."""
+    asset = resolved.asset
+    if asset is None:
+        return {}
+    record = asset.to_dict()
+    # A model file stands for a scene that the package has; the engine alone could read it back.
+    if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
+        record["scene"] = _scene_text(resolved.scene)
+    if isinstance(resolved, FileExperiment):
+        record["experiment"] = experiment_record(resolved)
+    return record
+
+
+def recorded_experiment(result: Result) -> Experiment:
+    """The experiment that a result is of, with the scene that it ran; needs no file but the result's.
+
+    Where an engine's own model file stood for the scene, the scene is that of the variant.
+
+    Raises:
+        GaugeError: The package no longer has the variant or its parameters, or the result's asset is damaged.
+    """
+    record = result.asset
+    if not record or "scene" not in record:
+        drivers = result.dataset.get("drivers")
+        source = drivers if drivers in tuple(DriverSource) else None
+        return load_experiment(result.id, result.parameters, drivers=source)
+    try:
+        scene = _scene_of_text(record["scene"])
+        asset = Asset(
+            path=Path(record["file"]),
+            kind=AssetKind(record["kind"]),
+            sha256=record["sha256"],
+            edited=record["edited"],
+            changes=tuple(record["changes"]),
+        )
+        if result.has_experiment_file:
+            return recorded_experiment_file(record["experiment"], scene, asset=asset, file_sha256=result.task_sha256)
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, GaugeError):
+            raise
+        raise ResultFileError(f"{result.id}: the asset in the result is damaged: {error}") from error
+    resolved = load_experiment(result.id, drivers=DriverSource.BUNDLED)
+    return replace(resolved, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
+
+
+def _scene_text(scene: Scene) -> str:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.usda"
+        to_usd(scene, path)
+        return path.read_text(encoding="utf-8")
+
+
+def _scene_of_text(text: str) -> Scene:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.usda"
+        path.write_text(text, encoding="utf-8")
+        return from_usd(path)

@@ -1,0 +1,82 @@
+"""Scores trajectory files of users."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.score import score_trajectory
+from gauge_envs.evaluation.trajectory_file import read_trajectory, recorded_id
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.task_files import find_variant
+from gauge_envs.references.imported import dataset_record
+from gauge_envs.runs.episodes import recorded_parameters, recorded_trajectory, run_subject
+from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result_file import load_result
+from gauge_envs.runs.scene_record import asset_record, recorded_experiment
+
+__all__ = [
+    "score_file",
+]
+
+
+def score_file(
+    file: Path, *, variant: str | None = None, parameters: Parameters | None = None, use_withheld: bool = False
+) -> tuple[Result, int]:
+    """Score a trajectory that a user brought from their own simulator (formats: `gauge_envs.evaluation.trajectory_file`).
+
+    Args:
+        file: CSV, NPZ or JSON file.
+        variant: Name or id of the experiment, or an experiment file; None takes what a JSON file states.
+        parameters: Parameters of the scene, for bands that follow from it; None takes what the file states, else
+            `calibrated`.
+        use_withheld: Score on a band too that is withheld by default.
+
+    Returns:
+        The result, and the number of frames that had to be interpolated.
+
+    Raises:
+        TrajectoryFileError: The file cannot be used, or it is of another experiment than `variant`.
+        UnknownNameError: No such variant.
+        ParameterError: No such parameters.
+    """
+    resolved = _experiment_of_file(file, variant, parameters)
+    trajectory = read_trajectory(file, resolved)
+    band = reference_band(resolved, use_withheld=use_withheld)
+    score = score_trajectory(resolved, band, times_s=trajectory.times_s, values=trajectory.values)
+    result = Result(
+        id=resolved.id,
+        outcome=Outcome.FINISHED,
+        parameters=recorded_parameters(resolved),
+        score=score,
+        task_sha256=resolved.file_sha256,
+        frames=resolved.frame_count,
+        sim_s=float(trajectory.times_s[-1]),
+        driver_provenance=resolved.driver_provenance,
+        dataset=dataset_record(resolved.name, resolved.drivers),
+        asset=asset_record(resolved),
+        trajectory=recorded_trajectory(resolved, trajectory.times_s, trajectory.values),
+    )
+    return result, trajectory.interpolated_frames
+
+
+def _experiment_of_file(file: Path, variant: str | None, parameters: Parameters | None) -> Experiment:
+    """The experiment that a trajectory is of: as asked for, else as the file states."""
+    stated_id, stated_parameters, has_asset = recorded_id(file)
+    if has_asset and variant is None and parameters is None:
+        return recorded_experiment(load_result(file))
+    name = variant or stated_id
+    if name is None:
+        raise TrajectoryFileError(f"{file}: states no id, expected one with --id, as --id GAUGE/SlopeSlider-2-wood")
+    subject = run_subject(name)
+    if parameters is None:
+        known = isinstance(stated_parameters, str | dict) and not has_asset
+        parameters = stated_parameters if known else "calibrated"
+    resolved = load_experiment(subject, parameters)
+    stated = stated_id if stated_id is None or has_asset else find_variant(stated_id).id
+    if stated is not None and stated != resolved.id:
+        raise TrajectoryFileError(f"{file}: id is {stated_id!r}, but {resolved.id} was asked for")
+    return resolved

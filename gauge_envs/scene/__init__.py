@@ -1,0 +1,47 @@
+"""The vocabulary of a scene: what a physics engine needs to build and drive one experiment."""
+
+from gauge_envs.scene.bodies import (
+    Attachment,
+    Cloth,
+    Contact,
+    ContactMode,
+    Deformable,
+    Hinge,
+    Markers,
+    Motion,
+    Region,
+    RigidBody,
+    Rod,
+    Rope,
+    SoftBody,
+    Tether,
+)
+from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Plane, Pose, Shape, Sphere, Vector
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
+
+__all__ = [
+    "GRAVITY_M_PER_S2",
+    "Attachment",
+    "Box",
+    "Cloth",
+    "Contact",
+    "ContactMode",
+    "ConvexUnion",
+    "Cylinder",
+    "Deformable",
+    "Hinge",
+    "Markers",
+    "Motion",
+    "Plane",
+    "Pose",
+    "Region",
+    "RigidBody",
+    "Rod",
+    "Rope",
+    "Scene",
+    "Shape",
+    "SoftBody",
+    "Sphere",
+    "Tether",
+    "Vector",
+]

@@ -1,0 +1,261 @@
+"""Prescribed motion of a kinematic body: profiles of one coordinate, composed into a pose and a velocity at time t."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene.bodies import RigidBody
+from gauge_envs.scene.geometry import Pose, Vector
+
+__all__ = [
+    "CosineProfile",
+    "Driver",
+    "DriverMotion",
+    "Profile",
+    "SampledProfile",
+    "TrapezoidProfile",
+    "mean_velocity",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrapezoidProfile:
+    """Move by `amount` with constant acceleration, cruise and braking; the shape of a motor's speed ramp.
+
+    Attributes:
+        start_s: Time at which the motion starts.
+        duration_s: Time from start to standstill.
+        accelerate_s: Length of the speed-up; may be 0 for a start at cruising speed.
+        brake_s: Length of the braking.
+        amount: Signed total change of the coordinate [m or rad].
+    """
+
+    start_s: float
+    duration_s: float
+    accelerate_s: float
+    brake_s: float
+    amount: float
+
+    @property
+    def cruise_rate(self) -> float:
+        """Signed rate between speed-up and braking [m/s or rad/s]."""
+        return self.amount / (self.duration_s - 0.5 * (self.accelerate_s + self.brake_s))
+
+    @property
+    def largest_rate(self) -> float:
+        """Largest absolute rate [m/s or rad/s]."""
+        return abs(self.cruise_rate)
+
+    def value(self, time_s: float) -> float:
+        """Coordinate at a time, relative to its start [m or rad]."""
+        t = min(max(time_s - self.start_s, 0.0), self.duration_s)
+        speed_up = min(t, self.accelerate_s)
+        # Distance = cruising over all of t, less what is lost while speeding up and while braking.
+        value = self.cruise_rate * t
+        if self.accelerate_s > 0.0:
+            value -= self.cruise_rate * (speed_up - 0.5 * speed_up**2 / self.accelerate_s)
+        braking = max(t - (self.duration_s - self.brake_s), 0.0)
+        if self.brake_s > 0.0:
+            value -= 0.5 * self.cruise_rate * braking**2 / self.brake_s
+        return value
+
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]."""
+        t = time_s - self.start_s
+        if not 0.0 <= t < self.duration_s:
+            return 0.0
+        if t < self.accelerate_s:
+            return self.cruise_rate * t / self.accelerate_s
+        left = self.duration_s - t
+        return self.cruise_rate * (left / self.brake_s if left < self.brake_s else 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CosineProfile:
+    """Move by `amount` along half a cosine: starts and ends at rest, smooth between."""
+
+    start_s: float
+    duration_s: float
+    amount: float
+
+    @property
+    def largest_rate(self) -> float:
+        """Largest absolute rate [m/s or rad/s]."""
+        return 0.5 * np.pi * abs(self.amount) / self.duration_s
+
+    def value(self, time_s: float) -> float:
+        """Coordinate at a time, relative to its start [m or rad]."""
+        phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
+        return 0.5 * self.amount * (1.0 - float(np.cos(np.pi * phase)))
+
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]."""
+        phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
+        return 0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
+
+
+class SampledProfile:
+    """Coordinate measured at times, interpolated by a monotone cubic (no overshoot), held before and after.
+
+    Args:
+        times_s: Strictly increasing times [s], shape [sample_count].
+        values: Coordinate relative to the start pose [m or rad], same shape.
+    """
+
+    def __init__(self, *, times_s: tuple[float, ...], values: tuple[float, ...]) -> None:
+        self.times_s = times_s
+        self.values = values
+        self._curve = PchipInterpolator(times_s, values)
+        self._slope = self._curve.derivative()
+
+    @property
+    def largest_rate(self) -> float:
+        """Largest absolute rate [m/s or rad/s]."""
+        # Inside a cubic piece the slope is extreme where its derivative vanishes; roots of flat pieces come out as NaN.
+        inside = self._slope.derivative().roots(extrapolate=False)
+        return float(np.abs(self._slope(np.concatenate([self.times_s, inside[np.isfinite(inside)]]))).max())
+
+    def value(self, time_s: float) -> float:
+        """Coordinate at a time, relative to the start pose [m or rad]."""
+        return float(self._curve(min(max(time_s, self.times_s[0]), self.times_s[-1])))
+
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
+        return float(self._slope(time_s)) if self.times_s[0] <= time_s < self.times_s[-1] else 0.0
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SampledProfile) and (self.times_s, self.values) == (other.times_s, other.values)
+
+    def __hash__(self) -> int:
+        return hash((self.times_s, self.values))
+
+
+Profile = TrapezoidProfile | CosineProfile | SampledProfile
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriverMotion:
+    """One coordinate of a driver: a translation along, or a rotation about, a fixed world axis.
+
+    Attributes:
+        kind: `translate` (coordinate in m) or `rotate` (coordinate in rad).
+        axis: Unit vector in the world.
+        point_m: A point of the rotation axis; unused by a translation.
+        profiles: Their sum is the recorded or nominal coordinate over time.
+        residual_rate: Rate that an action of 1 adds [m/s or rad/s]; 0 where the action has no say.
+    """
+
+    kind: Literal["translate", "rotate"]
+    axis: Vector
+    profiles: tuple[Profile, ...]
+    point_m: Vector = (0.0, 0.0, 0.0)
+    residual_rate: float = 0.0
+
+    def value(self, time_s: float) -> float:
+        """Coordinate at a time [m or rad]."""
+        return sum(profile.value(time_s) for profile in self.profiles)
+
+    def rate(self, time_s: float) -> float:
+        """Rate at a time [m/s or rad/s]."""
+        return sum(profile.rate(time_s) for profile in self.profiles)
+
+    @property
+    def largest_rate(self) -> float:
+        """Bound on the absolute rate, action included [m/s or rad/s]."""
+        return sum(profile.largest_rate for profile in self.profiles) + self.residual_rate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driver:
+    """Prescribed motion of one kinematic body.
+
+    Attributes:
+        body: Name of the kinematic body.
+        motions: Applied in order to the start pose, each in the world frame.
+        provenance: Where the motion is from: `video`, `mocap`, `nominal`, ...
+    """
+
+    body: str
+    motions: tuple[DriverMotion, ...]
+    provenance: str
+
+    def pose(self, start: Pose, time_s: float, offsets: NDArray[np.float64] | None = None) -> Pose:
+        """Pose at a time.
+
+        Args:
+            start: Pose of the body before anything moves.
+            time_s: Time since the start of the episode.
+            offsets: Added to each motion's coordinate [m or rad], shape [motion_count]; where actions have led.
+        """
+        return self.state(start, time_s, offsets)[0]
+
+    def state(
+        self,
+        start: Pose,
+        time_s: float,
+        offsets: NDArray[np.float64] | None = None,
+        rates: NDArray[np.float64] | None = None,
+    ) -> tuple[Pose, NDArray[np.float64]]:
+        """Pose and velocity at a time.
+
+        Args:
+            start: Pose of the body before anything moves.
+            time_s: Time since the start of the episode.
+            offsets: Added to each motion's coordinate [m or rad], shape [motion_count].
+            rates: Added to each motion's rate [m/s or rad/s], shape [motion_count].
+
+        Returns:
+            The pose; and the linear velocity of the body origin [m/s] and the angular velocity [rad/s] in the world
+            frame, shape [6].
+        """
+        position, rotation = np.asarray(start.position_m), start.rotation
+        linear, angular = np.zeros(3), np.zeros(3)
+        for index, motion in enumerate(self.motions):
+            value = motion.value(time_s) + (0.0 if offsets is None else float(offsets[index]))
+            rate = motion.rate(time_s) + (0.0 if rates is None else float(rates[index]))
+            axis = np.asarray(motion.axis)
+            if motion.kind == "translate":
+                position = position + value * axis
+                linear = linear + rate * axis
+            else:
+                turn = Rotation.from_rotvec(value * axis)
+                arm = turn.apply(position - motion.point_m)
+                position = arm + motion.point_m
+                rotation = turn * rotation
+                linear = turn.apply(linear) + np.cross(rate * axis, arm)
+                angular = turn.apply(angular) + rate * axis
+        w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
+        pose = Pose(position_m=(float(position[0]), float(position[1]), float(position[2])), quaternion=(w, x, y, z))
+        return pose, np.concatenate([linear, angular])
+
+    def speed_limit_m_per_s(self, body: RigidBody) -> float:
+        """Bound on the speed of any point of the driven body [m/s]."""
+        speed = 0.0
+        corners = body.pose.to_world(body.shape.corners_m)
+        for motion in self.motions:
+            if motion.kind == "translate":
+                speed += motion.largest_rate
+            else:
+                arm = np.linalg.norm(np.cross(corners - np.asarray(motion.point_m), motion.axis), axis=1).max()
+                speed += motion.largest_rate * float(arm)
+        return speed
+
+
+def mean_velocity(start: Pose, end: Pose, interval_s: float) -> NDArray[np.float64]:
+    """Constant velocity that carries a body from one pose to another.
+
+    Returns:
+        Linear velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [6].
+    """
+    linear = (np.asarray(end.position_m) - np.asarray(start.position_m)) / interval_s
+    angular = (end.rotation * start.rotation.inv()).as_rotvec() / interval_s
+    return np.concatenate([linear, angular])
+
+
+# --- motions from poses ----------------------------------------------------------------------------------------------

@@ -1,0 +1,370 @@
+"""Calibrated fabric constants in each engine's own terms: which numbers to enter, what is replaced, what is lost.
+
+A fabric is measured as a stretch stiffness `K_s`, a shear stiffness `K_sh` and a bending stiffness `K_theta`. No two
+engines take these: each has its own membrane and its own hinge. The mappings match the response at small strain (paper,
+section "Textile parameters mapping"), and `uniaxial_stiffness` and `shear_stiffness` go the other way, from what was
+entered to what a test of that sheet would measure. MuJoCo's mapping is ours; the paper has none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene.bodies import Cloth
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
+
+__all__ = [
+    "MAPPINGS",
+    "EngineConstants",
+    "Fabric",
+    "bending_length_m",
+    "genesis_pbd",
+    "isaac_surface",
+    "mujoco_flex",
+    "newton_edge_ke",
+    "newton_vbd",
+    "plate_bending_stiffness",
+    "shear_stiffness",
+    "uniaxial_stiffness",
+]
+
+
+ISAAC_POISSON_BELOW = 0.30
+"""Poisson ratio in Isaac where the measured stiffnesses ask for a negative one (paper)."""
+ISAAC_POISSON_ABOVE = 0.45
+"""Poisson ratio in Isaac where the measured stiffnesses ask for 0.5 or more (paper)."""
+NEWTON_RATIO = 2.7
+"""K_s / K_sh in Newton where the measured ratio does not lie between 2 and 4 (paper)."""
+MUJOCO_POISSON = 0.0
+"""Poisson ratio in MuJoCo: K_s is measured with free transverse edges and says nothing about contraction."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fabric:
+    """Measured constants of a fabric, all positive.
+
+    Attributes:
+        stretch_stiffness_n_per_m: K_s, force per width over strain of a uniaxial test with free transverse edges.
+        shear_stiffness_n_per_m: K_sh, force per width over engineering shear strain.
+        bend_stiffness_n_m_per_rad: K_theta, torque over angle of a discrete bending hinge.
+        thickness_m: Thickness.
+        areal_density_kg_per_m2: Mass per area.
+
+    Raises:
+        ParameterError: A constant is not a positive number; the message names it.
+    """
+
+    stretch_stiffness_n_per_m: float
+    shear_stiffness_n_per_m: float
+    bend_stiffness_n_m_per_rad: float
+    thickness_m: float
+    areal_density_kg_per_m2: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            _check_positive(field.name, getattr(self, field.name))
+
+    @classmethod
+    def of(cls, source: Cloth) -> Fabric:
+        """Fabric of a cloth in a scene."""
+        return cls(**{field.name: getattr(source, field.name) for field in fields(cls)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class EngineConstants:
+    """A fabric in one engine's terms.
+
+    Attributes:
+        engine: Key in `MAPPINGS`.
+        fabric: What was measured.
+        constants: What to enter, named as the engine spells it.
+        units: Unit of each constant; "1" for a pure number.
+        replaced: Names of the constants that a fall-back sets.
+        fallbacks: Which fall-backs those are, and why.
+        lost: Which measured stiffness does not come back, and by how much.
+    """
+
+    engine: str
+    fabric: Fabric
+    constants: dict[str, float]
+    units: dict[str, str]
+    replaced: tuple[str, ...] = ()
+    fallbacks: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
+
+
+# --- mappings --------------------------------------------------------------------------------------------------------
+
+
+def isaac_surface(fabric: Fabric) -> EngineConstants:
+    """Constants of Isaac Sim's surface deformable (PhysX FEM, an isotropic sheet under plane stress).
+
+    - `youngs_modulus` = K_s / t [Pa].
+    - `poissons_ratio` = K_s / (2 K_sh) - 1; 0.30 where that is negative, 0.45 where it is 0.5 or more. The stretch
+      stiffness survives a fall-back, the shear stiffness does not.
+    - `surfaceBendStiffness` = K_theta / (4 t^3) [Pa]. A hinge's stiffness in PhysX is this times t^3 times edge length
+      over a third of the mean height of its two triangles (Grinspun 2003): 3 on the legs of a square grid with
+      diagonals, 6 on the diagonals, 4 in the mean over edges. Along grid lines, where diagonals do not fold, such a
+      sheet has 3/4 of the intended bending stiffness.
+
+    Source: paper, equations of the Isaac Sim mapping.
+    """
+    youngs_modulus = fabric.stretch_stiffness_n_per_m / fabric.thickness_m
+    measured = fabric.stretch_stiffness_n_per_m / (2.0 * fabric.shear_stiffness_n_per_m) - 1.0
+    poissons_ratio = measured
+    fallbacks: tuple[str, ...] = ()
+    if not 0.0 <= measured < 0.5:
+        poissons_ratio = ISAAC_POISSON_BELOW if measured < 0.0 else ISAAC_POISSON_ABOVE
+        bound = "negative" if measured < 0.0 else "0.5 or more"
+        fallbacks = (f"poissons_ratio {poissons_ratio:.2f}, as K_s/(2 K_sh) - 1 = {measured:.3g} is {bound}",)
+    return _mapped(
+        "isaac",
+        fabric,
+        {
+            "youngs_modulus": (youngs_modulus, "Pa"),
+            "poissons_ratio": (poissons_ratio, "1"),
+            "surfaceBendStiffness": (fabric.bend_stiffness_n_m_per_rad / (4.0 * fabric.thickness_m**3), "Pa"),
+        },
+        replaced=("poissons_ratio",) if fallbacks else (),
+        fallbacks=fallbacks,
+    )
+
+
+def genesis_pbd(fabric: Fabric) -> EngineConstants:
+    """Constants of Genesis's PBD cloth (distance and dihedral constraints).
+
+    - `stretch_compliance` = 1 / K_s [m/N], of each mesh edge.
+    - `bending_compliance` = 1 / K_theta [rad/(N m)], of each hinge.
+
+    There is no shear constant. These are nominal: what a sheet does depends on mesh, substep, relaxation and number of
+    iterations as well. As converged springs on a square grid with diagonals they would give K_s along grid lines, and
+    K_s / 2 in shear at fixed extension.
+
+    Source: paper, equation of the Genesis mapping.
+    """
+    return _mapped(
+        "genesis",
+        fabric,
+        {
+            "stretch_compliance": (1.0 / fabric.stretch_stiffness_n_per_m, "m/N"),
+            "bending_compliance": (1.0 / fabric.bend_stiffness_n_m_per_rad, "rad/(N m)"),
+        },
+        has_shear_constant=False,
+    )
+
+
+def newton_vbd(fabric: Fabric) -> EngineConstants:
+    """Constants of Newton's VBD cloth (stable Neo-Hookean membrane, two-dimensional Lame coefficients).
+
+    - `tri_ke` = mu = K_sh [N/m].
+    - `tri_ka` = lambda = 2 K_sh (K_s - 2 K_sh) / (4 K_sh - K_s) [N/m].
+    - `edge_ke_times_mean_edge_length` = K_theta [N m/rad]; `newton_edge_ke` divides by the mesh's mean edge length.
+
+    lambda is positive and finite for 2 < K_s / K_sh < 4 only; elsewhere K_s / 2.7 stands for K_sh. The stretch
+    stiffness survives this fall-back, the shear stiffness does not. A hinge's stiffness is proportional to its edge's
+    length, so a square grid with diagonals has 3 / (2 + sqrt 2) = 0.88 of the intended bending stiffness along grid
+    lines.
+
+    Source: paper, equations of the Newton mapping.
+    """
+    stretch, shear = fabric.stretch_stiffness_n_per_m, fabric.shear_stiffness_n_per_m
+    fallbacks: tuple[str, ...] = ()
+    if not 2.0 * shear < stretch < 4.0 * shear:
+        fallbacks = (
+            f"tri_ke and tri_ka from K_s/{NEWTON_RATIO}, as K_s/K_sh = {stretch / shear:.3g} is not in (2, 4)",
+        )
+        shear = stretch / NEWTON_RATIO
+    return _mapped(
+        "newton",
+        fabric,
+        {
+            "tri_ke": (shear, "N/m"),
+            "tri_ka": (2.0 * shear * (stretch - 2.0 * shear) / (4.0 * shear - stretch), "N/m"),
+            "edge_ke_times_mean_edge_length": (fabric.bend_stiffness_n_m_per_rad, "N m/rad"),
+        },
+        replaced=("tri_ke", "tri_ka") if fallbacks else (),
+        fallbacks=fallbacks,
+    )
+
+
+def mujoco_flex(fabric: Fabric) -> EngineConstants:
+    """Constants of MuJoCo's two-dimensional flex.
+
+    One Young's modulus and one thickness give both membrane and bending. As mass and collision radius are separate,
+    the thickness is free: with the plate bending stiffness D of `plate_bending_stiffness` and nu = 0,
+
+    - `thickness` = sqrt(12 D (1 - nu^2) / K_s) [m], not the fabric's own,
+    - `young` = K_s / thickness [Pa],
+    - `poisson` = nu,
+
+    so that young * thickness = K_s and young * thickness^3 / (12 (1 - nu^2)) = D. Its shear stiffness would be K_s / 2,
+    as MuJoCo's XML has no constant for shear. But the compiled model has a stiffness matrix for each triangle, and this
+    is the orthotropic membrane to write there, in the sheet's own axes:
+
+    - `membrane_warp` = `membrane_weft` = K_s, `membrane_shear` = K_sh [N/m], no coupling.
+
+    So all three measured stiffnesses come back.
+    """
+    stretch = fabric.stretch_stiffness_n_per_m
+    plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad)
+    thickness = math.sqrt(12.0 * plate * (1.0 - MUJOCO_POISSON**2) / stretch)
+    return _mapped(
+        "mujoco",
+        fabric,
+        {
+            "young": (stretch / thickness, "Pa"),
+            "poisson": (MUJOCO_POISSON, "1"),
+            "thickness": (thickness, "m"),
+            "membrane_warp": (stretch, "N/m"),
+            "membrane_weft": (stretch, "N/m"),
+            "membrane_shear": (fabric.shear_stiffness_n_per_m, "N/m"),
+        },
+    )
+
+
+MAPPINGS: dict[str, Callable[[Fabric], EngineConstants]] = {
+    "isaac": isaac_surface,
+    "genesis": genesis_pbd,
+    "newton": newton_vbd,
+    "mujoco": mujoco_flex,
+}
+"""Mapping of each engine."""
+
+
+def _mapped(
+    engine: str,
+    fabric: Fabric,
+    entries: Mapping[str, tuple[float, str]],
+    *,
+    replaced: tuple[str, ...] = (),
+    fallbacks: tuple[str, ...] = (),
+    has_shear_constant: bool = True,
+) -> EngineConstants:
+    """Constants with units, and how far the engine's own membrane is from the measured shear stiffness."""
+    constants = {name: value for name, (value, _) in entries.items()}
+    shear, measured = _MEMBRANES[engine](constants, fabric.thickness_m)[1], fabric.shear_stiffness_n_per_m
+    lost: tuple[str, ...] = ()
+    if not (has_shear_constant and math.isclose(shear, measured, rel_tol=1e-9)):
+        why = "" if has_shear_constant else "no such constant, "
+        lost = (f"shear: {why}{shear:.4g} N/m instead of {measured:.4g} ({shear / measured - 1.0:+.0%})",)
+    units = {name: unit for name, (_, unit) in entries.items()}
+    return EngineConstants(
+        engine=engine,
+        fabric=fabric,
+        constants=constants,
+        units=units,
+        replaced=replaced,
+        fallbacks=fallbacks,
+        lost=lost,
+    )
+
+
+# --- bending ---------------------------------------------------------------------------------------------------------
+
+
+def plate_bending_stiffness(*, hinge_stiffness_n_m_per_rad: float, spacing_over_length: float = 1.0) -> float:
+    """Bending stiffness per width of a sheet of hinges, bent along grid lines [N m].
+
+    Hinge lines, each a row of hinges of length l, cut a sheet into strips of width h. Bent to a curvature kappa about
+    these lines, every hinge turns by kappa h, with a torque K_theta kappa h on its length l. A plate's moment per
+    length is D kappa, so D = K_theta h / l. On a square grid h = l, and D = K_theta, whatever the mesh size. Diagonals
+    do not change this: the two triangles of a cell stay in one plane when height varies along one grid axis only.
+    Across the grid they count: at 45 degrees, equal hinges on all edges give 5/2 or 1/2 of D, by the diagonal's side.
+
+    Assumption: the calibrated K_theta is the stiffness of each hinge of a square grid, so its number is also D. Nothing
+    published says which hinge it belongs to. What speaks for this: it is measured by cantilever tests, which give a
+    stiffness per width, and as such the six fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for
+    cloth.
+
+    Args:
+        hinge_stiffness_n_m_per_rad: K_theta, torque over angle of one hinge.
+        spacing_over_length: h / l, distance between hinge lines over the length of a hinge.
+
+    Raises:
+        ParameterError: A value is not a positive number.
+    """
+    _check_positive("hinge_stiffness_n_m_per_rad", hinge_stiffness_n_m_per_rad)
+    _check_positive("spacing_over_length", spacing_over_length)
+    return hinge_stiffness_n_m_per_rad * spacing_over_length
+
+
+def newton_edge_ke(*, bend_stiffness_n_m_per_rad: float, mean_edge_length_m: float) -> float:
+    """Newton's `edge_ke` [N/rad]: K_theta over the mesh's mean rest edge length (paper, equation of Newton's bending).
+
+    Raises:
+        ParameterError: A value is not a positive number.
+    """
+    _check_positive("bend_stiffness_n_m_per_rad", bend_stiffness_n_m_per_rad)
+    _check_positive("mean_edge_length_m", mean_edge_length_m)
+    return bend_stiffness_n_m_per_rad / mean_edge_length_m
+
+
+def bending_length_m(fabric: Fabric) -> float:
+    """Length at which weight and bending balance [m], (D / (areal density * g))^(1/3); folds are about this wide.
+
+    Half the overhang at which a strip droops to 41.5 degrees (ASTM D1388). A mesh much coarser than this cannot fold
+    as the fabric does.
+    """
+    plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad)
+    return math.cbrt(plate / (fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2))
+
+
+# --- what comes back -------------------------------------------------------------------------------------------------
+
+
+def uniaxial_stiffness(mapped: EngineConstants) -> float:
+    """Force per width over strain of a sheet with these constants, transverse edges free, at small strain [N/m].
+
+    - isaac: E t.
+    - genesis: 1 / stretch_compliance, along grid lines of converged springs; nominal.
+    - newton: 4 mu (lambda + mu) / (lambda + 2 mu).
+    - mujoco: the warp stiffness.
+    """
+    return _MEMBRANES[mapped.engine](mapped.constants, mapped.fabric.thickness_m)[0]
+
+
+def shear_stiffness(mapped: EngineConstants) -> float:
+    """Force per width over engineering shear strain of a sheet with these constants, at small strain [N/m].
+
+    - isaac: E t / (2 (1 + nu)).
+    - genesis: 1 / (2 stretch_compliance), from the diagonals of a square grid of converged springs; nominal.
+    - newton: mu.
+    - mujoco: the shear stiffness of the orthotropic membrane.
+    """
+    return _MEMBRANES[mapped.engine](mapped.constants, mapped.fabric.thickness_m)[1]
+
+
+def _isaac_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
+    stretch = constants["youngs_modulus"] * thickness_m
+    return stretch, stretch / (2.0 * (1.0 + constants["poissons_ratio"]))
+
+
+def _genesis_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
+    # A diagonal of length sqrt(2) h in a cell of area h^2 extends by gamma h / sqrt(2): energy K gamma^2 / 4 per area.
+    return 1.0 / constants["stretch_compliance"], 0.5 / constants["stretch_compliance"]
+
+
+def _newton_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
+    mu, lame = constants["tri_ke"], constants["tri_ka"]
+    return 4.0 * mu * (lame + mu) / (lame + 2.0 * mu), mu
+
+
+def _mujoco_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
+    return constants["membrane_warp"], constants["membrane_shear"]
+
+
+_MEMBRANES: dict[str, Callable[[Mapping[str, float], float], tuple[float, float]]] = {
+    "isaac": _isaac_membrane,
+    "genesis": _genesis_membrane,
+    "newton": _newton_membrane,
+    "mujoco": _mujoco_membrane,
+}
+"""Uniaxial and shear stiffness [N/m] of each engine's membrane, from its constants and the thickness [m]."""
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise ParameterError(f"{name} = {value!r}: must be a positive number")

@@ -1,0 +1,152 @@
+"""Poses and shapes, in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+__all__ = [
+    "Box",
+    "ConvexUnion",
+    "Cylinder",
+    "Plane",
+    "Pose",
+    "Shape",
+    "Sphere",
+    "pose_distance",
+]
+
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """Position [m] and orientation (unit quaternion w, x, y, z) of a body frame in the world."""
+
+    position_m: Vector
+    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    @classmethod
+    def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
+        """Pose from rotations about the fixed x, then y, then z axis [deg], the convention of the metadata."""
+        w, x, y, z = Rotation.from_euler("xyz", euler_deg, degrees=True).as_quat(scalar_first=True).tolist()
+        return cls(position_m=position_m, quaternion=(w, x, y, z))
+
+    @cached_property
+    def rotation(self) -> Rotation:
+        """Orientation as a SciPy rotation, body to world."""
+        return Rotation.from_quat(self.quaternion, scalar_first=True)
+
+    def to_world(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Body-frame points [m], shape [..., 3], in world coordinates."""
+        return self.rotation.apply(points_m) + np.asarray(self.position_m)
+
+    def to_body(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """World points [m], shape [..., 3], in body coordinates."""
+        return self.rotation.apply(np.asarray(points_m) - np.asarray(self.position_m), inverse=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """Box centred on the body origin; edge lengths [m] along body x, y, z."""
+
+    size_m: Vector
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume [m^3]."""
+        return float(np.prod(self.size_m))
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """Corners in the body frame [m], shape [8, 3]."""
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        return 0.5 * signs * np.asarray(self.size_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sphere:
+    """Sphere centred on the body origin."""
+
+    radius_m: float
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume [m^3]."""
+        return 4.0 / 3.0 * np.pi * self.radius_m**3
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """Corners of the bounding box in the body frame [m], shape [8, 3]."""
+        return Box(size_m=(2 * self.radius_m,) * 3).corners_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cylinder:
+    """Solid cylinder centred on the body origin, axis along body z."""
+
+    radius_m: float
+    length_m: float
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume [m^3]."""
+        return np.pi * self.radius_m**2 * self.length_m
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """Corners of the bounding box in the body frame [m], shape [8, 3]."""
+        return Box(size_m=(2 * self.radius_m, 2 * self.radius_m, self.length_m)).corners_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plane:
+    """Half-space below the body's x-y plane; body z is the outward normal."""
+
+    @property
+    def volume_m3(self) -> float:
+        """Not a solid: zero."""
+        return 0.0
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """The body origin, shape [1, 3]."""
+        return np.zeros((1, 3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvexUnion:
+    """Solid made of convex pieces that touch but do not overlap: exact for every polyhedron, concave ones included.
+
+    Attributes:
+        pieces_m: Vertices of each piece in the body frame [m].
+    """
+
+    pieces_m: tuple[tuple[Vector, ...], ...]
+
+    @cached_property
+    def volume_m3(self) -> float:
+        """Volume [m^3]."""
+        return float(sum(ConvexHull(np.asarray(piece)).volume for piece in self.pieces_m))
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """All vertices in the body frame [m], shape [vertex_count, 3]."""
+        return np.concatenate([np.asarray(piece) for piece in self.pieces_m])
+
+
+Shape = Box | Sphere | Cylinder | Plane | ConvexUnion
+
+
+def pose_distance(one: Pose, other: Pose) -> float:
+    """The larger of the distance of two poses' origins [m] and of the angle between them [rad], small ones exact."""
+    apart = np.linalg.norm(np.subtract(one.position_m, other.position_m))
+    # Of the two quaternions of a rotation the nearer one; an arc cosine would lose half the digits.
+    chord = min(np.linalg.norm(np.subtract(one.quaternion, np.multiply(s, other.quaternion))) for s in (1.0, -1.0))
+    return float(max(apart, 2.0 * chord))

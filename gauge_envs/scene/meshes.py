@@ -1,0 +1,132 @@
+"""Meshes of solids and sheets: faces of convex polyhedra, prisms, regular grids, tetrahedra; masses of solids."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from gauge_envs.scene.bodies import Region
+from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Shape, Sphere
+
+__all__ = [
+    "TOUCHING_M",
+    "grid",
+    "hull_faces",
+    "mass_properties",
+    "nodes_in",
+    "prism",
+    "tetrahedra",
+]
+
+GRID_SPACING_M = 0.02
+"""Edge length of the grids of cloth and of soft bodies; only a mesh to start from, no constant depends on it."""
+
+COPLANAR = 1e-7
+"""Hull facets whose unit normals and offsets [m] differ by less belong to one face."""
+
+TOUCHING_M = 1e-6
+"""Vertices of two glued bodies that lie closer than this are one point."""
+
+
+PRISM_SIDES = 96
+"""Sides of the prism that stands for a cylinder; it lies within 0.06 % of the radius."""
+
+
+def prism(cylinder: Cylinder) -> ConvexUnion:
+    """Prism that stands for a cylinder, in the same frame, where an engine collides polyhedra better than cylinders."""
+    angles = 2.0 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
+    x, y = cylinder.radius_m * np.cos(angles), cylinder.radius_m * np.sin(angles)
+    z = 0.5 * cylinder.length_m
+    rings = [np.column_stack([x, y, np.full(PRISM_SIDES, height)]) for height in (-z, z)]
+    return ConvexUnion(pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),))
+
+
+def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
+    """Faces of a convex polyhedron as polygons, counter-clockwise seen from outside.
+
+    Faces and their first vertices are ordered by index, so that the result depends on the solid alone.
+
+    Args:
+        points_m: Vertices [m], shape [vertex_count, 3].
+    """
+    hull = ConvexHull(points_m)
+    groups: list[tuple[NDArray[np.float64], set[int]]] = []
+    for equation, simplex in zip(hull.equations, hull.simplices, strict=True):
+        for known, members in groups:
+            if np.abs(equation - known).max() < COPLANAR:
+                members.update(simplex.tolist())
+                break
+        else:
+            groups.append((equation, set(simplex.tolist())))
+    faces = []
+    for equation, members in groups:
+        indices = np.array(sorted(members))
+        arms = points_m[indices] - points_m[indices].mean(axis=0)
+        normal = equation[:3]
+        angles = np.arctan2(np.cross(arms[0], arms) @ normal, arms @ arms[0])
+        faces.append(tuple(indices[np.argsort(np.where(angles < -1e-9, angles + 2 * np.pi, angles))].tolist()))
+    return sorted(faces)
+
+
+def grid(size_m: tuple[float, float, float]) -> tuple[NDArray[np.float64], tuple[int, int, int]]:
+    """Nodes of a regular grid about the origin [m], shape [node_count, 3], and their number along each axis."""
+    counts = [max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m]
+    axes = [
+        np.linspace(-0.5 * edge, 0.5 * edge, count) if edge else np.zeros(1)
+        for edge, count in zip(size_m, counts, strict=True)
+    ]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return nodes, (counts[0], counts[1], counts[2])
+
+
+def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
+    """Six tetrahedra a grid cell, all about the same diagonal, so that neighbouring cells match."""
+    node = np.arange(np.prod(shape)).reshape(shape)
+    x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+    # A way from the low to the high corner along three edges is a tetrahedron; every second way is left-handed.
+    rows = []
+    for first, second, right_handed in ((x, y, 1), (y, z, 1), (z, x, 1), (y, x, 0), (z, y, 0), (x, z, 0)):
+        way = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
+        if not right_handed:
+            way[1], way[2] = way[2], way[1]
+        rows.append([node[tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))] for step in way])
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
+
+
+def nodes_in(nodes_m: NDArray[np.float64], region: Region) -> NDArray[np.intp]:
+    """Indices of the nodes that lie in a region of their body, the end itself at least."""
+    along = nodes_m[:, "xyz".index(region.axis)]
+    depth = along - along.min() if region.side == "low" else along.max() - along
+    return np.flatnonzero(depth <= region.depth_m + TOUCHING_M)
+
+
+def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centre of mass and inertia of a uniform solid.
+
+    Returns:
+        Centre of mass in the body frame [m], shape [3], and inertia about it in the body's axes [kg m^2], shape [3, 3].
+    """
+    if isinstance(shape, Box):
+        x, y, z = np.square(shape.size_m)
+        return np.zeros(3), mass_kg / 12.0 * np.diag([y + z, x + z, x + y])
+    if isinstance(shape, Sphere):
+        return np.zeros(3), 0.4 * mass_kg * shape.radius_m**2 * np.eye(3)
+    if isinstance(shape, Cylinder):
+        across = (3.0 * shape.radius_m**2 + shape.length_m**2) / 12.0
+        return np.zeros(3), mass_kg * np.diag([across, across, 0.5 * shape.radius_m**2])
+    if isinstance(shape, ConvexUnion):
+        # Imported here, since it takes a fifth of a second and most scenes have primitives alone.
+        import trimesh
+
+        pieces = [trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m]
+        density = mass_kg / sum(piece.volume for piece in pieces)
+        centre = density / mass_kg * sum(piece.volume * piece.center_mass for piece in pieces)
+        inertia = np.zeros((3, 3))
+        for piece in pieces:
+            arm = piece.center_mass - centre
+            # Steiner's theorem moves each piece's own inertia to the common centre.
+            steiner = piece.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            inertia += density * (piece.moment_inertia + steiner)
+        return centre, inertia
+    return np.zeros(3), np.zeros((3, 3))

@@ -1,0 +1,1 @@
+"""Scene <-> USD: a layer that any USD tool opens, and back, also from layers that others wrote."""

@@ -1,0 +1,237 @@
+"""What the writer and the reader of USD layers share: names, the record of what was written, driver motions as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pxr import Gf, Usd
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene.bodies import Cloth, Deformable, Rod, Rope, SoftBody
+from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
+
+__all__ = [
+    "FOLLOWS",
+    "KINDS",
+    "TEXT",
+    "WRITTEN",
+    "FloatArray",
+    "digest",
+    "hinge_axis",
+    "hinge_frame",
+    "motions_digest",
+    "motions_from_json",
+    "motions_to_json",
+    "names_digest",
+    "record_follower",
+    "record_written",
+    "samples_digest",
+    "wxyz",
+]
+
+FloatArray = NDArray[np.float64]
+
+WRITTEN = "written"
+"""Key of the custom data of a `gauge:` attribute that holds its standard counterpart as written: a number, a vector, a
+token, or the digest of an array."""
+
+FOLLOWS = "follows"
+"""Key of the custom data of an attribute that is computed from `gauge:` attributes; names what to edit in its place."""
+
+TEXT = "text"
+"""Key of the custom data of `gauge:driver` that holds the digest of its own motions as written."""
+
+KINDS: dict[type[Deformable], str] = {Cloth: "cloth", SoftBody: "soft_body", Rope: "rope", Rod: "rod"}
+"""Values of `gauge:kind`."""
+
+DIGEST_DECIMALS = 9
+"""Digests see numbers to this many decimals, so that the last digit of a sine, which differs between machines, does
+not show."""
+
+
+# --- what was written ------------------------------------------------------------------------------------------------
+
+
+def digest(values: ArrayLike) -> str:
+    """Short hash of numbers and of their shape; those that differ by less than 1e-9 (m, rad, ...) are equal."""
+    # Adding zero turns -0.0 into 0.0.
+    rounded = np.round(np.asarray(values, dtype=np.float64), DIGEST_DECIMALS) + 0.0
+    return hashlib.sha256(repr(rounded.shape).encode() + rounded.astype("<f8").tobytes()).hexdigest()[:16]
+
+
+def _text_digest(text: str) -> str:
+    """Short hash of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def motions_digest(text: str) -> str:
+    """Short hash of JSON whose numbers count to nine decimals, as those of `digest` do."""
+    return _text_digest(json.dumps(json.loads(text, parse_float=lambda number: round(float(number), DIGEST_DECIMALS))))
+
+
+def names_digest(pairs: set[frozenset[str]]) -> str:
+    """Short hash of pairs of names."""
+    return _text_digest(json.dumps(sorted(sorted(pair) for pair in pairs)))
+
+
+def samples_digest(times_s: FloatArray, positions_m: FloatArray, quaternions: FloatArray) -> str:
+    """Short hash of poses at times; the two quaternions of one rotation are equal.
+
+    Args:
+        times_s: Shape [sample_count].
+        positions_m: Shape [sample_count, 3].
+        quaternions: w, x, y, z, shape [sample_count, 4].
+    """
+    matrices = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().reshape(-1, 9)
+    return digest(np.column_stack([times_s, positions_m, matrices]))
+
+
+def record_written(gauge: Usd.Attribute, written: Any) -> None:
+    """Keep with a `gauge:` attribute what its standard counterpart was written as."""
+    gauge.SetCustomDataByKey(WRITTEN, written)
+
+
+def record_follower(attribute: Usd.Attribute, source: str) -> None:
+    """Mark an attribute as computed from others, so that an edit of it is noticed.
+
+    Args:
+        attribute: Has its value already.
+        source: Attributes that it is computed from.
+    """
+    value = attribute.Get()
+    attribute.SetCustomDataByKey(WRITTEN, value if isinstance(value, float) else digest(value))
+    attribute.SetCustomDataByKey(FOLLOWS, source)
+
+
+def hinge_frame(axis: tuple[float, float, float]) -> Gf.Quatf:
+    """Orientation whose x axis is a hinge's world axis."""
+    return Gf.Quatf(Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), Gf.Vec3d(*axis)).GetQuat())
+
+
+def wxyz(quaternion: Gf.Quatf | Gf.Quatd | Gf.Quath) -> FloatArray:
+    """A quaternion as four numbers w, x, y, z."""
+    return np.array([quaternion.GetReal(), *quaternion.GetImaginary()], dtype=np.float64)
+
+
+def hinge_axis(quaternion: FloatArray, letter: str = "X") -> FloatArray:
+    """Direction of an axis of an orientation w, x, y, z; shape [3]."""
+    return Rotation.from_quat(quaternion, scalar_first=True).apply(np.eye(3)["XYZ".index(letter)])
+
+
+# --- driver motions as JSON ------------------------------------------------------------------------------------------
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True)
+
+
+class _Trapezoid(_Record):
+    kind: Literal["trapezoid"] = "trapezoid"
+    start_s: Finite
+    duration_s: Positive
+    accelerate_s: NonNegative
+    brake_s: NonNegative
+    amount: Finite
+
+    @model_validator(mode="after")
+    def _fits(self) -> _Trapezoid:
+        if self.accelerate_s + self.brake_s > self.duration_s:
+            raise ValueError("accelerate_s and brake_s together are longer than duration_s")
+        return self
+
+
+class _Cosine(_Record):
+    kind: Literal["cosine"] = "cosine"
+    start_s: Finite
+    duration_s: Positive
+    amount: Finite
+
+
+class _Sampled(_Record):
+    kind: Literal["sampled"] = "sampled"
+    times_s: tuple[Finite, ...] = Field(min_length=2)
+    values: tuple[Finite, ...]
+
+    @model_validator(mode="after")
+    def _increasing(self) -> _Sampled:
+        if len(self.values) != len(self.times_s) or not np.all(np.diff(self.times_s) > 0.0):
+            raise ValueError("a value for each of strictly increasing times_s is expected")
+        return self
+
+
+PROFILES: dict[type[Profile], type[_Record]] = {
+    TrapezoidProfile: _Trapezoid,
+    CosineProfile: _Cosine,
+    SampledProfile: _Sampled,
+}
+
+
+class _Motion(_Record):
+    kind: Literal["translate", "rotate"]
+    axis: tuple[Finite, Finite, Finite]
+    point_m: tuple[Finite, Finite, Finite]
+    residual_rate: NonNegative
+    profiles: tuple[Annotated[_Trapezoid | _Cosine | _Sampled, Field(discriminator="kind")], ...]
+
+    @model_validator(mode="after")
+    def _unit_axis(self) -> _Motion:
+        if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-9:
+            raise ValueError(f"axis {list(self.axis)} is not a unit vector")
+        return self
+
+    def build(self) -> DriverMotion:
+        built = {record: profile for profile, record in PROFILES.items()}
+        return DriverMotion(
+            kind=self.kind,
+            axis=self.axis,
+            point_m=self.point_m,
+            residual_rate=self.residual_rate,
+            profiles=tuple(built[type(one)](**one.model_dump(exclude={"kind"})) for one in self.profiles),
+        )
+
+
+class _Driver(_Record):
+    index: Annotated[int, Field(ge=0)]
+    motions: tuple[_Motion, ...]
+
+
+def motions_to_json(motions: tuple[DriverMotion, ...], index: int) -> str:
+    """Motions of a driver as JSON; doubles survive to the bit.
+
+    Args:
+        motions: Motions in the order in which they apply.
+        index: Place of the driver among those of its scene.
+    """
+    record = _Driver(
+        index=index,
+        motions=tuple(
+            _Motion(
+                kind=motion.kind,
+                axis=motion.axis,
+                point_m=motion.point_m,
+                residual_rate=motion.residual_rate,
+                profiles=tuple(PROFILES[type(one)].model_validate(one) for one in motion.profiles),  # type: ignore[misc]
+            )
+            for motion in motions
+        ),
+    )
+    return json.dumps(record.model_dump(), allow_nan=False)
+
+
+def motions_from_json(text: str) -> tuple[tuple[DriverMotion, ...], int]:
+    """Motions of a driver and its place among those of its scene.
+
+    Raises:
+        ValidationError: pydantic's, a ValueError: the text is no JSON, or is not what `motions_to_json` writes.
+    """
+    record = _Driver.model_validate(json.loads(text))
+    return tuple(motion.build() for motion in record.motions), record.index

@@ -1,0 +1,337 @@
+"""USD -> Scene: the inverse of the writer, and a reader of plain UsdPhysics that somebody else wrote.
+
+A number that stands twice in a layer of this package, as a `gauge:` double and in single precision beside it, counts
+where it was edited; `Source.counted` has the rule. Where there is no `gauge:` attribute, UsdPhysics counts alone.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdPhysics
+
+from gauge_envs.errors import AssetError
+from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import Pose
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
+from gauge_envs.scene.usd.deformables import (
+    is_deformable,
+    read_attachments,
+    read_deformable,
+    read_markers,
+    world_points,
+)
+from gauge_envs.scene.usd.driven import driven_body
+from gauge_envs.scene.usd.joints import is_welded, joint_prims, read_joint
+from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
+from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
+from gauge_envs.scene.usd.solids import mass_kg, solid_of
+from gauge_envs.scene.usd.source import LARGEST, Reading, Source, usd_reason
+
+__all__ = [
+    "UsdScene",
+    "read_points",
+    "read_usd",
+]
+
+LEVEL = 1e-6
+"""How far gravity may be from vertical [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UsdScene:
+    """What a USD file holds.
+
+    Attributes:
+        scene: The scene.
+        paths: Prim path of each body, rigid and deformable, by its name in the scene.
+        metadata: What the writer noted of the variant and its source; empty in files of others.
+        used_files: Other files that the stage is composed of, in the order of their paths relative to its own.
+    """
+
+    scene: Scene
+    paths: Mapping[str, str]
+    metadata: Mapping[str, str]
+    used_files: tuple[Path, ...]
+
+
+def read_usd(
+    path: str | Path,
+    *,
+    duration_s: float | None = None,
+    friction: Literal["dynamic", "static"] | None = None,
+    mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
+    contacts: Sequence[Contact] = (),
+    has_markers: bool = True,
+) -> UsdScene:
+    """Read a scene from a USD file; see `Scene.from_usd`, which is this without the rest of what the file holds.
+
+    Without `has_markers` the scene has none, however many sets of them the file has.
+    """
+    options = PairOptions(friction=friction, mode=mode, contacts=tuple(contacts))
+    with _opened(Path(path)) as source:
+        return _Reader(source, options, duration_s, has_markers=has_markers).read()
+
+
+def from_usd(
+    path: str | Path,
+    *,
+    duration_s: float | None = None,
+    friction: Literal["dynamic", "static"] | None = None,
+    mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
+    contacts: Sequence[Contact] = (),
+) -> Scene:
+    """Read a scene from a USD file, of `to_usd` or of plain UsdPhysics.
+
+    What `to_usd` wrote comes back exactly. Where a number was edited in such a file, in the `gauge:` double or in
+    the standard attribute beside it, the edited one counts. What the keywords say matters for files of others:
+
+    Args:
+        path: File of any kind that USD reads.
+        duration_s: How long the experiment lasts, where the file has neither `gauge:duration_s` nor time codes of
+            start and end; it counts in place of these time codes.
+        friction: Which coefficient of a material counts where static and dynamic friction differ.
+        mode: What contacts do that have no `gauge:mode`: one for all, or one a pair of names, sustained for others.
+        contacts: Contacts that count in place of what the file says of their pairs.
+
+    Raises:
+        AssetError: The file cannot be read, lacks something, or has what a scene has not; names file and prim.
+    """
+    return read_usd(path, duration_s=duration_s, friction=friction, mode=mode, contacts=contacts).scene
+
+
+def read_points(path: Path, place: str) -> FloatArray:
+    """Points of a prim of a USD file in the world at the start [m], z up, shape [point_count, 3].
+
+    Args:
+        path: The file.
+        place: Path of a Points or Mesh prim, as `/Shelf/Markers`.
+
+    Raises:
+        AssetError: The file cannot be read, or has no such prim, or one of another type or without points.
+    """
+    with _opened(path) as source:
+        prim = next((prim for prim in source.prims() if str(prim.GetPath()) == place), None)
+        if prim is None:
+            raise source.fault(place, "there is no such prim")
+        return world_points(source, prim)
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Source]:
+    """A stage to read from; what USD raises on the way becomes an AssetError."""
+    try:
+        yield Source(file)
+    except Tf.ErrorException as error:
+        # What USD finds wrong while values are taken from it, as an attribute of another type than its schema's.
+        raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None
+    except UnicodeDecodeError:
+        raise AssetError(file, "", "it holds names or texts that are not UTF-8") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """A rigid body before its parts are read."""
+
+    prim: Usd.Prim
+    colliders: tuple[Usd.Prim, ...]
+
+
+class _Reader:
+    """Reads one stage."""
+
+    def __init__(self, source: Source, options: PairOptions, duration_s: float | None, *, has_markers: bool) -> None:
+        self.source = source
+        self.has_markers = has_markers
+        self.options = options
+        self.duration_s = duration_s
+        self.start = Usd.TimeCode(source.start)
+
+    def read(self) -> UsdScene:
+        source = self.source
+        for prim in source.prims():
+            source.check_followers(prim)
+        self.joints = joint_prims(source)
+        found = self._find()
+        deformable = [prim for prim in source.prims() if is_deformable(prim)]
+        self.names = self._names([*(one.prim for one in found), *deformable])
+        bodies: dict[Sdf.Path, RigidBody] = {}
+        drivers: list[tuple[int, Driver]] = []
+        for one in found:
+            body, driver, place = self._body(one)
+            bodies[one.prim.GetPath()] = body
+            if driver is not None:
+                # Drivers whose place the file does not say come last, in the stage's order.
+                drivers.append((len(found) if place is None else place, driver))
+        parties = [self._party(one.prim, one.colliders, bodies[one.prim.GetPath()].motion) for one in found]
+        parties += [self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ()) for prim in deformable]
+        joints = [read_joint(source, prim, bodies) for prim in self.joints]
+        scene = Scene(
+            bodies=tuple(bodies.values()),
+            deformables=tuple(read_deformable(source, prim, self.names[prim.GetPath()]) for prim in deformable),
+            joints=tuple(joint for joint in joints if joint is not None),
+            attachments=tuple(read_attachments(source, self.names)),
+            contacts=contacts_of(source, parties, self.options),
+            drivers=tuple(driver for _, driver in sorted(drivers, key=lambda pair: pair[0])),
+            markers=read_markers(source, self.names) if self.has_markers else None,
+            duration_s=self._duration(),
+            gravity_m_per_s2=self._gravity(),
+        )
+        noted = source.stage.GetRootLayer().customLayerData.get("gauge", {})
+        return UsdScene(
+            scene=scene,
+            paths={name: str(place) for place, name in self.names.items()},
+            metadata={key: str(value) for key, value in noted.items()} if isinstance(noted, dict) else {},
+            used_files=source.used_files(),
+        )
+
+    # --- stage ---
+
+    def _physics(self) -> UsdPhysics.Scene:
+        scenes = [UsdPhysics.Scene(prim) for prim in self.source.prims() if prim.IsA(UsdPhysics.Scene)]
+        if len(scenes) != 1:
+            raise self.source.fault("", f"{len(scenes)} PhysicsScene prims: one is expected, as it holds gravity")
+        return scenes[0]
+
+    def _gravity(self) -> float:
+        source, physics = self.source, self._physics()
+        attribute = physics.GetGravityDirectionAttr()
+        direction = source.numbers(attribute, (3,))
+        if direction is not None and direction.any():
+            down = source.up @ (direction / np.linalg.norm(direction))
+            if down[2] >= 0.0 or np.hypot(down[0], down[1]) > LEVEL:
+                raise source.fault(attribute, f"is {direction.tolist()}: gravity must point down, against the up axis")
+        magnitude = physics.GetGravityMagnitudeAttr()
+        # Minus infinity, the schema's fallback, asks for the gravity of the earth.
+        is_given = magnitude.HasAuthoredValue() and magnitude.Get() != -np.inf
+        standard = source.reading(magnitude, (), lambda g: g * source.metres) if is_given else None
+        gravity = source.counted(physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2"), [standard])
+        if gravity is None:
+            return GRAVITY_M_PER_S2
+        if gravity < 0.0:
+            raise source.fault(magnitude, f"is {float(gravity)} m/s^2: 0 or more is expected")
+        return float(gravity)
+
+    def _duration(self) -> float:
+        source, stage = self.source, self.source.stage
+        attribute = self._physics().GetPrim().GetAttribute("gauge:duration_s")
+        stated = None
+        if stage.HasAuthoredTimeCodeRange():
+            length = np.array(source.seconds(stage.GetEndTimeCode()))
+            stated = Reading(place="endTimeCode", raw=length, value=length)
+        own = attribute.HasAuthoredValue() if attribute else False
+        if self.duration_s is not None and not own:
+            stated = None
+        value = source.counted(attribute, [stated], rounded=lambda t: np.round(t * source.rate) / source.rate)
+        duration = float(value) if value is not None else self.duration_s
+        if duration is None:
+            raise source.fault(
+                "", "its duration is not known: give duration_s, or author startTimeCode and endTimeCode"
+            )
+        if not 0.0 < duration <= LARGEST:
+            raise source.fault(
+                "endTimeCode" if stated else "", f"its duration is {duration} s: a positive one is expected"
+            )
+        return duration
+
+    # --- which prims are bodies ---
+
+    def _find(self) -> list[_Found]:
+        """Rigid bodies in the stage's order; a collider without one is a fixed body of its own."""
+        source = self.source
+        roots: dict[Sdf.Path, list[Usd.Prim]] = {}
+        for prim in source.prims():
+            if source.is_rigid(prim) or (prim.HasAttribute("gauge:name") and not is_deformable(prim)):
+                roots.setdefault(prim.GetPath(), [])
+            if prim.HasAPI(UsdPhysics.CollisionAPI) and not is_deformable(prim):
+                owner = source.body_of(prim)
+                colliders = roots.setdefault(owner.GetPath() if owner else prim.GetPath(), [])
+                colliders.append(prim)
+        found = []
+        for path, colliders in roots.items():
+            prim = source.stage.GetPrimAtPath(path)
+            enabled = [one for one in colliders if self._is_enabled(one)]
+            if not enabled and not source.is_rigid(prim) and not prim.HasAttribute("gauge:name"):
+                continue
+            if not colliders:
+                raise source.fault(prim, "is a rigid body without a collider, so that its shape is unknown")
+            found.append(_Found(prim=prim, colliders=tuple(enabled or colliders)))
+        return found
+
+    def _is_enabled(self, prim: Usd.Prim) -> bool:
+        return self.source.flag(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True)
+
+    def _names(self, prims: Sequence[Usd.Prim]) -> dict[Sdf.Path, str]:
+        """Names in the scene: those that the file states, else prim names where they are unique, else paths."""
+        often = Counter(prim.GetName() for prim in prims)
+        names: dict[Sdf.Path, str] = {}
+        for prim in prims:
+            short = prim.GetName() if often[prim.GetName()] == 1 else str(prim.GetPath())[1:]
+            name = self.source.text(prim.GetAttribute("gauge:name")) or short
+            if name in names.values():
+                other = next(path for path, taken in names.items() if taken == name)
+                raise self.source.fault(prim, f"is named {name!r}, as {other} is: names are unique")
+            names[prim.GetPath()] = name
+        return names
+
+    def _party(self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...], motion: Motion = Motion.DYNAMIC) -> Party:
+        name = self.names[prim.GetPath()]
+        return Party(name=name, prim=prim, colliders=colliders, moves=motion is Motion.DYNAMIC)
+
+    # --- rigid bodies ---
+
+    def _body(self, found: _Found) -> tuple[RigidBody, Driver | None, int | None]:
+        source, prim = self.source, found.prim
+        motion = self._motion(prim)
+        frame = source.frame(prim, self.start)
+        solid = solid_of(source, prim, frame, found.colliders, motion)
+        mass = mass_kg(source, prim, found.colliders, solid, frame, motion)
+        if motion is Motion.DYNAMIC:
+            self._check_rest(prim)
+
+        def pose_at(time: Usd.TimeCode) -> Pose:
+            moved = source.frame(prim, time)
+            return (moved.moved(solid.offset_m, solid.turn) if solid.is_moved else moved).pose
+
+        name, driver, place = self.names[prim.GetPath()], None, None
+        if motion is Motion.KINEMATIC:
+            pose, driver, place = driven_body(source, prim, name, pose_at)
+        elif motion is Motion.FIXED and len(source.sample_codes(prim)) > 1:
+            raise source.fault(prim, "is a collider that moves without a rigid body: make it a kinematic one")
+        else:
+            pose = pose_at(self.start)
+        body = RigidBody(name=name, shape=solid.shape, motion=motion, pose=pose, mass_kg=mass)
+        return body, driver, place
+
+    def _motion(self, prim: Usd.Prim) -> Motion:
+        source = self.source
+        standard = Motion.FIXED
+        if source.is_rigid(prim):
+            driven = source.flag(UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr(), default=False)
+            standard = Motion.KINEMATIC if driven else Motion.DYNAMIC
+            if any(is_welded(source, joint, prim) for joint in self.joints):
+                standard = Motion.FIXED
+        attribute = prim.GetAttribute("gauge:motion")
+        own = source.text(attribute, tuple(Motion))
+        if own is None or own == standard:
+            return standard
+        written = attribute.GetCustomDataByKey(WRITTEN)
+        if standard == written:
+            return Motion(own)
+        if own == written:
+            return standard
+        raise source.fault(attribute, f"is {own}, but UsdPhysics makes the body {standard}: make them agree")
+
+    def _check_rest(self, prim: Usd.Prim) -> None:
+        api = UsdPhysics.RigidBodyAPI(prim)
+        for attribute in (api.GetVelocityAttr(), api.GetAngularVelocityAttr()):
+            velocity = self.source.numbers(attribute, (3,))
+            if velocity is not None and velocity.any():
+                raise self.source.fault(attribute, f"is {velocity.tolist()}: bodies of a scene start at rest")

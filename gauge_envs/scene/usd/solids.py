@@ -1,0 +1,321 @@
+"""Colliders of a USD body -> its shape and mass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdPhysics
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene.bodies import Motion
+from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Plane, Shape, Sphere
+from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.usd.layer import FloatArray
+from gauge_envs.scene.usd.source import Frame, Reading, Source, single
+
+__all__ = [
+    "Solid",
+    "mass_kg",
+    "solid_of",
+]
+
+OFF_CENTRE_M = 1e-9
+"""A collider this close to its body's origin is centred on it."""
+
+CONCAVE = 1e-3
+"""A mesh that fills less than its hull by this part is concave."""
+
+LENGTHS_M = (1e-9, 1e9)
+"""Smallest and largest extent of a solid; what is beyond has a volume that is lost in rounding."""
+
+OVERLAP_M = 1e-5
+"""Pieces of one body that lie deeper in each other overlap: its mass would count twice there."""
+
+UNEVEN = 0.01
+"""Part by which a given inertia, or a given centre of mass in parts of the body's radius of gyration, may differ from
+that of uniform density."""
+
+TO_Z = {
+    "X": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "Z": np.eye(3),
+}
+"""Rotations that turn z onto an axis."""
+
+HULLS = ("convexHull",)
+EXACT = ("none", "meshSimplification", "convexDecomposition")
+"""Approximations that keep the mesh's own shape; exact for a convex mesh alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solid:
+    """Shape of a body, in a frame that is fixed to the prim's.
+
+    Attributes:
+        shape: In that frame.
+        offset_m: Origin of that frame in the prim's frame, unscaled.
+        turn: Rotation of that frame in the prim's.
+    """
+
+    shape: Shape
+    offset_m: FloatArray
+    turn: FloatArray
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether the frame is another than the prim's."""
+        return bool(self.offset_m.any()) or not np.array_equal(self.turn, np.eye(3))
+
+
+def solid_of(source: Source, body: Usd.Prim, frame: Frame, colliders: Sequence[Usd.Prim], motion: Motion) -> Solid:
+    """The shape of a body.
+
+    A lone sphere, cylinder or plane that lies beside its body's origin, or along another axis, takes the body's frame
+    with it; boxes and meshes do not, and several of them become one solid of convex pieces.
+
+    Args:
+        source: The stage.
+        body: Prim of the body.
+        frame: Its frame at the start.
+        colliders: Prims of its geometry.
+        motion: How it moves.
+
+    Raises:
+        AssetError: Geometry that a scene does not have; names prim and type.
+    """
+    solid = _solid(source, body, frame, colliders, motion)
+    spans = np.ptp(solid.shape.corners_m, axis=0)
+    if not isinstance(solid.shape, Plane) and not (LENGTHS_M[0] <= spans.min() <= spans.max() <= LENGTHS_M[1]):
+        raise source.fault(body, f"is {spans.tolist()} m large: {LENGTHS_M[0]:g} to {LENGTHS_M[1]:g} m are expected")
+    return solid
+
+
+def _solid(source: Source, body: Usd.Prim, frame: Frame, colliders: Sequence[Usd.Prim], motion: Motion) -> Solid:
+    placed = [_placed(source, body, frame, collider) for collider in colliders]
+    if len(placed) == 1 and colliders[0].GetTypeName() != "Mesh":
+        return _lone(source, colliders[0], *placed[0], motion)
+    pieces = []
+    for collider, (matrix, offset) in zip(colliders, placed, strict=True):
+        kind = collider.GetTypeName()
+        if kind not in ("Cube", "Mesh"):
+            raise source.fault(collider, f"is a {kind} among other colliders of a body: boxes and meshes are expected")
+        pieces.append(_vertices(source, collider, matrix, offset))
+    if motion is Motion.DYNAMIC:
+        _check_apart(source, colliders, pieces)
+    shape = ConvexUnion(pieces_m=tuple(tuple((x, y, z) for x, y, z in piece.tolist()) for piece in pieces))
+    return Solid(shape=shape, offset_m=np.zeros(3), turn=np.eye(3))
+
+
+def _placed(source: Source, body: Usd.Prim, frame: Frame, collider: Usd.Prim) -> tuple[FloatArray, FloatArray]:
+    """Linear map [3, 3] and offset [m] from a collider's own space to its body's unscaled frame."""
+    matrix = source.below(body, collider)
+    linear = frame.scale[:, None] * matrix[:3, :3]
+    source.decomposed(collider, linear)
+    return linear, frame.scale * matrix[:3, 3]
+
+
+def _lone(source: Source, prim: Usd.Prim, matrix: FloatArray, offset: FloatArray, motion: Motion) -> Solid:
+    """A body of one primitive."""
+    kind = str(prim.GetTypeName())
+    turn, scale = source.decomposed(prim, matrix)
+    scale = np.abs(scale)
+    is_centred = bool(np.abs(offset).max() < OFF_CENTRE_M)
+    here = np.zeros(3) if is_centred else offset
+    if kind == "Cube":
+        if is_centred and np.abs(turn - np.eye(3)).max() < OFF_CENTRE_M:
+            x, y, z = (_positive(source, UsdGeom.Cube(prim).GetSizeAttr()) * scale).tolist()
+            return Solid(shape=Box(size_m=(x, y, z)), offset_m=here, turn=np.eye(3))
+        corners = _vertices(source, prim, matrix, offset)
+        piece = tuple((x, y, z) for x, y, z in corners.tolist())
+        return Solid(shape=ConvexUnion(pieces_m=(piece,)), offset_m=np.zeros(3), turn=np.eye(3))
+    if kind == "Sphere":
+        radius = _positive(source, UsdGeom.Sphere(prim).GetRadiusAttr()) * _even(source, prim, scale)
+        return Solid(shape=Sphere(radius_m=radius), offset_m=here, turn=np.eye(3))
+    if kind not in ("Cylinder", "Plane"):
+        known = "Cube, Sphere, Cylinder, Plane and Mesh are expected"
+        raise source.fault(prim, f"is a collider of type {kind or 'none'}, which a scene does not have: {known}")
+    geometry = UsdGeom.Cylinder(prim) if kind == "Cylinder" else UsdGeom.Plane(prim)
+    axis = source.text(geometry.GetAxisAttr(), tuple(TO_Z)) or "Z"
+    along = "XYZ".index(axis)
+    turn = turn @ TO_Z[axis]
+    # A turn about its own axis leaves either as it is.
+    if abs(turn[2, 2] - 1.0) < 1e-15:
+        turn = np.eye(3)
+    if kind == "Plane":
+        if motion is not Motion.FIXED:
+            raise source.fault(prim, f"is a plane of a {motion} body: planes are fixed")
+        return Solid(shape=Plane(), offset_m=here, turn=turn)
+    radius = _positive(source, geometry.GetRadiusAttr()) * _even(source, prim, np.delete(scale, along))
+    length = _positive(source, geometry.GetHeightAttr()) * float(scale[along])
+    return Solid(shape=Cylinder(radius_m=radius, length_m=length), offset_m=here, turn=turn)
+
+
+def _positive(source: Source, attribute: Usd.Attribute) -> float:
+    value = source.number(attribute)
+    if value is None or value <= 0.0:
+        raise source.fault(attribute, f"is {value}: a positive number is expected")
+    return value
+
+
+def _even(source: Source, prim: Usd.Prim, scale: FloatArray) -> float:
+    if np.ptp(scale) > 1e-6 * scale.max():
+        raise source.fault(
+            prim, f"is a {prim.GetTypeName()} that is scaled unevenly, by {scale.tolist()} across: not round"
+        )
+    return float(scale[0])
+
+
+def _vertices(source: Source, prim: Usd.Prim, matrix: FloatArray, offset: FloatArray) -> FloatArray:
+    """Vertices of a convex piece in its body's frame [m], shape [vertex_count, 3]."""
+    if prim.GetTypeName() == "Cube":
+        edge = _positive(source, UsdGeom.Cube(prim).GetSizeAttr())
+        return Box(size_m=(edge, edge, edge)).corners_m @ matrix.T + offset
+    mesh, gauge = UsdGeom.Mesh(prim), prim.GetAttribute("gauge:points_m")
+    reading = source.reading(mesh.GetPointsAttr(), (-1, 3), lambda points: points @ matrix.T + offset)
+    points = source.counted(gauge, [reading], (-1, 3), rounded=single)
+    if points is None:
+        raise source.fault(prim, "is a mesh without points")
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        raise source.fault(prim, "is flat or has fewer than four vertices: it encloses no volume") from None
+    approximation = source.text(UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr()) or "none"
+    if approximation not in HULLS:
+        if approximation not in EXACT:
+            raise source.fault(prim, f"approximation {approximation!r} is not one of {', '.join((*HULLS, *EXACT))}")
+        filled = _filled(source, mesh, np.asarray(mesh.GetPointsAttr().Get(), dtype=np.float64) @ matrix.T + offset)
+        if abs(filled - hull.volume) > CONCAVE * hull.volume:
+            raise source.fault(
+                prim,
+                f"is not convex (it fills {filled / hull.volume:.3g} of its hull) and its approximation is "
+                f"{approximation!r}: split it into convex pieces, or set convexHull",
+            )
+    return points if source.numbers(gauge, (-1, 3)) is not None else points[np.sort(hull.vertices)]
+
+
+def _filled(source: Source, mesh: UsdGeom.Mesh, points: FloatArray) -> float:
+    """Volume that the faces of a mesh enclose [m^3]."""
+    counts, indices = mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
+    if not counts or not indices or sum(counts) != len(indices) or not 0 <= min(indices) <= max(indices) < len(points):
+        raise source.fault(mesh.GetPrim(), "its faces do not fit its points")
+    volume, first = 0.0, 0
+    for count in counts:
+        face = points[np.asarray(indices[first : first + count])]
+        fans = np.cross(face[1:-1], face[2:]) @ face[0]
+        volume += float(fans.sum()) / 6.0
+        first += count
+    return abs(volume)
+
+
+def _check_apart(source: Source, prims: Sequence[Usd.Prim], pieces: Sequence[FloatArray]) -> None:
+    """See that no two pieces share more than their surface."""
+    planes = [ConvexHull(piece).equations for piece in pieces]
+    for one, other in combinations(range(len(pieces)), 2):
+        low = np.maximum(pieces[one].min(axis=0), pieces[other].min(axis=0))
+        high = np.minimum(pieces[one].max(axis=0), pieces[other].max(axis=0))
+        if (high - low < OVERLAP_M).any():
+            continue
+        walls = np.concatenate([planes[one], planes[other]])
+        # The largest ball inside both: normal . x + radius <= -offset for each wall.
+        rows = np.column_stack([walls[:, :3], np.ones(len(walls))])
+        deepest = linprog([0.0, 0.0, 0.0, -1.0], A_ub=rows, b_ub=-walls[:, 3], bounds=[(None, None)] * 4)
+        if deepest.success and -2.0 * deepest.fun > OVERLAP_M:
+            raise source.fault(
+                prims[one],
+                f"overlaps {prims[other].GetPath()} by {-2e3 * deepest.fun:.3g} mm: pieces of a dynamic body must not, "
+                "since mass would count twice there",
+            )
+
+
+# --- mass ------------------------------------------------------------------------------------------------------------
+
+
+def mass_kg(
+    source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim], solid: Solid, frame: Frame, motion: Motion
+) -> float:
+    """Mass of a body: what is given, or density times volume. Fixed and driven bodies need none and count as 0 then.
+
+    Raises:
+        AssetError: A dynamic body has neither mass nor density, or its inertia is not that of uniform density.
+    """
+    api = UsdPhysics.MassAPI(body)
+    given = _authored(source, api.GetMassAttr(), source.kilograms)
+    value = source.counted(body.GetAttribute("gauge:mass_kg"), [given])
+    mass = float(value) if value is not None else _from_density(source, body, colliders, solid.shape)
+    if mass is None and motion is not Motion.DYNAMIC:
+        mass = 0.0
+    if mass is None or (motion is Motion.DYNAMIC and mass <= 0.0) or mass < 0.0:
+        raise source.fault(
+            body,
+            "a dynamic body needs a mass: physics:mass or physics:density, of the body or its material"
+            if mass is None
+            else f"its mass is {mass} kg: a positive number is expected",
+        )
+    if motion is Motion.DYNAMIC:
+        _check_uniform(source, api, solid, frame, mass)
+    return mass
+
+
+def _authored(source: Source, attribute: Usd.Attribute, unit: float) -> Reading | None:
+    """A reading of a mass or density; None where it is 0, which UsdPhysics takes for not given."""
+    reading = source.reading(attribute, (), lambda value: value * unit)
+    return None if reading is None or float(reading.raw) == 0.0 else reading
+
+
+def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim], shape: Shape) -> float | None:
+    """Mass from what colliders weigh, or from densities, in the order in which UsdPhysics ranks them."""
+    unit = source.kilograms / source.metres**3
+    own = _authored(source, UsdPhysics.MassAPI(body).GetDensityAttr(), unit)
+    if own is not None:
+        return float(own.value) * shape.volume_m3
+    apis = [UsdPhysics.MassAPI(collider) for collider in colliders if collider != body]
+    masses = [_authored(source, api.GetMassAttr(), source.kilograms) for api in apis]
+    if len(masses) == 1 and masses[0] is not None:
+        return float(masses[0].value)
+    if any(mass is not None for mass in masses):
+        raise source.fault(
+            body, "its colliders have masses of their own: give the mass of the body, of uniform density"
+        )
+    densities = []
+    for collider in colliders:
+        density = _authored(source, UsdPhysics.MassAPI(collider).GetDensityAttr(), unit)
+        material = source.material(collider)
+        if density is None and material is not None:
+            density = _authored(source, UsdPhysics.MaterialAPI(material).GetDensityAttr(), unit)
+        if density is None:
+            return None
+        densities.append(float(density.value))
+    if np.ptp(densities) > 1e-6 * max(densities):
+        raise source.fault(body, f"its colliders have densities {densities}: one density is expected")
+    return densities[0] * shape.volume_m3
+
+
+def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame: Frame, mass: float) -> None:
+    """See that a centre of mass and moments of inertia, where given, are those of uniform density."""
+    centre, inertia = mass_properties(solid.shape, mass)
+    # In the prim's frame, where they are given.
+    centre, inertia = solid.turn @ centre + solid.offset_m, solid.turn @ inertia @ solid.turn.T
+    radius = float(np.sqrt(np.trace(inertia) / 2.0 / mass))
+    given = api.GetCenterOfMassAttr()
+    # Minus infinity, the fallback, stands for the centre of the colliders.
+    if given and given.HasAuthoredValue() and np.isfinite(np.asarray(given.Get(), dtype=np.float64)).all():
+        stated = source.numbers(given, (3,))
+        if stated is not None and np.linalg.norm(stated * frame.scale - centre) > UNEVEN * radius:
+            raise source.fault(given, f"is not the centre {centre.tolist()} m of its geometry: density must be uniform")
+    moments = source.numbers(api.GetDiagonalInertiaAttr(), (3,)) if api.GetDiagonalInertiaAttr() else None
+    if moments is None or not moments.any():
+        return
+    axes = source.numbers(api.GetPrincipalAxesAttr(), (4,))
+    turn = np.eye(3) if axes is None or not axes.any() else Rotation.from_quat(axes, scalar_first=True).as_matrix()
+    stated = turn @ np.diag(moments * source.kilograms * source.metres**2) @ turn.T
+    if np.abs(stated - inertia).max() > UNEVEN * np.abs(inertia).max():
+        uniform = ", ".join(f"{moment:.6g}" for moment in np.linalg.eigvalsh(inertia))
+        raise source.fault(
+            api.GetDiagonalInertiaAttr(),
+            f"contradicts uniform density, whose moments are ({uniform}) kg m^2: a scene has no other",
+        )

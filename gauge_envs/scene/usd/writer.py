@@ -1,0 +1,571 @@
+"""Scene -> USD: one layer that any USD tool opens, with UsdPhysics where it has words and `gauge:` doubles beside them.
+
+UsdPhysics keeps masses, coefficients and joint frames in single precision, one material a body instead of constants a
+pair, and has no deformable bodies yet. So every number of the scene also stands as a custom double under the name
+that it has in `gauge_envs.scene` (`gauge:mass_kg`), pairs stand in `/World/Contacts`, and deformable bodies carry the
+attributes of the proposed schema under the names that Omniverse ships it with (`omniphysics:`).
+
+A number that stands twice can be edited in either place. So that the reader knows in which, the double keeps its
+standard counterpart as written in its custom data; and what is computed from the scene and cannot be turned back, as
+the mesh of a cloth, keeps its own value and the name of what to edit in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+
+from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.scene.bodies import (
+    Attachment,
+    Cloth,
+    Contact,
+    Deformable,
+    Hinge,
+    Markers,
+    Motion,
+    RigidBody,
+    Rod,
+    Rope,
+    SoftBody,
+    Tether,
+)
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.fabrics import Fabric, isaac_surface
+from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Pose, Shape, Sphere
+from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
+from gauge_envs.scene.scene import Scene
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.usd.layer import (
+    KINDS,
+    TEXT,
+    digest,
+    hinge_axis,
+    hinge_frame,
+    motions_digest,
+    motions_to_json,
+    names_digest,
+    record_follower,
+    record_written,
+    samples_digest,
+    wxyz,
+)
+
+__all__ = ["export_stage", "scene_stage", "to_usd"]
+
+SUFFIXES = (".usda", ".usdc", ".usd")
+
+GROUPS = ("PhysicsScene", "Contacts", "Materials", "Joints", "Attachments", "Markers")
+"""What lies below the world beside the bodies."""
+
+LINE_SPACING_M = 0.01
+"""Distance between the points of ropes and rods."""
+
+PLANE_EXTENT_M = 2.0
+"""Edge of the square that is drawn for a plane; the collider is infinite."""
+
+MARKER_WIDTH_M = 0.005
+"""Width that markers are drawn with."""
+
+ISAAC_ATTRIBUTES = {
+    "youngs_modulus": "youngsModulus",
+    "poissons_ratio": "poissonsRatio",
+    "surfaceBendStiffness": "surfaceBendStiffness",
+}
+"""Attributes of Omniverse's deformable material, by the names of `gauge_envs.scene.fabrics.isaac_surface`."""
+
+Token = Sdf.ValueTypeNames.Token
+Double = Sdf.ValueTypeNames.Double
+Double3 = Sdf.ValueTypeNames.Double3
+Float = Sdf.ValueTypeNames.Float
+String = Sdf.ValueTypeNames.String
+Int3Array = Sdf.ValueTypeNames.Int3Array
+
+
+def to_usd(scene: Scene, path: str | Path) -> None:
+    """Write a scene as a self-contained USD layer.
+
+    Args:
+        scene: Any scene; bodies and drivers are named once each.
+        path: File to write; the suffix chooses text (`.usda`) or binary (`.usdc`, `.usd`).
+
+    Raises:
+        ParameterError: The suffix is none of USD's, or the scene names a body twice or drives one twice.
+        ResultFileError: The file cannot be written.
+    """
+    export_stage(scene_stage(scene), Path(path))
+
+
+def export_stage(stage: Usd.Stage, path: Path) -> None:
+    if path.suffix not in SUFFIXES:
+        raise ParameterError(f"{path}: a USD layer ends in {', '.join(SUFFIXES)}")
+    try:
+        stage.GetRootLayer().Export(str(path))
+    except Tf.ErrorException as error:
+        raise ResultFileError(f"{path}: cannot be written: {error}") from error
+
+
+def scene_stage(scene: Scene) -> Usd.Stage:
+    stage = Usd.Stage.CreateInMemory("scene.usda")
+    _Writer(stage, scene).write()
+    return stage
+
+
+class _Writer:
+    """Writes one scene into an empty stage."""
+
+    def __init__(self, stage: Usd.Stage, scene: Scene) -> None:
+        self.stage = stage
+        self.scene = scene
+        self.frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
+        names = [body.name for body in (*scene.bodies, *scene.deformables)]
+        for kind, listed in (("name", names), ("driver", [driver.body for driver in scene.drivers])):
+            twice = next((name for name in listed if listed.count(name) > 1), None)
+            if twice is not None:
+                raise ParameterError(f"body {twice!r} has more than one {kind}")
+        self.paths = _paths(names)
+        self.deformables = {body.name: body for body in self.scene.deformables}
+        self.collides = {name for contact in self.scene.contacts for name in (*contact.first, *contact.second)}
+        self.points: dict[str, NDArray[np.float64]] = {}
+
+    def write(self) -> None:
+        self._metadata()
+        world = UsdGeom.Xform.Define(self.stage, "/World")
+        self.stage.SetDefaultPrim(world.GetPrim())
+        physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
+        physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
+        magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
+        record_written(_custom(physics, "gravity_m_per_s2", Double, self.scene.gravity_m_per_s2), magnitude.Get())
+        duration = _custom(physics, "duration_s", Double, self.scene.duration_s)
+        record_written(duration, (self.frame_count - 1) / FRAME_RATE_HZ)
+        materials = [self._contact_material(index, contact) for index, contact in enumerate(self.scene.contacts)]
+        for body in self.scene.bodies:
+            self._body(body)
+            self._bind(self.paths[body.name], self._own(body.name, materials))
+        for index, driver in enumerate(self.scene.drivers):
+            self._drive(index, driver)
+        for deformable in self.scene.deformables:
+            self._deformable(deformable)
+        _custom(physics, "colliding_pairs", String, self._filtered_pairs())
+        for index, joint in enumerate(self.scene.joints):
+            path = f"{self._group('Joints')}/joint_{index}"
+            if isinstance(joint, Hinge):
+                self._hinge(path, joint)
+            else:
+                self._tether(path, joint)
+        for index, attachment in enumerate(self.scene.attachments):
+            self._attachment(index, attachment)
+        if self.scene.markers is not None:
+            self._markers(self.scene.markers)
+
+    # --- stage ---
+
+    def _metadata(self) -> None:
+        UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
+        UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
+        UsdGeom.SetStageUpAxis(self.stage, UsdGeom.Tokens.z)
+        self.stage.SetTimeCodesPerSecond(FRAME_RATE_HZ)
+        self.stage.SetFramesPerSecond(FRAME_RATE_HZ)
+        self.stage.SetStartTimeCode(0)
+        self.stage.SetEndTimeCode(self.frame_count - 1)
+
+    def _group(self, name: str) -> str:
+        """Path of a group below the world, made where it is not there yet."""
+        path = f"/World/{name}"
+        UsdGeom.Scope.Define(self.stage, path)
+        return path
+
+    # --- contacts ---
+
+    def _contact_material(self, index: int, contact: Contact) -> UsdShade.Material:
+        """The pair, exact, in `/World/Contacts`, and a material with its constants."""
+        prim = UsdGeom.Scope.Define(self.stage, f"{self._group('Contacts')}/contact_{index}").GetPrim()
+        for side, names in (("first", contact.first), ("second", contact.second)):
+            prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets([self.paths[name] for name in names])
+        friction = _custom(prim, "friction", Double, contact.friction)
+        restitution = _custom(prim, "restitution", Double, contact.restitution)
+        _custom(prim, "mode", Token, contact.mode.value)
+        material = UsdShade.Material.Define(self.stage, f"{self._group('Materials')}/contact_{index}")
+        constants = _friction(material.GetPrim(), contact)
+        record_written(friction, constants.GetDynamicFrictionAttr().Get())
+        record_written(restitution, constants.GetRestitutionAttr().Get())
+        deformable = [name for name in self.deformables if self._first_contact(name) is contact]
+        targets = [material.GetPath(), *map(self._deformable_material_path, deformable)]
+        prim.CreateRelationship("gauge:materials", custom=True).SetTargets(targets)
+        return material
+
+    def _first_contact(self, name: str) -> Contact | None:
+        """The first contact that names a body."""
+        return next((c for c in self.scene.contacts if name in c.first or name in c.second), None)
+
+    def _own(self, name: str, materials: Sequence[UsdShade.Material]) -> UsdShade.Material | None:
+        """Material of the first contact that names the body: UsdPhysics has one a body, not one a pair."""
+        contact = self._first_contact(name)
+        return next((m for c, m in zip(self.scene.contacts, materials, strict=True) if c is contact), None)
+
+    def _bind(self, path: str, material: UsdShade.Material | None) -> None:
+        if material is not None:
+            binding = UsdShade.MaterialBindingAPI.Apply(self.stage.GetPrimAtPath(path))
+            binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+
+    def _filtered_pairs(self) -> str:
+        """Filter pairs that no contact names, as UsdPhysics lets everything collide; returns a hash of the others."""
+        allowed = {frozenset((a, b)) for contact in self.scene.contacts for a in contact.first for b in contact.second}
+        moves = {body.name for body in self.scene.dynamic_bodies} | set(self.deformables)
+        filtered: dict[str, list[str]] = {}
+        for one, other in combinations([name for name in self.paths if name in self.collides], 2):
+            if frozenset((one, other)) not in allowed and (one in moves or other in moves):
+                filtered.setdefault(one, []).append(self.paths[other])
+        for name, targets in filtered.items():
+            pairs = UsdPhysics.FilteredPairsAPI.Apply(self.stage.GetPrimAtPath(self.paths[name]))
+            pairs.CreateFilteredPairsRel().SetTargets(targets)
+        lines = {body.name for body in self.scene.deformables if isinstance(body, Rope | Rod)}
+        return names_digest({pair for pair in allowed if len(pair) == 2 and pair & moves and not pair & lines})
+
+    # --- rigid bodies ---
+
+    def _body(self, body: RigidBody) -> None:
+        xform = UsdGeom.Xform.Define(self.stage, self.paths[body.name])
+        prim = xform.GetPrim()
+        self._place(xform, body.name, body.pose)
+        record_written(_custom(prim, "motion", Token, body.motion.value), body.motion.value)
+        mass = _custom(prim, "mass_kg", Double, body.mass_kg)
+        if body.motion is not Motion.FIXED:
+            rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
+            rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
+            record_written(mass, UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(body.mass_kg).Get())
+        for geometry in self._geometry(prim.GetPath(), body.shape):
+            collision = UsdPhysics.CollisionAPI.Apply(geometry.GetPrim())
+            collision.CreateCollisionEnabledAttr(body.name in self.collides)
+
+    def _place(self, xform: UsdGeom.Xformable, name: str, pose: Pose) -> None:
+        precision = UsdGeom.XformOp.PrecisionDouble
+        xform.AddTranslateOp(precision).Set(Gf.Vec3d(*pose.position_m))
+        xform.AddOrientOp(precision).Set(_quatd(pose.quaternion))
+        _custom(xform, "name", String, name)
+
+    def _drive(self, index: int, driver: Driver) -> None:
+        """The motion as it is, and poses at the frames; a coordinate that never changes keeps its single value."""
+        body, xform = self.scene.body(driver.body), UsdGeom.Xform(self.stage.GetPrimAtPath(self.paths[driver.body]))
+        translate, orient = xform.GetOrderedXformOps()
+        times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
+        poses = [driver.pose(body.pose, time_s) for time_s in times_s.tolist()]
+        moves = any(pose.position_m != body.pose.position_m for pose in poses)
+        turns = any(pose.quaternion != body.pose.quaternion for pose in poses)
+        if moves:
+            for frame, pose in enumerate(poses):
+                translate.Set(Gf.Vec3d(*pose.position_m), frame)
+        if turns:
+            last = np.asarray(body.pose.quaternion)
+            for frame, pose in enumerate(poses):
+                # Of the two quaternions of a rotation the nearer one, so that interpolation does not turn back.
+                last = np.asarray(pose.quaternion) * (1.0 if last @ pose.quaternion >= 0.0 else -1.0)
+                orient.Set(_quatd(last.tolist()), frame)
+        _custom(xform, "driver_provenance", String, driver.provenance)
+        text = motions_to_json(driver.motions, index)
+        attribute = _custom(xform, "driver", String, text)
+        attribute.SetCustomDataByKey(TEXT, motions_digest(text))
+        if moves or turns:
+            positions = np.array([pose.position_m for pose in poses])
+            quaternions = np.array([pose.quaternion for pose in poses])
+            record_written(attribute, samples_digest(times_s, positions, quaternions))
+
+    def _geometry(self, parent: Sdf.Path, shape: Shape) -> list[UsdGeom.Gprim]:
+        path = parent.AppendChild("collision")
+        if isinstance(shape, ConvexUnion):
+            return [self._piece(f"{path}_{index}", np.array(piece)) for index, piece in enumerate(shape.pieces_m)]
+        if isinstance(shape, Box):
+            geometry = UsdGeom.Cube.Define(self.stage, path)
+            geometry.CreateSizeAttr(1.0)
+            geometry.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*shape.size_m))
+        elif isinstance(shape, Sphere):
+            geometry = UsdGeom.Sphere.Define(self.stage, path)
+            geometry.CreateRadiusAttr(shape.radius_m)
+        elif isinstance(shape, Cylinder):
+            geometry = UsdGeom.Cylinder.Define(self.stage, path)
+            geometry.CreateAxisAttr(UsdGeom.Tokens.z)
+            geometry.CreateRadiusAttr(shape.radius_m)
+            geometry.CreateHeightAttr(shape.length_m)
+        else:
+            geometry = UsdGeom.Plane.Define(self.stage, path)
+            geometry.CreateAxisAttr(UsdGeom.Tokens.z)
+            geometry.CreateWidthAttr(PLANE_EXTENT_M)
+            geometry.CreateLengthAttr(PLANE_EXTENT_M)
+        _extent(geometry)
+        return [geometry]
+
+    def _piece(self, path: str, points_m: NDArray[np.float64]) -> UsdGeom.Mesh:
+        mesh = self._mesh(path, points_m, hull_faces(points_m))
+        exact = _custom(mesh, "points_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(points_m))
+        record_written(exact, digest(mesh.GetPointsAttr().Get()))
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+        return mesh
+
+    def _mesh(self, path: str, points_m: NDArray[np.float64], faces: Sequence[Sequence[int]]) -> UsdGeom.Mesh:
+        mesh = UsdGeom.Mesh.Define(self.stage, path)
+        mesh.CreatePointsAttr(_points(points_m))
+        mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
+        mesh.CreateFaceVertexIndicesAttr([index for face in faces for index in face])
+        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        _extent(mesh)
+        return mesh
+
+    # --- deformable bodies ---
+
+    def _deformable(self, body: Deformable) -> None:
+        path = self.paths[body.name]
+        if isinstance(body, Cloth):
+            geometry, api = self._cloth(path, body), "OmniPhysicsSurfaceDeformableSimAPI"
+        elif isinstance(body, SoftBody):
+            geometry, api = self._soft_body(path, body), "OmniPhysicsVolumeDeformableSimAPI"
+        else:
+            geometry, api = self._line(path, body), None
+        prim = geometry.GetPrim()
+        self._place(geometry, body.name, body.pose)
+        _custom(prim, "kind", Token, KINDS[type(body)])
+        _constants(prim, body)
+        # Not in usd-core: Omniverse, which has these schemas, recognizes the names.
+        prim.AddAppliedSchema("OmniPhysicsBodyAPI")
+        prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
+        _omni(prim, "deformableBodyEnabled", Sdf.ValueTypeNames.Bool, True)
+        record_written(prim.GetAttribute("gauge:mass_kg"), _omni(prim, "mass", Float, body.mass_kg).Get())
+        size = f"gauge:{'length_m' if api is None else 'size_m'}"
+        points = UsdGeom.PointBased(prim).GetPointsAttr()
+        record_follower(points, size)
+        if api is not None:
+            prim.AddAppliedSchema(api)
+            rest = _omni(prim, "restShapePoints", Sdf.ValueTypeNames.Point3fArray, points.Get())
+            record_follower(rest, size)
+            collision = UsdPhysics.CollisionAPI.Apply(prim)
+            collision.CreateCollisionEnabledAttr(body.name in self.collides)
+        self._bind(path, self._deformable_material(body))
+
+    def _cloth(self, path: str, cloth: Cloth) -> UsdGeom.Mesh:
+        nodes, shape = grid((*cloth.size_m, 0.0))
+        corner = np.arange(len(nodes)).reshape(shape)[:, :, 0]
+        a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+        triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+        self.points[cloth.name] = nodes
+        mesh = self._mesh(path, nodes, triangles.tolist())
+        record_follower(mesh.GetFaceVertexIndicesAttr(), "gauge:size_m")
+        record_follower(_omni(mesh, "restTriVtxIndices", Int3Array, _integers(triangles)), "gauge:size_m")
+        _custom(mesh, "size_m", Sdf.ValueTypeNames.Double2, Gf.Vec2d(*cloth.size_m))
+        return mesh
+
+    def _soft_body(self, path: str, body: SoftBody) -> UsdGeom.TetMesh:
+        nodes, shape = grid(body.shape.size_m)
+        indices = _integers(tetrahedra(shape))
+        self.points[body.name] = nodes
+        mesh = UsdGeom.TetMesh.Define(self.stage, path)
+        mesh.CreatePointsAttr(_points(nodes))
+        mesh.CreateTetVertexIndicesAttr(indices)
+        mesh.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh))
+        _extent(mesh)
+        record_follower(mesh.GetTetVertexIndicesAttr(), "gauge:size_m")
+        record_follower(_omni(mesh, "restTetVtxIndices", Sdf.ValueTypeNames.Int4Array, indices), "gauge:size_m")
+        _custom(mesh, "size_m", Double3, Gf.Vec3d(*body.shape.size_m))
+        return mesh
+
+    def _line(self, path: str, body: Rope | Rod) -> UsdGeom.BasisCurves:
+        count = round(body.length_m / LINE_SPACING_M) + 1
+        nodes = np.zeros((count, 3))
+        nodes[:, 0 if isinstance(body, Rope) else 2] = np.linspace(-0.5 * body.length_m, 0.5 * body.length_m, count)
+        self.points[body.name] = nodes
+        curves = UsdGeom.BasisCurves.Define(self.stage, path)
+        curves.CreateTypeAttr(UsdGeom.Tokens.linear)
+        curves.CreateWrapAttr(UsdGeom.Tokens.nonperiodic)
+        curves.CreateCurveVertexCountsAttr([count])
+        curves.CreatePointsAttr(_points(nodes))
+        curves.CreateWidthsAttr([2.0 * body.radius_m])
+        curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+        _extent(curves)
+        return curves
+
+    def _deformable_material_path(self, name: str) -> str:
+        return f"/World/Materials/body_{self.paths[name].rpartition('/')[2]}"
+
+    def _deformable_material(self, body: Deformable) -> UsdShade.Material:
+        self._group("Materials")
+        material = UsdShade.Material.Define(self.stage, self._deformable_material_path(body.name))
+        prim, gauge = material.GetPrim(), self.stage.GetPrimAtPath(self.paths[body.name])
+        prim.AddAppliedSchema("OmniPhysicsBaseMaterialAPI")
+        prim.AddAppliedSchema("OmniPhysicsDeformableMaterialAPI")
+        contact = self._first_contact(body.name)
+        if contact is not None:
+            _friction(prim, contact)
+            _omni(prim, "staticFriction", Float, contact.friction)
+            _omni(prim, "dynamicFriction", Float, contact.friction)
+        if isinstance(body, Cloth):
+            prim.AddAppliedSchema("OmniPhysicsSurfaceDeformableMaterialAPI")
+            density = _omni(prim, "density", Float, body.areal_density_kg_per_m2 / body.thickness_m)
+            record_follower(density, "gauge:areal_density_kg_per_m2")
+            thickness = _omni(prim, "surfaceThickness", Float, body.thickness_m)
+            record_written(gauge.GetAttribute("gauge:thickness_m"), thickness.Get())
+            isaac = isaac_surface(Fabric.of(body))
+            for name, attribute in ISAAC_ATTRIBUTES.items():
+                for one in (
+                    _omni(prim, attribute, Float, isaac.constants[name]),
+                    _custom(prim, f"isaac:{name}", Double, isaac.constants[name]),
+                ):
+                    record_follower(one, "gauge:stretch_, gauge:shear_ and gauge:bend_stiffness_...")
+            _custom(prim, "isaac:notes", Sdf.ValueTypeNames.StringArray, [*isaac.fallbacks, *isaac.lost])
+        else:
+            young = _omni(prim, "youngsModulus", Float, body.young_modulus_pa)
+            record_written(gauge.GetAttribute("gauge:young_modulus_pa"), young.Get())
+        if isinstance(body, SoftBody | Rod):
+            poisson = _omni(prim, "poissonsRatio", Float, body.poisson_ratio)
+            record_written(gauge.GetAttribute("gauge:poisson_ratio"), poisson.Get())
+        if isinstance(body, Rope | Rod):
+            (width,) = UsdGeom.BasisCurves(gauge).GetWidthsAttr().Get()
+            record_written(gauge.GetAttribute("gauge:radius_m"), 0.5 * width)
+        return material
+
+    # --- joints ---
+
+    def _hinge(self, path: str, hinge: Hinge) -> None:
+        body = self.scene.body(hinge.body)
+        joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
+        joint.CreateAxisAttr(UsdPhysics.Tokens.x)
+        turn = hinge_frame(hinge.axis)
+        world = joint.CreateLocalRot0Attr(turn)
+        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(turn)))
+        record_written(local, local.Get())
+        record_written(_custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis)), digest(hinge_axis(wxyz(world.Get()))))
+        self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
+
+    def _tether(self, path: str, tether: Tether) -> None:
+        joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
+        longest = joint.CreateMaxDistanceAttr(tether.length_m)
+        record_written(_custom(joint, "length_m", Double, tether.length_m), longest.Get())
+        self._anchor(joint, self.scene.body(tether.body), np.asarray(tether.anchor_m), np.zeros(3))
+
+    def _anchor(
+        self, joint: UsdPhysics.Joint, body: RigidBody, world_m: NDArray[np.float64], local_m: NDArray[np.float64]
+    ) -> None:
+        """Join the body to the world, which is what a joint without a first body is joined to."""
+        joint.CreateBody1Rel().SetTargets([self.paths[body.name]])
+        world = joint.CreateLocalPos0Attr(Gf.Vec3f(*world_m.tolist()))
+        local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m.tolist()))
+        record_written(local, local.Get())
+        record_written(_custom(joint, "anchor_m", Double3, Gf.Vec3d(*world_m.tolist())), world.Get())
+
+    # --- attachments and markers ---
+
+    def _attachment(self, index: int, attachment: Attachment) -> None:
+        """What is glued to what; vertices of the mesh that this file carries are named for Omniverse."""
+        body = self.deformables[attachment.deformable]
+        nodes = self.points[attachment.deformable]
+        glued = nodes_in(nodes, attachment.region)
+        other = self.deformables.get(attachment.to)
+        kind = "OmniPhysicsVtxXformAttachment" if other is None else "OmniPhysicsVtxVtxAttachment"
+        prim = self.stage.DefinePrim(f"{self._group('Attachments')}/attachment_{index}", kind)
+        pose = self.scene.body(attachment.to).pose if other is None else other.pose
+        local = pose.to_body(body.pose.to_world(nodes[glued]))
+        if other is None:
+            follows = [_omni(prim, "localPositionsSrc1", Sdf.ValueTypeNames.Point3fArray, _points(local))]
+        else:
+            partners = self.points[attachment.to]
+            distance = np.linalg.norm(local[:, None] - partners[None], axis=-1)
+            touching = distance.min(axis=1) < TOUCHING_M
+            glued = glued[touching]
+            nearest = distance.argmin(axis=1)[touching]
+            follows = [_omni(prim, "vtxIndicesSrc1", Sdf.ValueTypeNames.IntArray, Vt.IntArray(nearest.tolist()))]
+        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(glued.tolist())))
+        for one in follows:
+            record_follower(one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m")
+        _omni(prim, "attachmentEnabled", Sdf.ValueTypeNames.Bool, True)
+        for name, target in (("src0", attachment.deformable), ("src1", attachment.to)):
+            prim.CreateRelationship(f"omniphysics:{name}", custom=False).SetTargets([self.paths[target]])
+        _custom(prim, "region_axis", Token, attachment.region.axis)
+        _custom(prim, "region_side", Token, attachment.region.side)
+        _custom(prim, "region_depth_m", Double, attachment.region.depth_m)
+
+    def _markers(self, markers: Markers) -> None:
+        positions = np.asarray(markers.positions_m)
+        points = UsdGeom.Points.Define(self.stage, "/World/Markers")
+        points.CreatePointsAttr(_points(positions))
+        points.CreateIdsAttr(list(range(len(positions))))
+        points.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        points.CreateWidthsAttr([MARKER_WIDTH_M] * len(positions))
+        _extent(points)
+        prim = points.GetPrim()
+        bodies = prim.CreateRelationship("gauge:bodies", custom=True)
+        bodies.SetTargets([self.paths[name] for name in markers.bodies])
+        exact = _custom(prim, "positions_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(positions))
+        record_written(exact, digest(points.GetPointsAttr().Get()))
+        _custom(prim, "faces", Int3Array, [Gf.Vec3i(*face) for face in markers.faces])
+        _custom(prim, "lines", Sdf.ValueTypeNames.Int2Array, [Gf.Vec2i(*line) for line in markers.lines])
+        _custom(prim, "corner", Sdf.ValueTypeNames.IntArray, list(markers.corner))
+        _custom(prim, "edge", Sdf.ValueTypeNames.IntArray, list(markers.edge))
+
+
+# --- attributes ------------------------------------------------------------------------------------------------------
+
+
+def _paths(names: Sequence[str]) -> dict[str, str]:
+    """A path for each body; names that USD cannot spell, or that are taken, are changed."""
+    taken, paths = set(GROUPS), {}
+    for name in names:
+        identifier = Tf.MakeValidIdentifier(name)
+        while identifier in taken:
+            identifier += "_"
+        taken.add(identifier)
+        paths[name] = f"/World/{identifier}"
+    return paths
+
+
+def _custom(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
+    prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
+    attribute = prim.CreateAttribute(f"gauge:{name}", kind, custom=True)
+    attribute.Set(value)
+    return attribute
+
+
+def _omni(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
+    """An attribute of the deformable schema; not marked custom, since with that schema at hand it is none."""
+    prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
+    attribute = prim.CreateAttribute(f"omniphysics:{name}", kind, custom=False)
+    attribute.Set(value)
+    return attribute
+
+
+def _constants(prim: Usd.Prim, body: Deformable) -> None:
+    """Every number of a deformable body as a double, under its name in the scene."""
+    for field in fields(body):
+        value = getattr(body, field.name)
+        if isinstance(value, float):
+            _custom(prim, field.name, Double, value)
+
+
+def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:
+    material = UsdPhysics.MaterialAPI.Apply(prim)
+    material.CreateStaticFrictionAttr(contact.friction)
+    material.CreateDynamicFrictionAttr(contact.friction)
+    material.CreateRestitutionAttr(contact.restitution)
+    return material
+
+
+def _extent(geometry: UsdGeom.Boundable) -> None:
+    geometry.CreateExtentAttr(UsdGeom.Boundable.ComputeExtentFromPlugins(geometry, Usd.TimeCode.Default()))
+
+
+def _quatd(quaternion: Iterable[float]) -> Gf.Quatd:
+    w, x, y, z = quaternion
+    return Gf.Quatd(w, x, y, z)
+
+
+def _points(points_m: NDArray[np.float64]) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points_m, dtype=np.float32))
+
+
+def _integers(indices: NDArray[np.intp]) -> Any:
+    """Rows of indices as USD's array of integer vectors."""
+    kind = {3: Vt.Vec3iArray, 4: Vt.Vec4iArray}[indices.shape[1]]
+    return kind.FromNumpy(np.ascontiguousarray(indices, dtype=np.int32))
