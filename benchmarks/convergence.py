@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gauge_envs  # noqa: F401  registers the ids
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth

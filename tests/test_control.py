@@ -22,7 +22,7 @@ from opengl import needs_opengl
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
-from gauge_envs import variants
+from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import World
 from gauge_envs.backends.mujoco import SimulationMuJoCo

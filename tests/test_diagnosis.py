@@ -14,7 +14,7 @@ from rich.console import Console
 from scipy.interpolate import CubicSpline
 from typer.testing import CliRunner
 
-from gauge_envs import reference_band
+from gauge_envs import load_experiment, reference_band
 from gauge_envs.analysis.budget_fit import Stage
 from gauge_envs.analysis.error_budget import DEFAULT_ORDER, DiagnosisError, diagnose, diagnose_trajectory, stage_order
 from gauge_envs.analysis.motion_kinds import MotionKind, find_impact

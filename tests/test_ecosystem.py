@@ -23,7 +23,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 
-from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant, reference_band
+from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant, load_experiment, reference_band
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.observables.observer import MarkerProxy

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from gauge_envs import Jitter
+from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import ParameterError

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
 from gauge_envs.backends.shared.attachments import Glue

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import BENDING_PER_EDGE, STIFFNESS_PER_TRIANGLE
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.evaluation.metrics import fitted_acceleration

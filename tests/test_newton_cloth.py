@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.interpolate import griddata
 
+from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,

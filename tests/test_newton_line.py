@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 
+from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation, World
 from gauge_envs.backends.shared.attachments import Glue

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from gauge_envs import Jitter
+from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.runs.episodes import run_episode, run_repeats

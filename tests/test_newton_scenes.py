@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from opengl import needs_opengl
 
-from gauge_envs import Jitter, variants
+from gauge_envs import Jitter, load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation, World
 from gauge_envs.envs.env import GaugeEnv

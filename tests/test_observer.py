@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers, observe_markers

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from gauge_envs import reference_band, score_trajectory, variants
+from gauge_envs import load_experiment, reference_band, score_trajectory, variants
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.evaluation.reference import band_grade

@@ -11,6 +11,7 @@ import pytest
 from conftest import RIGID
 from opengl import needs_opengl
 
+from gauge_envs import load_experiment
 from gauge_envs.envs.rendering.renderer import DEBIAN_PACKAGES, SceneRenderer
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import EpisodeError

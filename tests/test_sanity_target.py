@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.contact_pairs import COLUMNS, contact_pairs
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo

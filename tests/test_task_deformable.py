@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from gauge_envs import load_experiment
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_spec, variants
 from gauge_envs.experiments.task_format import Group

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gauge_envs import reference_band, score_trajectory
+from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.runs.score_file import score_file
