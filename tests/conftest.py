@@ -14,22 +14,10 @@ import pytest
 import gauge_envs
 from gauge_envs.backends import Support
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.envs import env
+from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.report import listing
 from gauge_envs.scene import Scene
-
-RIGID_FAMILIES = (
-    "SlopeContact",
-    "NonsmoothContact",
-    "SlopeSlider",
-    "Turntable",
-    "BouncingBall",
-    "NewtonsCradle",
-    "WallBreaking",
-    "Pendulum",
-)
-RIGID = tuple(v.name for v in gauge_envs.variants() if v.family in RIGID_FAMILIES)
 
 
 def pytest_configure() -> None:
@@ -53,7 +41,7 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
         return Support(tuple(f"{body.name!r} is a deformable body" for body in scene.deformables))
 
     monkeypatch.setattr(BackendMuJoCo, "supports", supports)
-    for module in (env, listing):
+    for module in (arguments, listing):
         monkeypatch.setattr(module, "backend_names", lambda: ("mujoco",))
 
 

@@ -1,8 +1,8 @@
 """The suite as `dm_env` environments, for agents of that interface; needs the extra `dm`.
 
-    from gauge_envs import dm_control
+    from gauge_envs.envs.dm_env import load
 
-    env = dm_control.load("SlopeSlider-2-wood")
+    env = load("SlopeSlider-2-wood")
 
 It takes nothing from the package `dm_control` but the interface and the name of its loader: the engine is a backend.
 """
@@ -50,8 +50,8 @@ def load(name: str, *, seed: int = 0, options: Mapping[str, Any] | None = None, 
         GaugeError: As of `GaugeEnv`.
 
     Example:
-        >>> from gauge_envs import dm_control
-        >>> env = dm_control.load("SlopeSlider-2-wood")
+        >>> from gauge_envs.envs.dm_env import load
+        >>> env = load("SlopeSlider-2-wood")
         >>> step = env.reset()
         >>> while not step.last():
         ...     step = env.step(env.action_spec().generate_value())

@@ -18,6 +18,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from places import ROOT
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from typer.testing import CliRunner
 
@@ -38,7 +39,6 @@ from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import ContactMode
 from gauge_envs.scene.usd.reader import read_points
 
-ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "usd_experiment"
 CRATE = EXAMPLE / "crate.toml"
 GUIDE = ROOT / "docs" / "assets.md"

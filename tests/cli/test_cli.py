@@ -5,11 +5,13 @@ import subprocess
 import sys
 
 import pytest
-from test_benchmark import NAME, SOFT, interrupt_in_episode
-from test_trajectory_file import SLIDE, write_csv
+from interruption import interrupt_in_episode
+from slide import NAME, SLIDE, write_csv
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
+
+SOFT = "FoamBending-soft"
 
 METRICS = {
     *("grade", "rmse", "rmse_normalized", "dtw", "dtw_normalized", "release_offset_s", "rmse_aligned_normalized"),

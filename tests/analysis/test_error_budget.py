@@ -24,6 +24,7 @@ from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import carried_band, published_baselines
 from gauge_envs.report import diagnosis_rows, diagnosis_view
+from gauge_envs.report.diagnosis import findings
 from gauge_envs.report.figures.budgets import draw_diagnoses
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.result import Outcome
@@ -398,7 +399,7 @@ def test_a_law_has_no_release_and_what_rests_has_no_rate():
     assert "does not move" in diagnosis.part(Stage.RATE).missing
     assert diagnosis.part(Stage.OFFSET).share == pytest.approx(1.0)
     assert [c.fitted for c in diagnosis.part(Stage.OFFSET).changes] == pytest.approx([-1.0, 0.0, 2.0])
-    assert diagnosis.findings()[0].startswith("Release does not apply")
+    assert findings(diagnosis)[0].startswith("Release does not apply")
 
 
 def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
@@ -419,7 +420,7 @@ def test_no_error_is_no_budget():
     times, values = samples(count, slide(2600.0))
     diagnosis = diagnose_trajectory(resolved, band(values[::6]), times_s=times, values=values)
     assert (diagnosis.rmse, diagnosis.rest.share) == (0.0, 0.0)
-    assert diagnosis.findings() == ("The simulation is on the mean of the band: there is no error to explain.",)
+    assert findings(diagnosis) == ("The simulation is on the mean of the band: there is no error to explain.",)
 
 
 def test_limits_are_told():
@@ -431,7 +432,7 @@ def test_limits_are_told():
     rate = change(diagnosis.part(Stage.RATE), "acceleration")
     assert rate.at_bound
     assert rate.fitted == pytest.approx(2.0 * rate.simulated, rel=0.01)
-    assert any("limit of what was tried" in line for line in diagnosis.findings())
+    assert any("limit of what was tried" in line for line in findings(diagnosis))
 
 
 def test_a_part_that_another_stands_in_for_is_told():
@@ -446,7 +447,7 @@ def test_a_part_that_another_stands_in_for_is_told():
     assert diagnosis.part(Stage.RATE).alone_share > 0.999
     assert (
         "The order matters: 100 % is gone already if the acceleration is 2.900 instead of 2.6"
-        in diagnosis.findings()[-1]
+        in findings(diagnosis)[-1]
     )
 
 
@@ -566,7 +567,7 @@ def test_view_rows_and_picture_say_the_same(ball):
     (row,) = json.loads(json.dumps(diagnosis_rows(pairs), allow_nan=False))
     assert row["backend"] == "mujoco"
     assert [part["stage"] for part in row["parts"]] == ["release", "offset", "rate"]
-    assert row["findings"] == list(pairs[0][1].findings())
+    assert row["findings"] == list(findings(pairs[0][1]))
     axis = draw_diagnoses(pairs).axes[0]
     assert sum(bar.get_width() for bar in axis.patches) == pytest.approx(100.0)
 

@@ -11,7 +11,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from conftest import RIGID
+from places import RIGID
 
 from gauge_envs.backends import backend, backend_for, backend_of_suffix
 from gauge_envs.backends.mujoco.model_diff import model_changes

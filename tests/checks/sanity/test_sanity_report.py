@@ -8,10 +8,10 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from io import StringIO
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from places import ROOT
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -318,6 +318,6 @@ def test_requests_that_cannot_be_met(arguments: list[str], message: str) -> None
 
 @pytest.mark.slow
 def test_the_good_example_raises_no_flag() -> None:
-    file = Path(__file__).parents[1] / "examples" / "sanity" / "good.toml"
+    file = ROOT / "examples" / "sanity" / "good.toml"
     outcome = RUNNER.invoke(app, ["sanity", str(file), "--fail-on", "visible"])
     assert outcome.exit_code == 0, outcome.output

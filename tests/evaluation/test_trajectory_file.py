@@ -7,36 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slide import FRAMES, NAME, RESOLVED, SLIDE, TIMES, coulomb_slide, write_csv
 
 from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.scene import GRAVITY_M_PER_S2
-
-NAME = "SlopeSlider-2-wood"
-RESOLVED = load_experiment(NAME)
-FRAMES = RESOLVED.frame_count
-
-
-def coulomb_slide(times_s):
-    """g(t) [mm] of a cube that slides from its start with the calibrated friction, shape [T, 3]."""
-    slope, friction = np.radians(30.0), 0.273673
-    acceleration = GRAVITY_M_PER_S2 * (np.sin(slope) - friction * np.cos(slope))
-    downhill = np.array([np.cos(slope), 0.0, -np.sin(slope)])
-    start = np.array(RESOLVED.scene.body("cube").pose.position_m)
-    return 1e3 * (start + 0.5 * acceleration * np.square(times_s)[:, None] * downhill)
-
-
-TIMES = np.arange(FRAMES) / 30.0
-SLIDE = coulomb_slide(TIMES)
-
-
-def write_csv(path, values, *, header="cube.x,cube.y,cube.z", times=None):
-    table = values if times is None else np.column_stack([times, values])
-    lines = [",".join(repr(float(v)) for v in row) for row in table]
-    path.write_text("\n".join([*([header] if header else []), *lines]) + "\n")
-    return path
 
 
 def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):

@@ -19,6 +19,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
+from places import ROOT
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
@@ -409,7 +410,7 @@ def test_unknown_control_task() -> None:
 
 
 def test_blocks_of_the_guide_run(capsys: pytest.CaptureFixture[str]) -> None:
-    guide = (Path(__file__).parents[1] / "docs" / "control.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
     code = "\n".join(re.findall(r"^```python\n(.*?)^```$", guide, flags=re.MULTILINE | re.DOTALL))
     exec(compile(code, "control.md", "exec"), {})
     stated = re.findall(r"^print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
@@ -418,7 +419,7 @@ def test_blocks_of_the_guide_run(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_limits_of_the_guide_are_those_of_the_tasks() -> None:
-    guide = (Path(__file__).parents[1] / "docs" / "control.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
     stated = re.findall(r"(0\.\d+) \+- (0\.\d+)(?=[,| ])", guide.partition("```")[0])
     limits = [make(name).limit for name in NAMES]
     assert [tuple(map(float, pair)) for pair in stated] == [
@@ -429,7 +430,7 @@ def test_limits_of_the_guide_are_those_of_the_tasks() -> None:
 @pytest.mark.slow
 def test_example_runs(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
-    script = Path(__file__).parents[1] / "examples" / "rl_sanity.py"
+    script = ROOT / "examples" / "rl_sanity.py"
     ran = subprocess.run(
         [sys.executable, str(script), "--steps", "1200", "--out", str(tmp_path / "run.png")],
         capture_output=True,

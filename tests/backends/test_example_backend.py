@@ -20,6 +20,7 @@ import gymnasium
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from places import ROOT
 
 import gauge_envs
 from gauge_envs.backends import Simulation, backend
@@ -28,7 +29,6 @@ from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, Rig
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "examples" / "point_engine"
 GUIDE = ROOT / "docs" / "adding_an_engine.md"
 
@@ -46,7 +46,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     target = tmp_path_factory.mktemp("installed")
     options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(target)]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, str(PACKAGE)], check=True, capture_output=True)
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(target), str(Path(__file__).parent)])}
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(target), str(Path(__file__).parent), str(ROOT / "tests")])}
 
 
 def run_python(environment: dict[str, str], code: str, *, cwd: Path | None = None) -> str:
@@ -177,7 +177,7 @@ def measure_experiment() -> dict[str, Any]:
 
 def test_bouncing_ball_follows_the_law_of_bounces(measured: dict[str, Any]) -> None:
     for parameters, values in measured["experiment"].items():
-        scene = gauge_envs.experiment("BouncingBall-rubber", parameters).scene
+        scene = gauge_envs.load_experiment("BouncingBall-rubber", parameters).scene
         (x, y, z), contact = scene.body("ball").pose.position_m, scene.contacts[0]
         lowest = scene.body("ground").pose.position_m[2] + RADIUS_M
         height = lowest + bouncing_height(values["times_s"], z - lowest, contact.restitution)
@@ -191,7 +191,8 @@ def test_bouncing_ball_follows_the_law_of_bounces(measured: dict[str, Any]) -> N
 
 def measure_support() -> dict[str, Any]:
     return {
-        v.name: list(backend("point").supports(gauge_envs.experiment(v).scene).missing) for v in gauge_envs.variants()
+        v.name: list(backend("point").supports(gauge_envs.load_experiment(v).scene).missing)
+        for v in gauge_envs.variants()
     }
 
 

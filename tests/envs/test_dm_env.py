@@ -21,7 +21,7 @@ dm_env = pytest.importorskip("dm_env", reason="extra 'dm' is not installed")
 from absl.testing import absltest  # noqa: E402  comes with dm_env
 from dm_env import specs, test_utils  # noqa: E402
 
-from gauge_envs.envs import dm_env as dm_control  # noqa: E402
+from gauge_envs.envs.dm_env import DmEnvironment, load  # noqa: E402
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 
@@ -32,7 +32,7 @@ class Suite(test_utils.EnvironmentTestMixin):
     name: str
 
     def make_object_under_test(self) -> dm_env.Environment:
-        return dm_control.load(self.name)
+        return load(self.name)
 
     def make_action_sequence(self) -> Iterator[Any]:
         for _ in range(GaugeEnv(self.name).experiment.frame_count + 5):
@@ -62,7 +62,7 @@ def run_to_end(env: dm_env.Environment) -> list[dm_env.TimeStep]:
 
 @pytest.mark.parametrize("name", [RIGID, DRIVEN])
 def test_an_episode_is_that_of_gymnasium(name: str) -> None:
-    steps = run_to_end(env := dm_control.load(name))
+    steps = run_to_end(env := load(name))
     other = gymnasium.make(f"GAUGE/{name}")
     observation, _ = other.reset(seed=0)
     zero = np.zeros(other.action_space.shape, dtype=other.action_space.dtype)
@@ -77,7 +77,7 @@ def test_an_episode_is_that_of_gymnasium(name: str) -> None:
 
 
 def test_specs_have_names_shapes_types_and_bounds() -> None:
-    env = dm_control.load(DRIVEN)
+    env = load(DRIVEN)
     observation = env.observation_spec()
     assert {name: (spec.name, spec.shape, spec.dtype) for name, spec in observation.items()} == {
         "observable": ("observable", (3,), np.float64),
@@ -92,14 +92,14 @@ def test_specs_have_names_shapes_types_and_bounds() -> None:
     assert (action.minimum, action.maximum) == (-1.0, 1.0)
     assert env.reward_spec().maximum == 0.0
     assert env.discount_spec().minimum == 0.0
-    choice = dm_control.load(RIGID).action_spec()
+    choice = load(RIGID).action_spec()
     assert isinstance(choice, specs.DiscreteArray)
     assert choice.num_values == 1
 
 
 def test_a_divergence_ends_with_a_discount_of_zero_and_the_next_step_starts_over() -> None:
     gym_env = gymnasium.make("GAUGE/BouncingBall-rubber", disable_env_checker=True)
-    env = dm_control.DmEnvironment(gym_env)
+    env = DmEnvironment(gym_env)
     assert env.step(0).first()
     gym_env.unwrapped.simulation.data.qvel[0] = 900.0
     step = env.step(0)
@@ -111,7 +111,7 @@ def test_a_divergence_ends_with_a_discount_of_zero_and_the_next_step_starts_over
 
 
 def test_the_score_is_that_of_the_last_episode_that_ended() -> None:
-    env = dm_control.load(RIGID)
+    env = load(RIGID)
     assert env.score is None
     run_to_end(env)
     score = env.score
@@ -122,45 +122,45 @@ def test_the_score_is_that_of_the_last_episode_that_ended() -> None:
 
 
 def test_each_episode_starts_elsewhere_where_starts_scatter() -> None:
-    envs = [dm_control.load(RIGID, seed=seed, options={"jitter": True}) for seed in (3, 3, 4)]
+    envs = [load(RIGID, seed=seed, options={"jitter": True}) for seed in (3, 3, 4)]
     starts = [[env.reset().observation["observable"].tolist() for _ in range(2)] for env in envs]
     assert starts[0] == starts[1]
     assert starts[0][0] != starts[0][1]
     assert starts[2][0] == starts[0][1]
     with pytest.raises(ParameterError, match="jitterr"):
-        dm_control.load(RIGID, options={"jitterr": True}).reset()
+        load(RIGID, options={"jitterr": True}).reset()
 
 
 def test_load_takes_names_ids_and_arguments_of_make() -> None:
-    env = dm_control.load(f"GAUGE/{RIGID}", parameters={"cube.friction": 0.2})
+    env = load(f"GAUGE/{RIGID}", parameters={"cube.friction": 0.2})
     run_to_end(env)
     assert env.score.signed_error[0] > 0.0
     with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
-        dm_control.load("SlopeSlider-2-wod")
+        load("SlopeSlider-2-wod")
     with pytest.raises(ParameterError, match="fitted"):
-        dm_control.load(RIGID, parameters="fitted")
+        load(RIGID, parameters="fitted")
 
 
 @needs_opengl
 def test_pictures() -> None:
-    with dm_control.load(RIGID, render_mode="rgb_array", width=80, height=60) as env:
+    with load(RIGID, render_mode="rgb_array", width=80, height=60) as env:
         env.reset()
         assert env.render().shape == (60, 80, 3)
 
 
 def test_wrapped_environments_keep_what_the_wrapper_does() -> None:
-    env = dm_control.DmEnvironment(FlattenObservation(gymnasium.make(f"GAUGE/{RIGID}")))
+    env = DmEnvironment(FlattenObservation(gymnasium.make(f"GAUGE/{RIGID}")))
     assert env.observation_spec().shape == env.reset().observation.shape == (17,)
-    short = dm_control.DmEnvironment(TimeLimit(GaugeEnv(RIGID), 5))
+    short = DmEnvironment(TimeLimit(GaugeEnv(RIGID), 5))
     assert len(run_to_end(short)) == 6
     assert short.score is None
-    bare = dm_control.DmEnvironment(GaugeEnv(RIGID))
+    bare = DmEnvironment(GaugeEnv(RIGID))
     run_to_end(bare)
     assert bare.score.grade == "trials"
 
 
 def test_wrong_actions() -> None:
-    env = dm_control.load(DRIVEN)
+    env = load(DRIVEN)
     env.reset()
     with pytest.raises(ActionError):
         env.step(np.array([2.0]))

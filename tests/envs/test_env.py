@@ -7,8 +7,8 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
-from conftest import RIGID
 from gymnasium.utils.env_checker import check_env
+from places import RIGID
 
 import gauge_envs
 from gauge_envs.envs.control import control_tasks

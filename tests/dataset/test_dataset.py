@@ -8,6 +8,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import build_bands
 import gymnasium
 import numpy as np
 import pytest
@@ -25,7 +26,6 @@ from dataset_writer import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from test_bands import build_bands
 from typer.testing import CliRunner
 
 import gauge_envs

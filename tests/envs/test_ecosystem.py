@@ -22,6 +22,7 @@ from gymnasium import wrappers
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
+from places import ROOT
 
 from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant, load_experiment, reference_band
 from gauge_envs.envs.vector import GaugeVectorEnv
@@ -31,7 +32,7 @@ from gauge_envs.references.imported import DriverSource
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)
-GUIDE = Path(__file__).parent.parent / "docs" / "ecosystem.md"
+GUIDE = ROOT / "docs" / "ecosystem.md"
 
 
 def step_on(env: gymnasium.Env, count: int, *, seed: int = 0) -> list[tuple]:

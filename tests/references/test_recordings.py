@@ -13,6 +13,7 @@ import build_coverage
 import build_recordings
 import numpy as np
 import pytest
+from places import ROOT
 from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, reference_band, score_trajectory, variants
@@ -23,7 +24,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import data_folder
 from gauge_envs.references import bands as reference
 from gauge_envs.references.bands import Band, BandGrade, SigmaSource, bundled_band
-from gauge_envs.references.published import law_for, published_baselines
+from gauge_envs.references.published import Baseline, law_for, published_baselines
 from gauge_envs.scene.drivers import Driver
 
 GRAVITY = 9.80665
@@ -87,7 +88,7 @@ def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, ca
 
 def test_the_table_of_coverage_is_current_and_names_every_id(tmp_path: Path) -> None:
     assert build_coverage.main(["--check"]) == 0
-    page = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
     stale = tmp_path / "README.md"
     stale.write_text(page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"), encoding="utf-8")
     assert build_coverage.main(["--check", "--out", str(stale)]) == 1
@@ -194,7 +195,7 @@ def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
     trials = np.random.default_rng(3).normal(size=(20, 40, 24)).cumsum(axis=1)
     deviation = trials - trials.mean(axis=0)
     rmse = np.sqrt(np.square(deviation).sum(axis=2).mean(axis=1))
-    baseline = reference.Baseline("made up", "rmse", 40, "mm^2", rmse.mean(), rmse.std(), {})
+    baseline = Baseline("made up", "rmse", 40, "mm^2", rmse.mean(), rmse.std(), {})
     assert build_recordings.sigma_of(baseline, 24) == pytest.approx(math.sqrt(np.square(deviation).mean()), rel=1e-12)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from interruption import interrupt_in_episode
 
 import gauge_envs.runs.batch
 import gauge_envs.runs.result
@@ -40,25 +41,6 @@ def run_count(monkeypatch):
 
     monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", counted)
     return started
-
-
-def interrupt_in_episode(monkeypatch, number):
-    """Ctrl-C while an episode is being stepped: the engine raises KeyboardInterrupt in the given one."""
-    count = 0
-    reset, states = mujoco_backend.SimulationMuJoCo.reset, mujoco_backend.SimulationMuJoCo.body_states
-
-    def counted(self, seed):
-        nonlocal count
-        count += 1
-        reset(self, seed)
-
-    def interrupted(self, names):
-        if count == number:
-            raise KeyboardInterrupt
-        return states(self, names)
-
-    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", counted)
-    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "body_states", interrupted)
 
 
 def test_a_result_says_all_that_is_needed_to_repeat_it(result):

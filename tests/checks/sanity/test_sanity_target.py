@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from places import ROOT
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
@@ -317,7 +317,7 @@ def test_environments_of_somebody_else(tmp_path, monkeypatch) -> None:
 
 @pytest.mark.parametrize("name", ["good", pytest.param("newton", marks=pytest.mark.slow)])
 def test_examples_are_read(name: str) -> None:
-    read = configuration(Path(__file__).parents[1] / "examples" / "sanity" / f"{name}.toml")
+    read = configuration(ROOT / "examples" / "sanity" / f"{name}.toml")
     assert read.settings["timestep_s"] == 0.002
 
 

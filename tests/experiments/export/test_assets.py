@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from conftest import RIGID
+from places import RIGID
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner

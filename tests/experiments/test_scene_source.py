@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from conftest import RIGID
+from places import RIGID
 from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from typer.testing import CliRunner
 

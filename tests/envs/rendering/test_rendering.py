@@ -8,8 +8,8 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
-from conftest import RIGID
 from opengl import needs_opengl
+from places import RIGID
 
 from gauge_envs import load_experiment
 from gauge_envs.envs.rendering.renderer import DEBIAN_PACKAGES, SceneRenderer
