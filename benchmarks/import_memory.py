@@ -34,12 +34,12 @@ LIMIT_BYTES = 1e9
 
 def write_trials(root: Path, trials: int, frames: int) -> int:
     """Write trials that sway, with noise of 0.5 mm; no two are equal. Returns the bytes written."""
-    resolved = load_experiment(VARIANT, drivers="bundled")
-    markers = resolved.scene.markers
+    experiment = load_experiment(VARIANT, drivers="bundled")
+    markers = experiment.scene.markers
     assert markers is not None
     random = np.random.default_rng(0)
     rest = 1e3 * np.asarray(markers.positions_m)
-    rod = 1e3 * np.asarray(resolved.scene.body("rod").pose.position_m)
+    rod = 1e3 * np.asarray(experiment.scene.body("rod").pose.position_m)
     depth = (rest[:, 2].max() - rest[:, 2])[:, None]
     sway = np.sin(np.arange(frames) / 15.0)[:, None, None] * (0.3 * depth) * [0.0, 1.0, 0.0]
     folder = root / FOLDER

@@ -118,14 +118,14 @@ def recorded_band(
     Raises:
         ValueError: A coordinate is measured at no frame, or number of frames or of coordinates is not the experiment's.
     """
-    resolved = load_experiment(variant, drivers="bundled")
-    frame_count = resolved.frame_count
+    experiment = load_experiment(variant, drivers="bundled")
+    frame_count = experiment.frame_count
     baseline = published_baselines(variant).get("rmse")
     if baseline is not None and baseline.frames != frame_count:
         raise ValueError(f"{variant} has {frame_count} frames, published are {baseline.frames}")
     frame_times_s = recording["frame_zero_s"] + np.arange(frame_count) / FRAME_RATE_HZ
     interval_s = 1.0 / recording["pictures_per_s"]
-    if (width := len(resolved.coordinates)) != layout["width"]:
+    if (width := len(experiment.coordinates)) != layout["width"]:
         raise ValueError(f"{variant} has {width} coordinates, the layout {layout['width']}")
     used = table.get("used", np.ones_like(table["time_s"])) == 1
     mean, uncertainty = [], []

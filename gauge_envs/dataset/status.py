@@ -33,7 +33,7 @@ def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
 
 
 def _row(variant: Variant) -> dict[str, Any]:
-    resolved, imported, band = load_experiment(variant), load_imported(variant.name), load_band(variant.name)
+    experiment, imported, band = load_experiment(variant), load_imported(variant.name), load_band(variant.name)
     record = imported.record if imported else None
     recorded = {driver.body: driver.model_dump() for driver in record.drivers} if record else {}
     return json_ready(
@@ -46,7 +46,7 @@ def _row(variant: Variant) -> dict[str, Any]:
             "is_current": record.task_sha256 == task_sha256(variant.family) if record else None,
             "drivers": [
                 {"body": driver.body, "provenance": driver.provenance, "recorded": recorded.get(driver.body)}
-                for driver in resolved.scene.drivers
+                for driver in experiment.scene.drivers
             ],
             "baselines": _baselines(variant),
         }

@@ -134,9 +134,9 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     def _engine(self) -> Backend:
         return backend_for(self.backend_name, self.experiment.model_file)
 
-    def _build(self, resolved: Experiment) -> None:
-        self.simulation: Simulation = self._engine.build(resolved.scene, self._settings)
-        self.episode = Episode(resolved, self.simulation, band=self.band, marker_proxy=self._marker_proxy)
+    def _build(self, experiment: Experiment) -> None:
+        self.simulation: Simulation = self._engine.build(experiment.scene, self._settings)
+        self.episode = Episode(experiment, self.simulation, band=self.band, marker_proxy=self._marker_proxy)
 
     # --- copies ---
 
@@ -199,11 +199,11 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             scene = self.experiment.scene
             if jitter is not None:
                 scene = jittered(scene, jitter, seed=self.seed_used)
-            resolved = replace(self.experiment, scene=scene)
-            check_support(resolved, self.backend_name)
+            experiment = replace(self.experiment, scene=scene)
+            check_support(experiment, self.backend_name)
             self._pictures.close()
             self.simulation.close()
-            self._build(resolved)
+            self._build(experiment)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)
         self.episode.begin()

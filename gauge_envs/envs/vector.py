@@ -127,12 +127,12 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
-    def _build(self, resolved: Sequence[Experiment]) -> None:
-        scenes = [one.scene for one in resolved]
+    def _build(self, experiment: Sequence[Experiment]) -> None:
+        scenes = [one.scene for one in experiment]
         self.worlds = backend_for(self.backend_name, self.experiment.model_file).build_worlds(scenes, self._settings)
         self.episodes = [
             Episode(one, world, band=self.band, marker_proxy=self._marker_proxy)
-            for one, world in zip(resolved, self.worlds.worlds, strict=True)
+            for one, world in zip(experiment, self.worlds.worlds, strict=True)
         ]
         self._running: dict[int, Episode] = {}
         self._observations: list[Observation] = []
@@ -187,12 +187,12 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     def _rebuild(self, jitter: Jitter | None) -> None:
         scene = self.experiment.scene
         scenes = [scene if jitter is None else jittered(scene, jitter, seed=seed) for seed in self.seeds_used]
-        resolved = [replace(self.experiment, scene=one) for one in scenes]
-        for one in resolved:
+        experiment = [replace(self.experiment, scene=one) for one in scenes]
+        for one in experiment:
             check_support(one, self.backend_name)
         self._pictures.close()
         self.worlds.close()
-        self._build(resolved)
+        self._build(experiment)
 
     def step(self, actions: Any) -> Step:
         """Simulate one frame, 1/30 s, in every world; where all have ended, start the next episode of all instead.

@@ -20,29 +20,31 @@ __all__ = [
 ]
 
 
-def reference_band(resolved: Experiment, *, use_withheld: bool = False) -> Band | None:
+def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
     """The best reference there is for an experiment: real trials, else a recording, else a law, else none.
 
     Args:
-        resolved: The experiment.
+        experiment: The experiment.
         use_withheld: Take a band too that is withheld by default, as it may be of another material or covers too
             little; `Band.withheld` gives the reason.
     """
-    if resolved.reference is not None:
-        return resolved.reference.band
-    band = load_band(resolved.name)
+    if experiment.reference is not None:
+        return experiment.reference.band
+    band = load_band(experiment.name)
     if band is not None and (use_withheld or band.withheld is None):
         return band
-    law = law_for(resolved.name)
+    law = law_for(experiment.name)
     if law is None:
         return None
     # An asset changes what is simulated, not what it is held against.
     scene = (
-        resolved.scene if resolved.asset is None else load_experiment(resolved.name, drivers=DriverSource.BUNDLED).scene
+        experiment.scene
+        if experiment.asset is None
+        else load_experiment(experiment.name, drivers=DriverSource.BUNDLED).scene
     )
     return carried_band(
-        variant=resolved.name,
-        positions_mm=_carried_positions_mm(scene, law.body, law.carrier, resolved.frame_count),
+        variant=experiment.name,
+        positions_mm=_carried_positions_mm(scene, law.body, law.carrier, experiment.frame_count),
     )
 
 

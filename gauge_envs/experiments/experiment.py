@@ -70,7 +70,7 @@ ASSET_NAME = "Asset"
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One experiment, resolved: its scene, and how it is observed and scored.
+    """One experiment: its scene, and how it is observed and scored.
 
     Attributes:
         name: `SlopeSlider-2-wood`; `Asset-crate` where a user's experiment file states it.
@@ -130,7 +130,7 @@ class Experiment:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskExperiment(Experiment):
-    """One variant of a task file, resolved.
+    """The experiment of one variant of a task file.
 
     Attributes:
         variant: Which one.

@@ -1,4 +1,4 @@
-"""One experiment, resolved: task file + parameters, or an asset -> scene, and how it is observed and scored."""
+"""One experiment, experiment: task file + parameters, or an asset -> scene, and how it is observed and scored."""
 
 from __future__ import annotations
 

@@ -39,9 +39,6 @@ Notify = Callable[[str], None]
 _log = logging.getLogger(__name__)
 
 
-# --- one episode -----------------------------------------------------------------------------------------------------
-
-
 # --- many episodes ---------------------------------------------------------------------------------------------------
 
 
@@ -62,19 +59,19 @@ def check_request(
         AssetError: The asset cannot be used.
         UnsupportedSceneError: The asset is a model file that a backend does not read.
     """
-    resolved, refused = [], None
+    experiment, refused = [], None
     for variant in variants:
         try:
-            resolved.append(load_experiment(variant, parameters, asset=asset))
+            experiment.append(load_experiment(variant, parameters, asset=asset))
         except ParameterError as error:
             refused = error
-    if refused is not None and not resolved:
+    if refused is not None and not experiment:
         raise refused
     for name in backends:
-        engine = backend_for(name, resolved[0].model_file if resolved else None)
+        engine = backend_for(name, experiment[0].model_file if experiment else None)
         if asset is not None:
-            check_support(resolved[0], name)
-        able = next((one.scene for one in resolved if settings and engine.supports(one.scene)), None)
+            check_support(experiment[0], name)
+        able = next((one.scene for one in experiment if settings and engine.supports(one.scene)), None)
         if able is not None:
             engine.build(able, settings).close()
 
@@ -162,9 +159,9 @@ def _attempt(
     """Results of an experiment's repeats; those that were declined or failed carry the reason."""
     first = empty[0]
     try:
-        resolved = load_experiment(subject, parameters, asset=asset)
+        experiment = load_experiment(subject, parameters, asset=asset)
         if jitter is not None:
-            jittered(resolved.scene, jitter, seed=0)
+            jittered(experiment.scene, jitter, seed=0)
     except ParameterError as error:
         return [replace(one, outcome=Outcome.DECLINED, error=str(error)) for one in empty]
     except GaugeError as error:

@@ -135,13 +135,13 @@ def _result_of(
     wall_s: float | None,
     score: Score | None = None,
 ) -> Result:
-    resolved, recorded = episode.experiment, episode.trajectory()
+    experiment, recorded = episode.experiment, episode.trajectory()
     return Result(
-        id=resolved.id,
+        id=experiment.id,
         outcome=Outcome.DIVERGED if fault else Outcome.FINISHED,
-        parameters=recorded_parameters(resolved),
+        parameters=recorded_parameters(experiment),
         score=score or episode.score(),
-        task_sha256=resolved.file_sha256,
+        task_sha256=experiment.file_sha256,
         backend=backend,
         frames=len(recorded.frames),
         diverged=bool(fault),
@@ -154,10 +154,10 @@ def _result_of(
         seed=seed,
         jitter=asdict(jitter) if jitter else {},
         marker_proxy=episode.marker_proxy.value,
-        driver_provenance=resolved.driver_provenance,
-        dataset=dataset_record(resolved.name, resolved.drivers),
-        asset=asset_record(resolved),
-        trajectory=recorded_trajectory(resolved, recorded.times_s, recorded.samples),
+        driver_provenance=experiment.driver_provenance,
+        dataset=dataset_record(experiment.name, experiment.drivers),
+        asset=asset_record(experiment),
+        trajectory=recorded_trajectory(experiment, recorded.times_s, recorded.samples),
     )
 
 
@@ -201,10 +201,10 @@ def run_repeats(
         raise ParameterError(f"repeats is {repeats}, expected 1 or more")
     proxy = checked_proxy(marker_proxy)
     jitter = jitter or Jitter()
-    resolved = load_experiment(variant, parameters, asset=asset)
-    engine = backend_for(backend, resolved.model_file)
-    band = reference_band(resolved)
-    runs = [replace(resolved, scene=jittered(resolved.scene, jitter, seed=seed + k)) for k in range(repeats)]
+    experiment = load_experiment(variant, parameters, asset=asset)
+    engine = backend_for(backend, experiment.model_file)
+    band = reference_band(experiment)
+    runs = [replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed + k)) for k in range(repeats)]
     for run in runs:
         check_support(run, backend)
     worlds = engine.build_worlds([run.scene for run in runs], settings)
@@ -258,16 +258,16 @@ def _check_seed(seed: int) -> None:
         raise ParameterError(f"seed is {seed}, expected 0 or more")
 
 
-def recorded_parameters(resolved: Experiment) -> str | dict[str, Any]:
-    return json_ready(resolved.overrides) if resolved.parameters == "custom" else resolved.parameters
+def recorded_parameters(experiment: Experiment) -> str | dict[str, Any]:
+    return json_ready(experiment.overrides) if experiment.parameters == "custom" else experiment.parameters
 
 
 def recorded_trajectory(
-    resolved: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]
+    experiment: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]
 ) -> RecordedTrajectory:
     return RecordedTrajectory(
-        unit=resolved.score.observable.unit,
-        coordinates=list(resolved.coordinates),
+        unit=experiment.score.observable.unit,
+        coordinates=list(experiment.coordinates),
         times_s=times_s.tolist(),
         samples=json_ready(samples.tolist()),
     )

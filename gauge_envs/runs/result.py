@@ -142,6 +142,3 @@ class Result:
             del values["trajectory"]
             values["asset"] = {key: value for key, value in values["asset"].items() if key not in BULKY}
         return values
-
-
-# --- the experiment of a result --------------------------------------------------------------------------------------

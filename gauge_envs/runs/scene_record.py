@@ -23,17 +23,17 @@ __all__ = [
 ]
 
 
-def asset_record(resolved: Experiment) -> dict[str, Any]:
+def asset_record(experiment: Experiment) -> dict[str, Any]:
     """What a result keeps of the asset that an experiment was built from; empty where there was none."""
-    asset = resolved.asset
+    asset = experiment.asset
     if asset is None:
         return {}
     record = asset.to_dict()
     # A model file stands for a scene that the package has; the engine alone could read it back.
     if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
-        record["scene"] = _scene_text(resolved.scene)
-    if isinstance(resolved, FileExperiment):
-        record["experiment"] = experiment_record(resolved)
+        record["scene"] = _scene_text(experiment.scene)
+    if isinstance(experiment, FileExperiment):
+        record["experiment"] = experiment_record(experiment)
     return record
 
 
@@ -65,8 +65,8 @@ def recorded_experiment(result: Result) -> Experiment:
         if isinstance(error, GaugeError):
             raise
         raise ResultFileError(f"{result.id}: the asset in the result is damaged: {error}") from error
-    resolved = load_experiment(result.id, drivers=DriverSource.BUNDLED)
-    return replace(resolved, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
+    experiment = load_experiment(result.id, drivers=DriverSource.BUNDLED)
+    return replace(experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
 
 
 def _scene_text(scene: Scene) -> str:

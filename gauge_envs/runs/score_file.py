@@ -43,22 +43,22 @@ def score_file(
         UnknownNameError: No such variant.
         ParameterError: No such parameters.
     """
-    resolved = _experiment_of_file(file, variant, parameters)
-    trajectory = read_trajectory(file, resolved)
-    band = reference_band(resolved, use_withheld=use_withheld)
-    score = score_trajectory(resolved, band, times_s=trajectory.times_s, values=trajectory.values)
+    experiment = _experiment_of_file(file, variant, parameters)
+    trajectory = read_trajectory(file, experiment)
+    band = reference_band(experiment, use_withheld=use_withheld)
+    score = score_trajectory(experiment, band, times_s=trajectory.times_s, values=trajectory.values)
     result = Result(
-        id=resolved.id,
+        id=experiment.id,
         outcome=Outcome.FINISHED,
-        parameters=recorded_parameters(resolved),
+        parameters=recorded_parameters(experiment),
         score=score,
-        task_sha256=resolved.file_sha256,
-        frames=resolved.frame_count,
+        task_sha256=experiment.file_sha256,
+        frames=experiment.frame_count,
         sim_s=float(trajectory.times_s[-1]),
-        driver_provenance=resolved.driver_provenance,
-        dataset=dataset_record(resolved.name, resolved.drivers),
-        asset=asset_record(resolved),
-        trajectory=recorded_trajectory(resolved, trajectory.times_s, trajectory.values),
+        driver_provenance=experiment.driver_provenance,
+        dataset=dataset_record(experiment.name, experiment.drivers),
+        asset=asset_record(experiment),
+        trajectory=recorded_trajectory(experiment, trajectory.times_s, trajectory.values),
     )
     return result, trajectory.interpolated_frames
 
@@ -75,8 +75,8 @@ def _experiment_of_file(file: Path, variant: str | None, parameters: Parameters 
     if parameters is None:
         known = isinstance(stated_parameters, str | dict) and not has_asset
         parameters = stated_parameters if known else "calibrated"
-    resolved = load_experiment(subject, parameters)
+    experiment = load_experiment(subject, parameters)
     stated = stated_id if stated_id is None or has_asset else find_variant(stated_id).id
-    if stated is not None and stated != resolved.id:
-        raise TrajectoryFileError(f"{file}: id is {stated_id!r}, but {resolved.id} was asked for")
-    return resolved
+    if stated is not None and stated != experiment.id:
+        raise TrajectoryFileError(f"{file}: id is {stated_id!r}, but {experiment.id} was asked for")
+    return experiment

@@ -95,19 +95,19 @@ def assert_spread(spread, values) -> None:
 
 @pytest.mark.parametrize("name", IRREGULAR)
 def test_known_statistics_come_back(name: str, tmp_path: Path) -> None:
-    resolved = write_synthetic(tmp_path, name).resolved
+    experiment = write_synthetic(tmp_path, name).experiment
     one = imported(tmp_path)[name]
     assert (one.used, one.left_out, one.findings) == (len(AMOUNTS), 0, ())
     band = band_of(name)
-    frames = resolved.frame_count
-    if resolved.recorded:  # every body is off by the amount along y, a right angle to where it goes
-        starts = 1e3 * np.concatenate([resolved.scene.body(body).pose.position_m for body in resolved.recorded])
-        steps = np.tile([2.0, 0.0, 0.0], len(resolved.recorded))
+    frames = experiment.frame_count
+    if experiment.recorded:  # every body is off by the amount along y, a right angle to where it goes
+        starts = 1e3 * np.concatenate([experiment.scene.body(body).pose.position_m for body in experiment.recorded])
+        steps = np.tile([2.0, 0.0, 0.0], len(experiment.recorded))
         mean = starts + np.arange(frames)[:, None] * steps
-        sigma = np.tile([0.0, AMOUNT.std(ddof=1), 0.0], (frames, len(resolved.recorded)))
-        distance = np.abs(AMOUNT) * math.sqrt(len(resolved.recorded))
+        sigma = np.tile([0.0, AMOUNT.std(ddof=1), 0.0], (frames, len(experiment.recorded)))
+        distance = np.abs(AMOUNT) * math.sqrt(len(experiment.recorded))
     else:  # faces grow with the square of the scale
-        areas = face_areas(scaled_markers(resolved, 0.0), resolved.scene.markers.faces)
+        areas = face_areas(scaled_markers(experiment, 0.0), experiment.scene.markers.faces)
         growth = (1.0 + 1e-3 * AMOUNT) ** 2
         mean = np.tile(growth.mean() * areas, (frames, 1))
         sigma = np.tile(growth.std(ddof=1) * areas, (frames, 1))
@@ -134,10 +134,10 @@ def face_areas(markers_mm: np.ndarray, faces) -> np.ndarray:
 def with_markers(name: str, shapes: list[np.ndarray]) -> list[dict]:
     """Trials of a variant whose markers keep one shape each [mm], shape [marker_count, 3]."""
     synthetic = synthetic_trials(name, [0.0] * len(shapes))
-    key = synthetic.resolved.scene.markers.bodies[0]
+    key = synthetic.experiment.scene.markers.bodies[0]
     for content, shape in zip(synthetic.contents, shapes, strict=True):
-        count = synthetic.resolved.frame_count
-        driver = synthetic.resolved.scene.drivers[0].body
+        count = synthetic.experiment.frame_count
+        driver = synthetic.experiment.scene.drivers[0].body
         content[driver] = {axis: values[:count] for axis, values in content[driver].items()}
         content[key] = marker_asset(np.repeat(shape[None], count, axis=0), [7 * k for k in range(len(shape))])
     return synthetic.contents
@@ -145,9 +145,9 @@ def with_markers(name: str, shapes: list[np.ndarray]) -> list[dict]:
 
 def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
     name = "TextileStretching-leather"
-    resolved = load_experiment(name)
-    rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
-    markers = resolved.scene.markers
+    experiment = load_experiment(name)
+    rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
+    markers = experiment.scene.markers
     raised = next(k for k in range(len(rest)) if k not in (*markers.edge, *markers.corner))
     normal = np.linalg.svd(rest - rest.mean(axis=0))[2][2]
     shapes, expected = [], []
@@ -156,7 +156,7 @@ def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
         shape[raised] += height * normal
         shapes.append(shape)
         around = 0.0
-        for face in resolved.scene.markers.faces:
+        for face in experiment.scene.markers.faces:
             if raised in face:
                 one, two = (shape[k] - shape[raised] for k in face if k != raised)
                 around += math.acos(one @ two / np.linalg.norm(one) / np.linalg.norm(two))
@@ -171,8 +171,8 @@ def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
 
 def test_curvature_of_a_folded_strip(tmp_path: Path) -> None:
     name = "TextileBending-rayon"
-    resolved = load_experiment(name)
-    rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
+    experiment = load_experiment(name)
+    rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
     angles = np.array([0.3, 0.4, 0.6])
     fold = rest[6, 0]
     shapes = []
@@ -206,13 +206,13 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path: Path) -> Non
         write_trial(tmp_path, name, number, content)
     assert imported(tmp_path)[name].findings == ()
     band = band_of(name)
-    start = 1e3 * np.asarray(synthetic.resolved.scene.body("cube").pose.position_m)
+    start = 1e3 * np.asarray(synthetic.experiment.scene.body("cube").pose.position_m)
     assert band.mean[3, 1] == pytest.approx(start[1] + AMOUNT[1:].mean(), abs=TOLERANCE)
     assert band.sigma[3, 1] == pytest.approx(AMOUNT[1:].std(ddof=1), abs=TOLERANCE)
     assert band.mean[5, 2] == pytest.approx(start[2], abs=TOLERANCE)
     assert np.isnan(band.sigma[5, 2]) and np.isfinite(band.sigma[5, :2]).all()
     assert np.isnan(band.mean[7]).all() and np.isnan(band.sigma[7]).all()
-    assert band.measured.tolist() == [frame != 7 for frame in range(synthetic.resolved.frame_count)]
+    assert band.measured.tolist() == [frame != 7 for frame in range(synthetic.experiment.frame_count)]
     score = run_episode(name).score
     assert score.rmse is not None and score.mean_abs_z is not None
 
@@ -285,9 +285,9 @@ def test_all_75_experiments_are_found_in_their_folders(tmp_path: Path) -> None:
 def write_reconstruction(root: Path) -> None:
     """The bundled facts' trials in the dataset's layout: one coordinate was measured, the others are at the start."""
     for name, trials in build_bands.reconstruct(data_folder("scoring")).items():
-        resolved = load_experiment(name)
-        (body,) = resolved.recorded
-        direction, start = np.array(trials.direction), 1e3 * np.asarray(resolved.scene.body(body).pose.position_m)
+        experiment = load_experiment(name)
+        (body,) = experiment.recorded
+        direction, start = np.array(trials.direction), 1e3 * np.asarray(experiment.scene.body(body).pose.position_m)
         across = start - (start @ direction) * direction
         for number, along in enumerate(trials.positions_mm):
             content = trial_content({body: body_asset(across + along[:, None] * direction)})
@@ -388,11 +388,11 @@ DRIVEN = (
 @pytest.mark.parametrize("name", DRIVEN)
 def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
     synthetic = write_synthetic(tmp_path, name)
-    bundled = synthetic.resolved
+    bundled = synthetic.experiment
     one = imported(tmp_path)[name]
-    resolved = load_experiment(name)
-    assert (resolved.drivers, resolved.driver_provenance) == (DriverSource.IMPORTED, "mocap")
-    for driver, stated, record in zip(resolved.scene.drivers, bundled.scene.drivers, one.record.drivers, strict=True):
+    experiment = load_experiment(name)
+    assert (experiment.drivers, experiment.driver_provenance) == (DriverSource.IMPORTED, "mocap")
+    for driver, stated, record in zip(experiment.scene.drivers, bundled.scene.drivers, one.record.drivers, strict=True):
         wanted = synthetic.coordinates[driver.body]
         for number, motion in enumerate(driver.motions):
             (profile,) = motion.profiles
@@ -427,14 +427,14 @@ def test_any_driver_with_one_turn_is_inverted(kinds: tuple[str, ...], seed: int)
         )
         for kind, axis, values in zip(kinds, axes, wanted.T, strict=False)
     )
-    resolved = load_experiment("Turntable-2-wood", drivers="bundled")
-    driver = replace(resolved.scene.drivers[0], motions=motions)
-    resolved = replace(resolved, scene=replace(resolved.scene, drivers=(driver,)), frame_count=frames)
-    poses = [driver.pose(resolved.scene.body("plate").pose, time_s) for time_s in times]
+    experiment = load_experiment("Turntable-2-wood", drivers="bundled")
+    driver = replace(experiment.scene.drivers[0], motions=motions)
+    experiment = replace(experiment, scene=replace(experiment.scene, drivers=(driver,)), frame_count=frames)
+    poses = [driver.pose(experiment.scene.body("plate").pose, time_s) for time_s in times]
     positions = 1e3 * np.array([pose.position_m for pose in poses])
     plate = body_asset(positions, Rotation.concatenate([pose.rotation for pose in poses]))
     trial = parse_trial(json.dumps(trial_content({"plate": plate})).encode())
-    (track,) = driver_tracks(trial, resolved)
+    (track,) = driver_tracks(trial, experiment)
     np.testing.assert_allclose(track.coordinates, wanted, atol=1e-9)
     assert track.residual_mm.max() < 1e-9 and track.residual_rad.max() < 1e-7
 
@@ -442,14 +442,14 @@ def test_any_driver_with_one_turn_is_inverted(kinds: tuple[str, ...], seed: int)
 def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) -> None:
     """A plate at 12 rad/s, in trials that start 1 mm apart, wobble by 0.5 mm and tilt by 1 degree."""
     name = "Turntable-3-metal"
-    resolved = load_experiment(name)
-    count = resolved.frame_count
+    experiment = load_experiment(name)
+    count = experiment.frame_count
     angles = 12.0 * np.arange(count) / 30.0
     later = (np.arange(count) > 0)[:, None]
     tilt = Rotation.from_rotvec(later * [1.0, 0.0, 0.0], degrees=True)
     for number, offset in enumerate((-1.0, 1.0)):
         content = synthetic_trials(name, AMOUNTS[:2], frames_after=0).contents[number]
-        start = 1e3 * np.asarray(resolved.scene.body("plate").pose.position_m) + [offset, 0.0, 0.0]
+        start = 1e3 * np.asarray(experiment.scene.body("plate").pose.position_m) + [offset, 0.0, 0.0]
         turn = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0])
         content["plate"] = body_asset(start + later * [0.0, 0.0, 0.5], tilt * turn)
         write_trial(tmp_path, name, number, content)
@@ -632,7 +632,7 @@ def test_a_damaged_store_is_named(suffix: str, content: bytes | None, tmp_path: 
 
 def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:
     name = "FoamShearing-soft"
-    (driver,) = write_synthetic(tmp_path, name).resolved.scene.drivers
+    (driver,) = write_synthetic(tmp_path, name).experiment.scene.drivers
     imported(tmp_path)
     shorter = replace(driver, motions=driver.motions[:1])
     with pytest.raises(ReferenceFileError, match="has 1 motions, imported were 2"):

@@ -259,17 +259,17 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path: Path) -> None:
 
 def read_all(content: bytes, name: str) -> Trial | None:
     """What an import does with a file; the trial, where it can be used. Any other error than a named one is a bug."""
-    resolved = load_experiment(name)
+    experiment = load_experiment(name)
     try:
         trial = parse_trial(content)
-        trajectory = trial_trajectory(trial, resolved)
-        assert trajectory.shape[0] == resolved.frame_count and not np.isinf(trajectory).any()
+        trajectory = trial_trajectory(trial, experiment)
+        assert trajectory.shape[0] == experiment.frame_count and not np.isinf(trajectory).any()
     except TrialError as error:
         assert error.key and error.what and error.right
         assert all(part.isprintable() for part in (error.key, error.what, error.right))
         return None
     with contextlib.suppress(TrialError):
-        driver_tracks(trial, resolved)
+        driver_tracks(trial, experiment)
     return trial
 
 

@@ -176,10 +176,10 @@ def test_newton_environments_pickle(name: str) -> None:
 def test_what_the_package_returns_pickles() -> None:
     env = gymnasium.make(f"GAUGE/{RIGID}")
     _, info = run_to_end(env)
-    resolved = load_experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
-    for value in (info["score"], resolved, resolved.scene, find_variant(RIGID), Jitter()):
+    experiment = load_experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
+    for value in (info["score"], experiment, experiment.scene, find_variant(RIGID), Jitter()):
         assert pickle.loads(pickle.dumps(value)) == value
-    band = reference_band(resolved)
+    band = reference_band(experiment)
     assert np.array_equal(pickle.loads(pickle.dumps(band)).mean, band.mean, equal_nan=True)
     trajectory = env.unwrapped.trajectory()
     assert np.array_equal(pickle.loads(pickle.dumps(trajectory)).samples, trajectory.samples)

@@ -111,17 +111,17 @@ def test_repeats_scatter_about_the_single_run_and_keep_its_reference() -> None:
 
 
 def test_one_world_that_diverges_leaves_the_others() -> None:
-    resolved = load_experiment("SlopeSlider-2-wood")
-    worlds = backend("mujoco").build_worlds([resolved.scene] * 2)
+    experiment = load_experiment("SlopeSlider-2-wood")
+    worlds = backend("mujoco").build_worlds([experiment.scene] * 2)
     worlds.reset(0)
     worlds.worlds[0].data.qvel[0] = 900.0
     episodes = [
-        Episode(resolved, world, band=reference_band(resolved), marker_proxy=MarkerProxy.NODE)
+        Episode(experiment, world, band=reference_band(experiment), marker_proxy=MarkerProxy.NODE)
         for world in worlds.worlds
     ]
     faults = run_together(episodes, worlds)
     assert "m/s" in faults[0] and faults[1] is None
-    assert [episode.frame for episode in episodes] == [1, resolved.frame_count - 1]
+    assert [episode.frame for episode in episodes] == [1, experiment.frame_count - 1]
 
 
 def test_repeats_are_files_of_their_own_and_resume(tmp_path) -> None:

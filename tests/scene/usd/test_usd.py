@@ -55,16 +55,16 @@ def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
 @pytest.mark.parametrize("name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"])
 def test_every_kind_of_file_keeps_every_double(name: str, suffix: str, tmp_path: Path) -> None:
-    resolved = load_experiment(name, drivers="bundled")
-    write_usd_layer(resolved, tmp_path / f"a{suffix}")
-    assert from_usd(tmp_path / f"a{suffix}") == resolved.scene
+    experiment = load_experiment(name, drivers="bundled")
+    write_usd_layer(experiment, tmp_path / f"a{suffix}")
+    assert from_usd(tmp_path / f"a{suffix}") == experiment.scene
 
 
 def test_overrides_come_back() -> None:
-    resolved = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
+    experiment = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
     with tempfile.TemporaryDirectory() as folder:
-        write_usd_layer(resolved, Path(folder) / "a.usda")
-        assert from_usd(Path(folder) / "a.usda") == resolved.scene
+        write_usd_layer(experiment, Path(folder) / "a.usda")
+        assert from_usd(Path(folder) / "a.usda") == experiment.scene
 
 
 def test_a_layer_says_where_its_bodies_are_and_whose_they_are() -> None:
