@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs import load_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.experiments.task_format import Variant
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
@@ -68,7 +68,7 @@ class Row:
 
 def coverage(variant: Variant) -> Row:
     """What comes with the package for one variant."""
-    experiment = load_experiment(variant, drivers="bundled")
+    experiment = load_experiment(variant)
     band, law = bundled_band(variant.name), law_for(variant.name)
     grade = band.grade if band is not None else BandGrade.NONE if law is None else BandGrade.LAW
     withheld = None if band is None else band.withheld

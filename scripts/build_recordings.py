@@ -25,7 +25,7 @@ from generated import write_or_check
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs import load_experiment
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -118,7 +118,7 @@ def recorded_band(
     Raises:
         ValueError: A coordinate is measured at no frame, or number of frames or of coordinates is not the experiment's.
     """
-    experiment = load_experiment(variant, drivers="bundled")
+    experiment = load_experiment(variant)
     frame_count = experiment.frame_count
     baseline = published_baselines(variant).get("rmse")
     if baseline is not None and baseline.frames != frame_count:
@@ -177,7 +177,7 @@ def band_toml(
         GENERATED,
         'grade = "recording"',
         f'sigma_source = "{"measurement" if band.sigma is None else "baseline"}"',
-        f'unit = "{load_experiment(variant, drivers="bundled").spec.score.observable.unit}"',
+        f'unit = "{load_experiment(variant).spec.score.observable.unit}"',
         f"frames = {len(band.mean)}",
         f"coordinates = {json.dumps(band.names)}",
     ]

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import find_variant
+from gauge_envs import find_variant, load_experiment
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
 
 FloatArray = NDArray[np.float64]
 
@@ -116,7 +115,7 @@ def synthetic_trials(name: str, amounts: Sequence[float] = AMOUNTS, *, frames_af
     Bodies move 2 mm a frame along x, and each trial is off by its amount [mm] along y. Markers are their rest shape,
     scaled about the first of them by 1 + 1e-3 amount. Drivers move by 1e-3 m or rad a frame and motion.
     """
-    experiment = load_experiment(name, drivers="bundled")
+    experiment = load_experiment(name)
     scene = experiment.scene
     count = experiment.frame_count + frames_after
     frames = np.arange(count)[:, None]

@@ -21,7 +21,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.references.imported import DriverRecord, DriverSource, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.imported import DriverRecord, SpreadRecord, VariantRecord, write_imported
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -160,7 +160,7 @@ class _VariantImporter:
 
     def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str]) -> None:
         # Recorded motion is projected on the task file's motions, whatever was imported before.
-        self._experiment = load_experiment(variant, drivers=DriverSource.BUNDLED)
+        self._experiment = load_experiment(variant)
         self._layout = layout
         self._seen = seen
         self._coordinates = self._experiment.coordinates

@@ -315,9 +315,15 @@ class Episode:
         return observation
 
     def info(self) -> dict[str, Any]:
-        """Frame, time and grade of the reference."""
+        """Frame, time, grade of the reference, and where reference and driven motion are from."""
         frame = self.frame or 0
-        info = {"frame": frame, "time_s": frame / FRAME_RATE_HZ, "reference": self._grade}
+        info = {
+            "frame": frame,
+            "time_s": frame / FRAME_RATE_HZ,
+            "reference": self._grade,
+            "reference_source": self.experiment.reference_source.value,
+            "drivers": self.experiment.drivers.value,
+        }
         return info | {"edited": True} if self.experiment.edited else info
 
     def reward(self) -> float:

@@ -25,7 +25,7 @@ from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.observables.observer import checked_proxy
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -62,6 +62,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         marker_proxy: As of `GaugeEnv`.
         use_withheld: As of `GaugeEnv`.
         drivers: As of `GaugeEnv`.
+        reference: As of `GaugeEnv`.
         asset: As of `GaugeEnv`.
         render_mode: As of `GaugeEnv`.
         width: As of `GaugeEnv`.
@@ -101,7 +102,8 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         settings: Mapping[str, Any] | None = None,
         marker_proxy: str = "node",
         use_withheld: bool = False,
-        drivers: str | None = None,
+        drivers: str = "bundled",
+        reference: str = "bundled",
         asset: str | PathLike[str] | None = None,
         render_mode: str | None = None,
         width: int = 640,
@@ -111,7 +113,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             raise ParameterError(f"num_envs is {num_envs}, expected 1 or more")
         self._pictures = Pictures(render_mode, width=width, height=height)
         self.num_envs = num_envs
-        self.experiment = load_experiment(variant, parameters, drivers=drivers, asset=asset)
+        self.experiment = resolve_experiment(variant, parameters, drivers=drivers, reference=reference, asset=asset)
         self.backend_name = backend
         self.render_mode = render_mode
         self.band = reference_band(self.experiment, use_withheld=use_withheld)

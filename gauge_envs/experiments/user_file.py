@@ -9,6 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -134,7 +135,7 @@ class FileExperiment(Experiment):
     definition: ExperimentFile
 
 
-def load_experiment_file(path: Path) -> FileExperiment:
+def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     """Read an experiment file, and the USD layer and the band that it names.
 
     Raises:
@@ -142,6 +143,7 @@ def load_experiment_file(path: Path) -> FileExperiment:
         AssetError: The USD layer cannot be read, or lacks a prim that the file names.
         ReferenceFileError: The band is wrong.
     """
+    path = Path(path)
     content = read_bytes(path)
     try:
         definition = ExperimentFile.model_validate(tomllib.loads(content.decode("utf-8")))

@@ -21,7 +21,7 @@ from gauge_envs.experiments.task_format import Variant
 from gauge_envs.experiments.user_file import FileExperiment
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade, SigmaSource
-from gauge_envs.references.imported import DriverRecord, DriverSource, load_imported
+from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
 from gauge_envs.references.published import law_for
 from gauge_envs.report.text import (
     ENGINE_TITLES,
@@ -64,7 +64,7 @@ def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
                 "observable": experiment.score.observable.value,
                 "frames": experiment.frame_count,
                 "grade": band_grade(variant.name).value,
-                "imported": load_imported(variant.name) is not None,
+                "imported": has_import(variant.name),
                 "backends": {name: _lacks(name, experiment) for name in backend_names()},
             }
         )
@@ -86,7 +86,7 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         table.add_column(title, no_wrap=True, justify="right" if title == "frames" else "left")
     for row in rows:
         can = [_yes_no(not row["backends"][name]) for name in names]
-        grade = f"{row['grade']}, imported" if row["imported"] else row["grade"]
+        grade = f"{row['grade']}; trials imported" if row["imported"] else row["grade"]
         table.add_row(row["id"], row["group"], row["observable"], str(row["frames"]), grade, *can)
     return table
 
@@ -170,14 +170,15 @@ def _of_file(experiment: FileExperiment) -> dict[str, Any]:
 def _reference(experiment: Experiment) -> dict[str, Any]:
     """What an experiment is scored against, or could be."""
     own = experiment.reference
-    band = load_band(experiment.name) if own is None else own.band
+    band = load_band(experiment.name, experiment.reference_source) if own is None else own.band
     law = law_for(experiment.name) if own is None else None
     used = reference_band(experiment)
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
         "trial_count": None if band is None else band.trial_count,
         "source": None if band is None else band.source,
-        "imported": load_imported(experiment.name) is not None,
+        "imported": experiment.reference_source is DataSource.IMPORTED,
+        "is_import_available": has_import(experiment.name),
         "law": None if law is None else law.condition,
         "sigma_source": None if band is None else band.sigma_source.value,
         "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
@@ -208,17 +209,16 @@ def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
     stated = (own if own is not None else spec.drivers)[index]
     motions = [motion.model_dump(exclude_none=True) for motion in stated.motions]
     note, recorded = stated.note, _recorded_driver(experiment, driver.body)
-    in_use = recorded is not None and experiment.drivers is DriverSource.IMPORTED
-    if recorded is not None and in_use:
+    if recorded is not None:
         note = f"{_recorded_note(recorded)}; not in use is the bundled one: {note}"
         for motion, used in zip(motions, driver.motions, strict=True):
             motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
-    elif recorded is not None:
-        note = f"{note}; not in use is the imported one: gauge data use --drivers imported"
+    elif has_import(experiment.name):
+        note = f"{note}; imported trials exist: drivers='imported' or --drivers imported uses their motion"
     return {
         "body": driver.body,
         "provenance": driver.provenance,
-        "imported": in_use,
+        "imported": recorded is not None,
         "note": note,
         "motions": motions,
     }
@@ -242,8 +242,8 @@ def _driver_of_asset(driver: Driver) -> dict[str, Any]:
 
 
 def _recorded_driver(experiment: Experiment, body: str) -> DriverRecord | None:
-    """The imported driver of a body, in use or not."""
-    imported = load_imported(experiment.name)
+    """The imported driver of a body; None where the bundled one is in use."""
+    imported = load_imported(experiment.name) if experiment.drivers is DataSource.IMPORTED else None
     if imported is None:
         return None
     return next((record for record in imported.record.drivers if record.body == body), None)

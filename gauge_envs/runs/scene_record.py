@@ -11,7 +11,6 @@ from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.user_file import FileExperiment, experiment_record, recorded_experiment_file
-from gauge_envs.references.imported import DriverSource
 from gauge_envs.runs.result import Result
 from gauge_envs.scene import Scene
 from gauge_envs.scene.usd.reader import from_usd
@@ -47,9 +46,9 @@ def recorded_experiment(result: Result) -> Experiment:
     """
     record = result.asset
     if not record or "scene" not in record:
-        drivers = result.dataset.get("drivers")
-        source = drivers if drivers in tuple(DriverSource) else None
-        return load_experiment(result.id, result.parameters, drivers=source)
+        return load_experiment(
+            result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
+        )
     try:
         scene = _scene_of_text(record["scene"])
         asset = Asset(
@@ -65,7 +64,7 @@ def recorded_experiment(result: Result) -> Experiment:
         if isinstance(error, GaugeError):
             raise
         raise ResultFileError(f"{result.id}: the asset in the result is damaged: {error}") from error
-    experiment = load_experiment(result.id, drivers=DriverSource.BUNDLED)
+    experiment = load_experiment(result.id, reference=result.dataset["reference"])
     return replace(experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
 
 

@@ -27,6 +27,7 @@ from gauge_envs.report import diagnosis_rows, diagnosis_view
 from gauge_envs.report.diagnosis import findings
 from gauge_envs.report.figures.budgets import draw_diagnoses
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -327,7 +328,7 @@ def test_the_search_finds_what_a_dense_grid_finds():
 
 @pytest.fixture(scope="module")
 def ball():
-    return run_episode(BALL)
+    return run_episode(RunRequest(BALL))
 
 
 def test_the_ball_is_let_go_late_and_rebounds_higher_than_calibrated(ball):
@@ -358,7 +359,7 @@ def test_release_is_the_alignment_of_the_score(ball):
 @pytest.mark.parametrize(("material", "real_m_s2"), [("wood", 2.719), ("plastic", 2.898), ("metal", 2.603)])
 def test_slides_accelerate_as_the_trials_do(material, real_m_s2):
     """Against the mean acceleration of the trials, fitted to each (scoring/facts/slope_slider_30deg_summary.toml)."""
-    diagnosis = diagnose(run_episode(f"SlopeSlider-2-{material}"))
+    diagnosis = diagnose(run_episode(RunRequest(f"SlopeSlider-2-{material}")))
     assert diagnosis.rest.rmse_normalized < 0.02
     assert change(diagnosis.part(Stage.RATE), "acceleration").fitted == pytest.approx(real_m_s2, rel=0.01)
 
@@ -495,7 +496,7 @@ def gauge(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def unscored():
-    return run_episode("SlopeContact-plastic")
+    return run_episode(RunRequest("SlopeContact-plastic"))
 
 
 def test_what_is_missing_is_told(ball, unscored):

@@ -29,6 +29,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import gauge_envs
+from gauge_envs import load_experiment
 from gauge_envs.analysis.comparison import compare
 from gauge_envs.cli.app import app
 from gauge_envs.dataset.importer import ImportedTrials, import_trials
@@ -37,12 +38,10 @@ from gauge_envs.dataset.observation import driver_tracks
 from gauge_envs.dataset.trial import parse_trial
 from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, UnknownNameError
 from gauge_envs.evaluation.reference import band_grade, load_band
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import BandGrade, bundled_band
 from gauge_envs.references.imported import (
-    DriverSource,
-    choose_drivers,
+    DataSource,
     load_imported,
     recorded_drivers,
     user_data_folder,
@@ -50,7 +49,10 @@ from gauge_envs.references.imported import (
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name
+from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.scene.drivers import DriverMotion, SampledProfile
 
 AMOUNT = np.array(AMOUNTS)
@@ -69,12 +71,15 @@ IRREGULAR = (
 )
 
 
+IMPORTED = {"drivers": "imported", "reference": "imported"}
+
+
 def imported(root: Path, *only: str) -> dict[str, ImportedTrials]:
     return {one.variant.name: one for one in import_trials(find_trials(root, only=only or ("*",)))}
 
 
 def band_of(name: str):
-    band = load_band(name)
+    band = load_band(name, DataSource.IMPORTED)
     assert band is not None
     return band
 
@@ -213,7 +218,7 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path: Path) -> Non
     assert np.isnan(band.sigma[5, 2]) and np.isfinite(band.sigma[5, :2]).all()
     assert np.isnan(band.mean[7]).all() and np.isnan(band.sigma[7]).all()
     assert band.measured.tolist() == [frame != 7 for frame in range(synthetic.experiment.frame_count)]
-    score = run_episode(name).score
+    score = run_episode(RunRequest(name, **IMPORTED)).score
     assert score.rmse is not None and score.mean_abs_z is not None
 
 
@@ -318,7 +323,7 @@ def test_published_baselines_come_out_of_the_importer(tmp_path: Path) -> None:
 # --- what uses an import ---------------------------------------------------------------------------------------------
 
 
-def test_an_import_is_preferred_and_shown(tmp_path: Path, gauge) -> None:
+def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> None:
     name = "SlopeSlider-3-wood"
     assert band_grade(name) is BandGrade.NONE
     synthetic = write_synthetic(tmp_path, name)
@@ -326,18 +331,22 @@ def test_an_import_is_preferred_and_shown(tmp_path: Path, gauge) -> None:
     result = gauge("data", "import", tmp_path)
     assert result.exit_code == 0
     assert "1.00" in result.stdout or "1 (0.456) mm" in result.stdout
-    assert band_grade(name) is BandGrade.TRIALS
+    assert "gauge run ID --drivers imported --reference imported" in result.stderr.replace("\n", " ")
+    assert (band_grade(name), band_grade(name, DataSource.IMPORTED)) == (BandGrade.NONE, BandGrade.TRIALS)
     row = json.loads(gauge("list", name, "--json").stdout)
-    assert (row["grade"], row["imported"]) == ("trials", True)
-    assert "trials, imported" in gauge("list", name).stdout
-    shown = json.loads(gauge("show", name, "--json").stdout)
+    assert (row["grade"], row["imported"]) == ("none", True)
+    assert "trials imported" in gauge("list", name).stdout
+    bundled = json.loads(gauge("show", name, "--json").stdout)["reference"]
+    assert (bundled["grade"], bundled["imported"], bundled["is_import_available"]) == ("none", False, True)
+    options = ("--drivers", "imported", "--reference", "imported")
+    shown = json.loads(gauge("show", name, "--json", *options).stdout)
     assert shown["reference"]["imported"] and shown["reference"]["trial_count"] == 4
     assert "imported dataset revision 9e0acb7" in shown["reference"]["source"]
     (driver,) = shown["drivers"]
     assert (driver["provenance"], driver["imported"]) == ("mocap", True)
     values = driver["motions"][0]["profile"][0]["values_deg"]
     np.testing.assert_allclose(np.radians(values), synthetic.coordinates["board"][:, 0], atol=TOLERANCE)
-    assert "Driver of board (mocap)" in gauge("show", name).stdout
+    assert "Driver of board (mocap)" in gauge("show", name, *options).stdout
     status = json.loads(gauge("data", "status", name, "--json").stdout)
     assert (status["grade"], status["imported"], status["trials"], status["is_current"]) == ("trials", True, 4, True)
     assert status["drivers"][0]["provenance"] == "mocap"
@@ -347,12 +356,13 @@ def test_an_import_is_preferred_and_shown(tmp_path: Path, gauge) -> None:
 
 def test_results_are_scored_on_the_import_and_say_so(tmp_path: Path) -> None:
     name = "SlopeSlider-1-wood"
-    before = run_episode(name)
+    before = run_episode(RunRequest(name))
     write_synthetic(tmp_path, name)
     imported(tmp_path)
-    after = run_episode(name)
+    assert run_episode(RunRequest(name)).score == before.score
+    after = run_episode(RunRequest(name, **IMPORTED))
     assert (before.score.grade, after.score.grade) == ("law", "trials")
-    assert before.dataset == {}
+    assert before.dataset == {"drivers": "bundled", "reference": "bundled"}
     assert after.dataset["revision"] == "unknown" and len(after.dataset["sha256"]) == 64
     simulated, mean = np.array(after.trajectory.samples)[::6], band_of(name).mean
     assert after.score.rmse == pytest.approx(math.sqrt(((simulated - mean) ** 2).sum(axis=1).mean()), rel=1e-12)
@@ -360,18 +370,25 @@ def test_results_are_scored_on_the_import_and_say_so(tmp_path: Path) -> None:
 
 def test_resume_runs_again_what_was_scored_on_other_trials(tmp_path: Path) -> None:
     name, notes = "SlopeSlider-1-wood", []
-    (first,) = run_many([name], out=tmp_path / "results", resume=True, notify=notes.append)
-    write_synthetic(tmp_path, name)
-    imported(tmp_path)
-    (second,) = run_many([name], out=tmp_path / "results", resume=True, notify=notes.append)
+
+    def run(**options) -> Result:
+        requests = [RunRequest(name, **options)]
+        return next(run_many(requests, out=tmp_path / "results", resume=True, notify=notes.append))
+
+    first = run()
+    write_synthetic(tmp_path / "a", name)
+    imported(tmp_path / "a")
+    second = run(**IMPORTED)
     assert (first.score.grade, second.score.grade) == ("law", "trials")
-    assert len(notes) == 1 and "dataset differs" in notes[0]
-    file = tmp_path / "results" / result_file_name(second)
-    assert load_result(file).dataset == second.dataset
+    assert load_result(tmp_path / "results" / result_file_name(second)).dataset == second.dataset
     assert any("of different imports, or bundled" in note for note in compare([first, second]).notes)
     assert not any("imports" in note for note in compare([second]).notes)
-    (third,) = run_many([name], out=tmp_path / "results", resume=True, notify=notes.append)
-    assert third.created == second.created and len(notes) == 1
+    assert (run().created, run(**IMPORTED).created, notes) == (first.created, second.created, [])
+    write_synthetic(tmp_path / "b", name, AMOUNTS[:2])
+    imported(tmp_path / "b")
+    third = run(**IMPORTED)
+    assert third.dataset["sha256"] != second.dataset["sha256"]
+    assert len(notes) == 1 and "dataset differs" in notes[0]
 
 
 # --- drivers ---------------------------------------------------------------------------------------------------------
@@ -390,8 +407,8 @@ def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
     synthetic = write_synthetic(tmp_path, name)
     bundled = synthetic.experiment
     one = imported(tmp_path)[name]
-    experiment = load_experiment(name)
-    assert (experiment.drivers, experiment.driver_provenance) == (DriverSource.IMPORTED, "mocap")
+    experiment = load_experiment(name, **IMPORTED)
+    assert (experiment.drivers, experiment.driver_provenance) == (DataSource.IMPORTED, "mocap")
     for driver, stated, record in zip(experiment.scene.drivers, bundled.scene.drivers, one.record.drivers, strict=True):
         wanted = synthetic.coordinates[driver.body]
         for number, motion in enumerate(driver.motions):
@@ -402,7 +419,7 @@ def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
             assert motion.residual_rate == stated.motions[number].residual_rate
         assert record.trial_count == len(AMOUNTS)
         assert max(record.residual_mm, record.residual_deg, record.start_offset_mm) < 1e-6
-    assert load_experiment(name, drivers="bundled").scene.drivers == bundled.scene.drivers
+    assert load_experiment(name).scene.drivers == bundled.scene.drivers
     assert load_experiment(name).parameters == "calibrated" and load_experiment(name).overrides == {}
 
 
@@ -427,7 +444,7 @@ def test_any_driver_with_one_turn_is_inverted(kinds: tuple[str, ...], seed: int)
         )
         for kind, axis, values in zip(kinds, axes, wanted.T, strict=False)
     )
-    experiment = load_experiment("Turntable-2-wood", drivers="bundled")
+    experiment = load_experiment("Turntable-2-wood")
     driver = replace(experiment.scene.drivers[0], motions=motions)
     experiment = replace(experiment, scene=replace(experiment.scene, drivers=(driver,)), frame_count=frames)
     poses = [driver.pose(experiment.scene.body("plate").pose, time_s) for time_s in times]
@@ -459,7 +476,7 @@ def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) 
     assert record.residual_deg == pytest.approx(1.0 * share, rel=1e-6)
     assert record.start_offset_mm == pytest.approx(1.0, rel=1e-6)
     assert (record.scatter_mm, record.scatter_deg) == (None, pytest.approx(0.0, abs=1e-5))
-    (profile,) = load_experiment(name).scene.drivers[0].motions[0].profiles
+    (profile,) = load_experiment(name, drivers="imported").scene.drivers[0].motions[0].profiles
     np.testing.assert_allclose(profile.values, angles, atol=1e-3)
 
 
@@ -476,20 +493,34 @@ def test_an_environment_drives_as_recorded_or_as_bundled(tmp_path: Path, gauge) 
         w, _, y, _ = observation["driver"][0, 3:7]
         return 2 * math.atan2(y, w)
 
-    assert tilt() == pytest.approx(0.010, abs=1e-6)
-    bundled = tilt(drivers="bundled")
-    assert abs(bundled) > 0.02
-    assert gauge("data", "use", "--drivers", "bundled").exit_code == 0
-    assert tilt() == bundled and tilt(drivers="imported") == pytest.approx(0.010, abs=1e-6)
-    result = run_episode(name)
-    assert (result.driver_provenance, result.dataset["drivers"]) == ("nominal", "bundled")
-    assert "not in use is the imported one" in gauge("show", name).stdout.replace("\n", " ")
-    assert band_grade(name) is BandGrade.TRIALS
-    choose_drivers(DriverSource.IMPORTED)
-    result = run_episode(name)
+    bundled = tilt()
+    assert abs(bundled) > 0.02 and tilt(drivers="bundled") == bundled
+    assert tilt(drivers="imported") == pytest.approx(0.010, abs=1e-6)
+    result = run_episode(RunRequest(name))
+    assert (result.driver_provenance, result.dataset) == ("nominal", {"drivers": "bundled", "reference": "bundled"})
+    assert "imported trials exist" in gauge("show", name).stdout.replace("\n", " ")
+    result = run_episode(RunRequest(name, drivers="imported"))
     assert (result.driver_provenance, result.dataset["drivers"]) == ("mocap", "imported")
-    with pytest.raises(ParameterError, match="'imported' or 'bundled'"):
+    assert (result.dataset["reference"], result.score.grade) == ("bundled", "none")
+    assert recorded_experiment(result).scene.drivers == load_experiment(name, drivers="imported").scene.drivers
+    with pytest.raises(ParameterError, match="'bundled' or 'imported'"):
         gymnasium.make(f"GAUGE/{name}", drivers="recorded")
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-3-wood", "SlopeSlider-2-wood"])
+@pytest.mark.parametrize("argument", ["drivers", "reference"])
+def test_what_was_not_imported_is_an_error_that_names_the_command(name: str, argument: str) -> None:
+    with pytest.raises(ParameterError, match=f"{name}: {argument}='imported'.*gauge data import DIR"):
+        load_experiment(name, **{argument: "imported"})
+
+
+def test_info_states_where_drivers_and_reference_are_from(tmp_path: Path) -> None:
+    name = "SlopeSlider-3-wood"
+    write_synthetic(tmp_path, name)
+    imported(tmp_path)
+    for options, expected in (({}, ("bundled", "bundled", "none")), (IMPORTED, ("imported", "imported", "trials"))):
+        _, info = gymnasium.make(f"GAUGE/{name}", **options).reset(seed=0)
+        assert (info["drivers"], info["reference_source"], info["reference"]) == expected
 
 
 def test_trials_without_a_driver_still_make_a_band(tmp_path: Path) -> None:
@@ -622,12 +653,13 @@ def test_a_damaged_store_is_named(suffix: str, content: bytes | None, tmp_path: 
     else:
         file.unlink()
     with pytest.raises(ReferenceFileError) as caught:
-        load_band(name)
+        load_band(name, DataSource.IMPORTED)
     assert str(file) in str(caught.value)
     assert "gauge data import renews it" in str(caught.value)
-    assert gauge("show", name).exit_code == 2
+    assert gauge("show", name, "--reference", "imported").exit_code == 2
+    assert gauge("show", name).exit_code == 0
     imported(tmp_path)
-    assert band_grade(name) is BandGrade.TRIALS
+    assert band_grade(name, DataSource.IMPORTED) is BandGrade.TRIALS
 
 
 def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:

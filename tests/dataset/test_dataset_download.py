@@ -92,11 +92,11 @@ def test_revisions_are_resolved_to_full_hashes(hub: FakeHub) -> None:
     assert resolved_revision("9e0acb7") == COMMIT
     assert resolved_revision("main") == OTHER
     assert resolved_revision(OTHER) == OTHER
-    with pytest.raises(DatasetError, match="cannot be experiment"):
+    with pytest.raises(DatasetError, match="cannot be resolved"):
         resolved_revision(40 * "5")
-    with pytest.raises(DatasetError, match="'v9' cannot be experiment: ValueError: 404"):
+    with pytest.raises(DatasetError, match="'v9' cannot be resolved: ValueError: 404"):
         resolved_revision("v9")
-    with pytest.raises(DatasetError, match="'abcdef0' cannot be experiment"):
+    with pytest.raises(DatasetError, match="'abcdef0' cannot be resolved"):
         resolved_revision("abcdef0")
     hub.commits.append(PINNED_REVISION + 33 * "3")
     with pytest.raises(DatasetError, match="is ambiguous"):

@@ -28,7 +28,7 @@ from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant, load_experi
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.references.imported import DriverSource
+from gauge_envs.references.imported import DataSource
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)
@@ -194,7 +194,7 @@ def test_a_spec_rebuilds_the_run_with_all_its_arguments() -> None:
         parameters=MappingProxyType({"foam.young_modulus_pa": np.float32(50000.0)}),
         settings={"timestep_s": 1 / 3600},
         marker_proxy=MarkerProxy.MATERIAL,
-        drivers=DriverSource.BUNDLED,
+        drivers=DataSource.BUNDLED,
         use_withheld=True,
         render_mode="rgb_array",
         width=np.int64(80),

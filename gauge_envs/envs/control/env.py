@@ -92,7 +92,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self._pictures = Pictures(render_mode, width=width, height=height)
         self.render_mode = render_mode
         chosen = find_variant(variant)
-        experiment = load_experiment(chosen, self._placed(chosen, parameters), drivers="bundled")
+        experiment = load_experiment(chosen, self._placed(chosen, parameters))
         scene = replace(experiment.scene, drivers=self._drivers(experiment.scene), duration_s=self.DURATION_S)
         self.experiment = replace(experiment, scene=scene, frame_count=self.frame_count)
         self.backend_name = backend

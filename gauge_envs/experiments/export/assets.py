@@ -24,7 +24,6 @@ from gauge_envs.experiments.export.usd_layer import usd_layer_text
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.files import data_folder
-from gauge_envs.references.imported import DriverSource
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.meshes import hull_faces
 
@@ -62,7 +61,7 @@ def assets_folder() -> Path:
 
 def asset_texts() -> Iterator[tuple[str, str]]:
     """Path below the assets folder and text of every generated file, in alphabetical order of folders."""
-    experiment = [load_experiment(variant, drivers=DriverSource.BUNDLED) for variant in variants()]
+    experiment = [load_experiment(variant) for variant in variants()]
     for one in experiment:
         yield f"mjcf/{one.variant.name}.xml", mjcf_text(one)
     for name, solid in solid_shapes().items():
@@ -151,7 +150,7 @@ def solid_shapes() -> dict[str, Solid]:
     """Every distinct solid of the scenes, by name: primitives by their dimensions, polyhedra by their body's name."""
     users: dict[Shape, dict[str, str]] = {}
     for variant in variants():
-        experiment = load_experiment(variant, drivers=DriverSource.BUNDLED)
+        experiment = load_experiment(variant)
         scene, listed = experiment.scene, experiment.spec.names
         for name, shape in [
             *((body.name, body.shape) for body in scene.bodies if not isinstance(body.shape, Plane)),

@@ -18,6 +18,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError
@@ -26,7 +27,6 @@ from gauge_envs.experiments.export import assets
 from gauge_envs.experiments.export.assets import asset_texts, assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.experiments.export.mjcf import mjcf_text, write_mjcf
 from gauge_envs.experiments.export.usd_layer import usd_layer_text, write_usd_layer
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_path, variants
 from gauge_envs.scene import (
     Box,

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.experiments.export.usd_layer import write_usd_layer
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.scene import (
     Attachment,
@@ -49,13 +49,13 @@ from gauge_envs.scene.usd.writer import to_usd
 @pytest.mark.parametrize("name", [variant.name for variant in variants()])
 def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
     file = assets_folder() / "usd" / f"{name}.usda"
-    assert from_usd(file) == load_experiment(name, drivers="bundled").scene
+    assert from_usd(file) == load_experiment(name).scene
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
 @pytest.mark.parametrize("name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"])
 def test_every_kind_of_file_keeps_every_double(name: str, suffix: str, tmp_path: Path) -> None:
-    experiment = load_experiment(name, drivers="bundled")
+    experiment = load_experiment(name)
     write_usd_layer(experiment, tmp_path / f"a{suffix}")
     assert from_usd(tmp_path / f"a{suffix}") == experiment.scene
 
@@ -252,7 +252,7 @@ def test_very_many_scenes_come_back_to_the_bit(scene: Scene) -> None:
 
 
 def test_what_is_named_or_driven_twice_is_not_written(tmp_path: Path) -> None:
-    scene = load_experiment("Turntable-1-wood", drivers="bundled").scene
+    scene = load_experiment("Turntable-1-wood").scene
     with pytest.raises(ParameterError, match="'cube' has more than one name"):
         to_usd(replace(scene, bodies=(*scene.bodies, scene.body("cube"))), tmp_path / "a.usda")
     with pytest.raises(ParameterError, match="'plate' has more than one driver"):
