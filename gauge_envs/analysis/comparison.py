@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.metrics import trajectory_rmse
-from gauge_envs.experiments.task_files import find_variant, task_sha256, variants
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import versions
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result

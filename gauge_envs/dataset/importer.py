@@ -18,7 +18,7 @@ from gauge_envs.dataset.trial import Finding, Trial, TrialError, parse_trial
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.imported import DriverRecord, SpreadRecord, VariantRecord, write_imported

@@ -22,8 +22,9 @@ from pathlib import Path
 
 from gauge_envs.dataset.trial import Finding, printable
 from gauge_envs.errors import DatasetError, UnknownNameError
-from gauge_envs.experiments.task_files import task_spec, variants
-from gauge_envs.experiments.task_format import Group, TaskSpec, Variant
+from gauge_envs.experiments.task_files import task_spec
+from gauge_envs.experiments.task_format import Group, TaskSpec
+from gauge_envs.experiments.variants import Variant, variants
 
 __all__ = [
     "REVISION_FILE",

@@ -16,7 +16,7 @@ from gauge_envs.checks.rollout import DeclinedError, DivergedError
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.task_files import find_variant
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene

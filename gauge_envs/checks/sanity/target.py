@@ -17,7 +17,7 @@ from gauge_envs.checks.sanity.model import Configuration
 from gauge_envs.checks.sanity.mujoco_settings import model_settings
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.variants import variants
 
 __all__ = [
     "Target",

@@ -22,7 +22,7 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.export.mjcf import mjcf_text
 from gauge_envs.experiments.export.usd_layer import usd_layer_text
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.meshes import hull_faces
