@@ -30,7 +30,7 @@ def score_file(
     reference: DataSource | str = DataSource.BUNDLED,
     use_withheld: bool = False,
 ) -> tuple[Result, int]:
-    """Score a trajectory that a user brought from their own simulator (formats: `gauge_envs.evaluation.trajectory_file`).
+    """Score a trajectory that a user brought from their own simulator (formats: `evaluation.trajectory_file`).
 
     Args:
         file: CSV, NPZ or JSON file.
