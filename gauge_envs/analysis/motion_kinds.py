@@ -34,8 +34,8 @@ __all__ = [
     "SCALE_BOUNDS",
     "Change",
     "Impact",
-    "RecognizedMotion",
     "MotionKind",
+    "RecognizedMotion",
     "find_impact",
     "recognized",
 ]

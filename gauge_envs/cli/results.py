@@ -56,8 +56,8 @@ def compare(
 
     Results that differ in their seed alone are repeats: mean and scatter. Exit code 1 when a damaged file was skipped.
     """
-    from gauge_envs.analysis.comparison import check_metrics
     from gauge_envs.analysis.comparison import compare as compare_results
+    from gauge_envs.analysis.scores import check_metrics
     from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view
 
     check_one_format(json_lines, markdown)

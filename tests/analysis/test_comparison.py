@@ -10,7 +10,9 @@ from rich.console import Console
 from scipy.stats import gmean
 from typer.testing import CliRunner
 
-from gauge_envs.analysis.comparison import METRICS, MOTION_SHARE, ScoreSpread, check_metrics, compare
+from gauge_envs.analysis.comparison import compare
+from gauge_envs.analysis.distance import MOTION_SHARE
+from gauge_envs.analysis.scores import METRICS, ScoreSpread, check_metrics
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.score import Score
