@@ -13,7 +13,7 @@ from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, std
 from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
-    from gauge_envs.analysis.error_budget import Diagnosis
+    from gauge_envs.analysis.diagnosis import Diagnosis
     from gauge_envs.runs.result import Result
 
 

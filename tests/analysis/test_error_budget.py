@@ -459,7 +459,7 @@ def test_speed_and_displacement_that_cannot_be_told_apart_are_noted():
     mean = slide(140.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert diagnosis.rest.share < 1e-4
-    assert any("how they share it is not" in note for note in diagnosis.notes)
+    assert any("its split between them is not" in note for note in diagnosis.notes)
 
 
 # --- impacts ---------------------------------------------------------------------------------------------------------
@@ -502,7 +502,7 @@ def unscored():
 def test_what_is_missing_is_told(ball, unscored):
     with pytest.raises(DiagnosisError, match="no reference band"):
         diagnose(unscored)
-    with pytest.raises(DiagnosisError, match="diverged, so that there is no score"):
+    with pytest.raises(DiagnosisError, match="diverged, so there is no score"):
         diagnose(replace(ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"))
     with pytest.raises(DiagnosisError, match="withheld"):
         experiment = load_experiment("SlopeContact-wood")
