@@ -135,7 +135,7 @@ def read_impacts(facts: Path) -> list[Impact]:
 
 
 def reconstruct_slides(slides: Sequence[Slide], frame_count: int) -> Trials:
-    """Return trials of the measured samples; other frames take the quadratic through them, at rest before its vertex."""
+    """Return trials of the measured samples; other frames take their quadratic, at rest before its vertex."""
     positions = np.empty((len(slides), frame_count))
     measured = np.zeros((len(slides), frame_count), dtype=bool)
     for trial, slide in enumerate(slides):
