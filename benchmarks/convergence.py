@@ -132,15 +132,15 @@ def row(name: str, frame_count: int, fine_frame_count: int) -> str:
         fine_frame_count: Frames at most of the run with half the cell, which is compared over these only; below 2
             there is none.
     """
-    resolved = load_experiment(name)
-    settings = settings_for(resolved.scene)
+    experiment = load_experiment(name)
+    settings = settings_for(experiment.scene)
     preset = episode(name, frame_count, {})
     half_step = episode(name, frame_count, {"timestep_s": 0.5 * settings.timestep_s})
     half_cell, compared = None, preset
-    if fine_frame_count > 1 and any(isinstance(body, Cloth) for body in resolved.scene.deformables):
+    if fine_frame_count > 1 and any(isinstance(body, Cloth) for body in experiment.scene.deformables):
         half_cell = episode(name, min(frame_count, fine_frame_count), {"cloth_cell_m": 0.5 * settings.cloth_cell_m})
         compared = preset.first(len(half_cell.frames))
-    unit = UNITS[resolved.spec.score.observable]
+    unit = UNITS[experiment.spec.score.observable]
     count = f"{len(preset.frames)}" + (f"/{len(half_cell.frames)}" if half_cell else "")
     moved = rms(preset.frames - preset.frames[0])
     return (

@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gauge_envs import load_experiment
 from gauge_envs.dataset.importer import import_trials
 from gauge_envs.dataset.layout import find_trials
-from gauge_envs.experiments.resolve import load_experiment
 
 VARIANT = "TextileFlinging-satin"
 FOLDER = "data/textile/textile flinging/json/satin"
@@ -34,12 +34,12 @@ LIMIT_BYTES = 1e9
 
 def write_trials(root: Path, trials: int, frames: int) -> int:
     """Write trials that sway, with noise of 0.5 mm; no two are equal. Returns the bytes written."""
-    resolved = load_experiment(VARIANT, drivers="bundled")
-    markers = resolved.scene.markers
+    experiment = load_experiment(VARIANT)
+    markers = experiment.scene.markers
     assert markers is not None
     random = np.random.default_rng(0)
     rest = 1e3 * np.asarray(markers.positions_m)
-    rod = 1e3 * np.asarray(resolved.scene.body("rod").pose.position_m)
+    rod = 1e3 * np.asarray(experiment.scene.body("rod").pose.position_m)
     depth = (rest[:, 2].max() - rest[:, 2])[:, None]
     sway = np.sin(np.arange(frames) / 15.0)[:, None, None] * (0.3 * depth) * [0.0, 1.0, 0.0]
     folder = root / FOLDER
@@ -102,7 +102,7 @@ def main() -> int:
             text=True,
         )
     found = json.loads(child.stdout)
-    markers = len(load_experiment(VARIANT, drivers="bundled").scene.markers.positions_m)
+    markers = len(load_experiment(VARIANT).scene.markers.positions_m)
     print(f"{options.trials} trials of {options.frames} frames x {markers} markers, {written / 1e6:.0f} MB of JSON")
     print(f"imported {found['trials']:.0f}, left out {found['left_out']:.0f}, in {found['wall_s']:.1f} s:")
     print(f"  {found['trials'] / found['wall_s']:.1f} trials/s, {written / 1e6 / found['wall_s']:.1f} MB/s")

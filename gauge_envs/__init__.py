@@ -20,9 +20,10 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.resolve import load_experiment, load_experiment_from_asset
 from gauge_envs.experiments.task_files import find_variant, load_task, variants
 from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.scene.jitter import Jitter
 
 __all__ = [
@@ -35,6 +36,8 @@ __all__ = [
     "Trajectory",
     "Variant",
     "load_experiment",
+    "load_experiment_file",
+    "load_experiment_from_asset",
     "find_variant",
     "load_task",
     "reference_band",

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs import load_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.experiments.task_format import Variant
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
@@ -67,7 +67,7 @@ class Row:
 
 def coverage(variant: Variant) -> Row:
     """Return what the package holds for one variant."""
-    resolved = load_experiment(variant, drivers="bundled")
+    experiment = load_experiment(variant)
     band, law = bundled_band(variant.name), law_for(variant.name)
     grade = band.grade if band is not None else BandGrade.NONE if law is None else BandGrade.LAW
     withheld = None if band is None else band.withheld
@@ -78,9 +78,13 @@ def coverage(variant: Variant) -> Row:
         variant=variant.name,
         grade=grade,
         withheld=withheld,
-        known=f"{known_frames(band)} of {resolved.frame_count}" if band is not None else "-" if law is None else "all",
+        known=f"{known_frames(band)} of {experiment.frame_count}"
+        if band is not None
+        else "-"
+        if law is None
+        else "all",
         sigma=band.sigma_source.value if band is not None else "-" if law is None else "baseline",
-        driver=resolved.driver_provenance or "-",
+        driver=experiment.driver_provenance or "-",
         normalized=", ".join(metric.upper() for metric in metrics) or "no",
     )
 

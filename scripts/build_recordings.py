@@ -25,7 +25,7 @@ from generated import write_or_check
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs import load_experiment
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -118,14 +118,14 @@ def recorded_band(
     Raises:
         ValueError: A coordinate is measured at no frame, or number of frames or of coordinates is not the experiment's.
     """
-    resolved = load_experiment(variant, drivers="bundled")
-    frame_count = resolved.frame_count
+    experiment = load_experiment(variant)
+    frame_count = experiment.frame_count
     baseline = published_baselines(variant).get("rmse")
     if baseline is not None and baseline.frames != frame_count:
         raise ValueError(f"{variant} has {frame_count} frames, published are {baseline.frames}")
     frame_times_s = recording["frame_zero_s"] + np.arange(frame_count) / FRAME_RATE_HZ
     interval_s = 1.0 / recording["pictures_per_s"]
-    if (width := len(resolved.coordinates)) != layout["width"]:
+    if (width := len(experiment.coordinates)) != layout["width"]:
         raise ValueError(f"{variant} has {width} coordinates, the layout {layout['width']}")
     used = table.get("used", np.ones_like(table["time_s"])) == 1
     mean, uncertainty = [], []
@@ -177,7 +177,7 @@ def band_toml(
         GENERATED,
         'grade = "recording"',
         f'sigma_source = "{"measurement" if band.sigma is None else "baseline"}"',
-        f'unit = "{load_experiment(variant, drivers="bundled").spec.score.observable.unit}"',
+        f'unit = "{load_experiment(variant).spec.score.observable.unit}"',
         f"frames = {len(band.mean)}",
         f"coordinates = {json.dumps(band.names)}",
     ]

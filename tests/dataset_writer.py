@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import find_variant
+from gauge_envs import find_variant, load_experiment
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
 
 FloatArray = NDArray[np.float64]
 
@@ -99,13 +98,13 @@ class Synthetic:
     """Trials of one variant that are known in closed form.
 
     Attributes:
-        resolved: The experiment.
+        experiment: The experiment.
         contents: The trial files.
         coordinates: Coordinates of each driver's motions, mean over trials [m or rad], by body, shape
             [frame_count, motion_count].
     """
 
-    resolved: Experiment
+    experiment: Experiment
     contents: list[dict[str, Any]]
     coordinates: dict[str, FloatArray]
 
@@ -116,39 +115,39 @@ def synthetic_trials(name: str, amounts: Sequence[float] = AMOUNTS, *, frames_af
     Bodies move 2 mm a frame along x, and each trial is off by its amount [mm] along y. Markers are their rest shape,
     scaled about the first of them by 1 + 1e-3 amount. Drivers move by 1e-3 m or rad a frame and motion.
     """
-    resolved = load_experiment(name, drivers="bundled")
-    scene = resolved.scene
-    count = resolved.frame_count + frames_after
+    experiment = load_experiment(name)
+    scene = experiment.scene
+    count = experiment.frame_count + frames_after
     frames = np.arange(count)[:, None]
     contents = []
     for amount in amounts:
         assets: dict[str, Any] = {}
-        for body in resolved.recorded:
+        for body in experiment.recorded:
             start = 1e3 * np.asarray(scene.body(body).pose.position_m)
             positions = start + frames * [2.0, 0.0, 0.0] + np.array([0.0, amount, 0.0])
-            positions[resolved.frame_count :] = 1e4
+            positions[experiment.frame_count :] = 1e4
             assets[body] = body_asset(positions)
         if scene.markers is not None:
-            positions = np.repeat(scaled_markers(resolved, amount)[None], count, axis=0)
-            positions[resolved.frame_count :] = 1e4
+            positions = np.repeat(scaled_markers(experiment, amount)[None], count, axis=0)
+            positions[experiment.frame_count :] = 1e4
             ids = 5 + 3 * np.arange(positions.shape[1])  # from one digit to three: as text, 11 comes before 5
             order = np.argsort(ids.astype(str))
             assets["markers" if len(scene.markers.bodies) > 1 else scene.markers.bodies[0]] = marker_asset(
                 positions[:, order], ids[order].tolist()
             )
         for driver in scene.drivers:
-            assets[driver.body] = driven_asset(resolved, driver.body, count)
+            assets[driver.body] = driven_asset(experiment, driver.body, count)
         contents.append(trial_content(assets))
     coordinates = {
-        driver.body: driver_coordinates(len(driver.motions), resolved.frame_count) for driver in scene.drivers
+        driver.body: driver_coordinates(len(driver.motions), experiment.frame_count) for driver in scene.drivers
     }
-    return Synthetic(resolved, contents, coordinates)
+    return Synthetic(experiment, contents, coordinates)
 
 
-def scaled_markers(resolved: Experiment, amount: float) -> FloatArray:
+def scaled_markers(experiment: Experiment, amount: float) -> FloatArray:
     """Marker positions [mm] of a trial, shape [marker_count, 3]."""
-    assert resolved.scene.markers is not None
-    rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
+    assert experiment.scene.markers is not None
+    rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
     return rest[0] + (1.0 + 1e-3 * amount) * (rest - rest[0])
 
 
@@ -157,10 +156,10 @@ def driver_coordinates(motion_count: int, frame_count: int) -> FloatArray:
     return 1e-3 * np.arange(frame_count)[:, None] * np.arange(1, motion_count + 1)
 
 
-def driven_asset(resolved: Experiment, body: str, count: int) -> dict[str, list[float]]:
+def driven_asset(experiment: Experiment, body: str, count: int) -> dict[str, list[float]]:
     """A driven body on its way, by composing its driver's motions in order."""
-    driver = next(driver for driver in resolved.scene.drivers if driver.body == body)
-    start = resolved.scene.body(body).pose
+    driver = next(driver for driver in experiment.scene.drivers if driver.body == body)
+    start = experiment.scene.body(body).pose
     positions = np.repeat(np.asarray(start.position_m)[None], count, axis=0)
     rotations = Rotation.concatenate([start.rotation] * count)
     for motion, values in zip(driver.motions, driver_coordinates(len(driver.motions), count).T, strict=True):

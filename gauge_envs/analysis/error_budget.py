@@ -5,7 +5,7 @@ squared error is its part of the budget. Three stages, each a change that has a 
 
 - `release`: it is played later by a constant time and held at both ends, as `release_offset` of the score does;
 - `offset`: a constant is added, one number a coordinate;
-- `rate`: the motion is faster or larger, in the quantity that it has (`gauge_envs.analysis.motion_kinds.MotionKind`): another
+- `rate`: the motion is faster or larger, in the quantity that it has (`analysis.motion_kinds.MotionKind`): another
   acceleration, restitution, period and amplitude, or in general a stretch of time and of displacement.
 
 Stages are nested least squares: each adds its change to those before it, and all of them are fitted again. So the
@@ -234,9 +234,9 @@ def diagnose(
     if result.outcome is not Outcome.FINISHED or result.trajectory is None:
         reason = result.error or result.diverged_reason or "it holds no trajectory"
         raise DiagnosisError(f"{result.id}: {result.outcome.value}, so that there is no score to explain: {reason}")
-    resolved = recorded_experiment(result)
+    experiment = recorded_experiment(result)
     if band is None:
-        band = reference_band(resolved, use_withheld=use_withheld or result.score.withheld is not None)
+        band = reference_band(experiment, use_withheld=use_withheld or result.score.withheld is not None)
     times_s, values = result.trajectory.arrays()
     if band is not None and (own := values.shape[1]) != (taken := band.projection.shape[1]):
         raise DiagnosisError(
@@ -244,7 +244,7 @@ def diagnose(
             "version of the task file; run it again"
         )
     diagnosis = diagnose_trajectory(
-        resolved,
+        experiment,
         band,
         times_s=times_s,
         values=values,
@@ -262,7 +262,7 @@ def diagnose(
 
 
 def diagnose_trajectory(
-    resolved: Experiment,
+    experiment: Experiment,
     band: Band | None,
     *,
     times_s: FloatArray,
@@ -273,7 +273,7 @@ def diagnose_trajectory(
     """Error budget of a generalized trajectory.
 
     Args:
-        resolved: The experiment that it is of.
+        experiment: The experiment that it is of.
         band: What to measure against.
         times_s: Times of the samples from frame 0 on [s], strictly increasing, shape [sample_count]; they must reach
             the last frame. 180 samples a second or more make times exact.
@@ -288,16 +288,16 @@ def diagnose_trajectory(
     """
     stages = stage_order(order)
     if band is None:
-        raise DiagnosisError(f"{resolved.id}: {_why_no_band(resolved.name)}")
+        raise DiagnosisError(f"{experiment.id}: {_why_no_band(experiment.name)}")
     times_s, values = _checked(times_s, values, len(band.mean))
     reference = np.where(band.measured[:, None], band.mean, np.nan) if measured_only else np.array(band.mean)
     if not np.isfinite(reference).any():
-        raise DiagnosisError(f"{resolved.id}: its band has no {'measured ' if measured_only else ''}frame")
+        raise DiagnosisError(f"{experiment.id}: its band has no {'measured ' if measured_only else ''}frame")
     simulated = band.project(values)
     last_s = float(np.flatnonzero(np.isfinite(reference).any(axis=1))[-1]) / FRAME_RATE_HZ
-    motion = recognized(resolved, band, times_s, simulated, until_s=last_s)
+    motion = recognized(experiment, band, times_s, simulated, until_s=last_s)
     budget = _Budget(reference, times_s, simulated, motion, _missing(band, simulated))
-    return _diagnosis(resolved, band, budget, stages, measured_only=measured_only)
+    return _diagnosis(experiment, band, budget, stages, measured_only=measured_only)
 
 
 def stage_order(names: Iterable[str]) -> tuple[Stage, ...]:
@@ -355,30 +355,27 @@ def _missing(band: Band, simulated: FloatArray) -> dict[Stage, str]:
     return missing
 
 
-# --- fits ------------------------------------------------------------------------------------------------------------
-
-
 # --- budget ----------------------------------------------------------------------------------------------------------
 
 
 def _diagnosis(
-    resolved: Experiment, band: Band, budget: _Budget, order: Sequence[Stage], *, measured_only: bool
+    experiment: Experiment, band: Band, budget: _Budget, order: Sequence[Stage], *, measured_only: bool
 ) -> Diagnosis:
-    baselines = resolved.baselines
+    baselines = experiment.baselines
     baseline = baselines["rmse"].mean if "rmse" in baselines else None
     whole, left = budget.fit(()), budget.fit(order)
     deviations = budget.deviations()
     extrapolated = ~band.measured[budget.known]
     return Diagnosis(
-        id=resolved.id,
+        id=experiment.id,
         grade=band.grade.value,
         source=band.source,
         unit=band.unit,
         baseline=baseline,
         coordinates=band.coordinates,
         kind=budget.motion.kind,
-        subject=_subject(resolved),
-        driven=bool(resolved.scene.drivers),
+        subject=_subject(experiment),
+        driven=bool(experiment.scene.drivers),
         frames=budget.frame_count,
         extrapolated_frames=int(extrapolated.sum()),
         extrapolated_share=_over(float(deviations[extrapolated].sum()), float(deviations.sum())),
@@ -507,7 +504,7 @@ def _normalized(mean_square: float, baseline: float | None) -> float | None:
 MARKERS, SEVERAL_BODIES = "the markers", "the bodies"
 
 
-def _subject(resolved: Experiment) -> str:
-    if not resolved.recorded:
+def _subject(experiment: Experiment) -> str:
+    if not experiment.recorded:
         return MARKERS
-    return f"the {resolved.recorded[0]}" if len(resolved.recorded) == 1 else SEVERAL_BODIES
+    return f"the {experiment.recorded[0]}" if len(experiment.recorded) == 1 else SEVERAL_BODIES

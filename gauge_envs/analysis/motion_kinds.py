@@ -220,12 +220,12 @@ def _change(quantity: str, unit: str, simulated: float, fitted: float, at_bound:
 
 
 def recognized(
-    resolved: Experiment, band: Band, times_s: FloatArray, values: FloatArray, *, until_s: float | None = None
+    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray, *, until_s: float | None = None
 ) -> Motion:
     """What a trajectory does, ready to be changed.
 
     Args:
-        resolved: The experiment that it is of.
+        experiment: The experiment that it is of.
         band: Band in whose coordinates it is.
         times_s: Times from 0 on [s], shape [S].
         values: Its band coordinates at these times, shape [S, C].
@@ -233,11 +233,11 @@ def recognized(
             looks at all of it.
     """
     seen = slice(None) if until_s is None else slice(0, int(np.searchsorted(times_s, until_s + 1e-6, side="right")))
-    single = resolved.score.observable is Observable.POSITION and len(resolved.recorded) == 1
-    if single and not resolved.scene.drivers:
+    single = experiment.score.observable is Observable.POSITION and len(experiment.recorded) == 1
+    if single and not experiment.scene.drivers:
         motion = (
-            _oscillation(resolved, band, times_s, values)
-            or _rebound(resolved, times_s, values, seen)
+            _oscillation(experiment, band, times_s, values)
+            or _rebound(experiment, times_s, values, seen)
             or _uniform_acceleration(times_s, values, seen)
         )
         if motion is not None:
@@ -273,10 +273,10 @@ def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) 
     )
 
 
-def _rebound(resolved: Experiment, times_s: FloatArray, values: FloatArray, seen: slice) -> Motion | None:
-    body = resolved.recorded[0]
-    contacts = [c for c in resolved.scene.contacts if body in (*c.first, *c.second)]
-    if resolved.scene.joints or not contacts or any(c.mode is not ContactMode.IMPACT for c in contacts):
+def _rebound(experiment: Experiment, times_s: FloatArray, values: FloatArray, seen: slice) -> Motion | None:
+    body = experiment.recorded[0]
+    contacts = [c for c in experiment.scene.contacts if body in (*c.first, *c.second)]
+    if experiment.scene.joints or not contacts or any(c.mode is not ContactMode.IMPACT for c in contacts):
         return None
     impact = find_impact(times_s[seen], values[seen])
     if impact is None:
@@ -341,12 +341,12 @@ def _parabola(times_s: FloatArray, height: FloatArray) -> np.polynomial.Polynomi
     return fitted if misfit <= SHAPE_TOLERANCE * float(np.ptp(height)) else None
 
 
-def _oscillation(resolved: Experiment, band: Band, times_s: FloatArray, values: FloatArray) -> Motion | None:
-    joint = next((j for j in resolved.scene.joints if j.body == resolved.recorded[0]), None)
+def _oscillation(experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray) -> Motion | None:
+    joint = next((j for j in experiment.scene.joints if j.body == experiment.recorded[0]), None)
     period_s = None if joint is None else _period(times_s, values)
     if joint is None or period_s is None:
         return None
-    arm_m = math.dist(joint.anchor_m, resolved.scene.body(joint.body).pose.position_m)
+    arm_m = math.dist(joint.anchor_m, experiment.scene.body(joint.body).pose.position_m)
     rest_m = np.asarray(joint.anchor_m) - [0.0, 0.0, arm_m]
     centre = band.project(1e3 * rest_m[None])[0]
 

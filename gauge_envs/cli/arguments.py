@@ -14,10 +14,14 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.task_files import find_variant, variants
 from gauge_envs.experiments.task_format import Variant
+from gauge_envs.references.imported import DataSource
 
 __all__ = [
     "GLOB_CHARACTERS",
     "AssetOption",
+    "DriversOption",
+    "ReferenceOption",
+    "WithheldOption",
     "Json",
     "ParametersOption",
     "check_one_format",
@@ -43,6 +47,25 @@ AssetOption = Annotated[
 ParametersOption = Annotated[
     str | None,
     typer.Option("--parameters", help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1"),
+]
+
+
+DriversOption = Annotated[
+    DataSource,
+    typer.Option(
+        "--drivers", help="Driven motion: bundled, as the task file states; imported, as imported trials show."
+    ),
+]
+
+
+ReferenceOption = Annotated[
+    DataSource,
+    typer.Option("--reference", help="Band: bundled with the package; imported, of imported trials."),
+]
+
+
+WithheldOption = Annotated[
+    bool, typer.Option("--use-withheld", help="Score also on a band that is withheld; gauge show reports why it is.")
 ]
 
 

@@ -18,7 +18,6 @@ from gauge_envs.cli.output import (
     stderr_console,
     stdout_console,
 )
-from gauge_envs.references.imported import DriverSource
 
 __all__ = [
     "assets_app",
@@ -28,7 +27,6 @@ __all__ = [
     "data_download",
     "data_import",
     "data_status",
-    "data_use",
 ]
 
 
@@ -96,6 +94,8 @@ def data_import(
     trials = sum(one.used for one in imports)
     kept = sum(one.record is not None for one in imports)
     stderr.print(f"{counted(trials, 'trial')} of {counted(kept, 'experiment')} imported")
+    if kept:
+        stderr.print("Use them with `gauge run ID --drivers imported --reference imported`; the default stays bundled.")
     if any(finding.left_out for finding in findings):
         raise typer.Exit(EXIT_FAILED)
 
@@ -114,19 +114,6 @@ def data_status(
         print_json_lines(rows)
     else:
         stdout_console().print(status_table(rows))
-
-
-@data_app.command("use")
-def data_use(
-    drivers: Annotated[
-        DriverSource, typer.Option(help="imported: as the real trials show; bundled: as the task files state.")
-    ],
-) -> None:
-    """Choose the motion of driven bodies after an import; results record it, gauge show tells which is in use."""
-    from gauge_envs.references.imported import choose_drivers
-
-    choose_drivers(drivers)
-    typer.echo(f"drivers: {drivers.value}")
 
 
 assets_app = typer.Typer(help="Scenes as USD, MJCF and OBJ for other tools.", no_args_is_help=True)

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import AssetOption, Json, matching_variants
+from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, matching_variants
 from gauge_envs.cli.output import counted, print_json_lines, stdout_console
+from gauge_envs.references.imported import DataSource
 
 __all__ = [
     "list_",
@@ -38,6 +39,8 @@ def list_(
 def show(
     name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/; or an experiment file.")],
     asset: AssetOption = None,
+    drivers: DriversOption = DataSource.BUNDLED,
+    reference: ReferenceOption = DataSource.BUNDLED,
     json_lines: Json = False,
 ) -> None:
     """Show one experiment: scene, constants and where each number is from, reference, published scores.
@@ -45,14 +48,14 @@ def show(
     Of a control task: its law, limit and reward.
     """
     from gauge_envs.envs.control import control_tasks, find_control_task
-    from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.experiments.resolve import resolve_experiment
     from gauge_envs.report import control_description, control_view, description, description_view
 
     if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
         values = control_description(find_control_task(name))
         view = control_view(values)
     else:
-        values = description(load_experiment(name, asset=asset))
+        values = description(resolve_experiment(name, drivers=drivers, reference=reference, asset=asset))
         view = description_view(values)
     if json_lines:
         print_json_lines([values])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, check_one_format
+from gauge_envs.cli.arguments import Json, WithheldOption, check_one_format
 from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, stderr_console, stdout_console
 from gauge_envs.errors import ParameterError, ResultFileError
 
@@ -90,9 +90,7 @@ def diagnose(
         str, typer.Option(help="Parts in the order in which they are added to the fit.")
     ] = "release,offset,rate",
     measured_only: Annotated[bool, typer.Option("--measured-only", help="Leave out extrapolated frames.")] = False,
-    use_withheld: Annotated[
-        bool, typer.Option("--use-withheld", help="Also on a band that is withheld; gauge show tells why it is.")
-    ] = False,
+    use_withheld: WithheldOption = False,
     out: Annotated[Path | None, typer.Option(help="Folder for a picture; none is drawn without it.")] = None,
     json_lines: Json = False,
 ) -> None:

@@ -11,8 +11,11 @@ import typer
 
 from gauge_envs.cli.arguments import (
     AssetOption,
+    DriversOption,
     Json,
     ParametersOption,
+    ReferenceOption,
+    WithheldOption,
     is_glob,
     matching_subjects,
     parsed_parameters,
@@ -29,6 +32,7 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 from gauge_envs.errors import ParameterError
+from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter
 
 if TYPE_CHECKING:
@@ -50,6 +54,9 @@ def run(
     backends: Annotated[list[str] | None, typer.Option("--backend", help="Repeatable; mujoco by default.")] = None,
     parameters: ParametersOption = None,
     asset: AssetOption = None,
+    drivers: DriversOption = DataSource.BUNDLED,
+    reference: ReferenceOption = DataSource.BUNDLED,
+    use_withheld: WithheldOption = False,
     changes: Annotated[
         list[str] | None, typer.Option("--set", help="Numerical setting of the backend, as timestep_s=0.0005.")
     ] = None,
@@ -76,10 +83,9 @@ def run(
     Exit code 1 when an episode failed or diverged, or one that was asked for by its id was declined; those that a
     pattern or --all adds may be declined.
     """
-    from gauge_envs.experiments.resolve import load_experiment
-    from gauge_envs.observables.observer import checked_proxy
     from gauge_envs.report import summary_view
-    from gauge_envs.runs.batch import check_request, run_many
+    from gauge_envs.runs.batch import check_requests, run_many
+    from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Outcome
 
     if not ids and not every:
@@ -91,28 +97,38 @@ def run(
     )
     engines = list(dict.fromkeys(backends or ["mujoco"]))
     values, settings = parsed_parameters(parameters) or "calibrated", parsed_settings(changes or [])
-    check_request(chosen, backends=engines, parameters=values, settings=settings, asset=asset)
-    by_name = {load_experiment(subject, asset=asset).id for subject in named}
+    requests = [
+        RunRequest(
+            subject,
+            backend=engine,
+            parameters=values,
+            settings=settings,
+            marker_proxy=marker_proxy,
+            drivers=drivers,
+            reference=reference,
+            use_withheld=use_withheld,
+            asset=asset,
+            seed=seed,
+            repeats=repeats,
+            jitter=_jitter(jitter_mm, jitter_deg),
+        )
+        for engine in engines
+        for subject in chosen
+    ]
+    check_requests(requests)
+    by_name = {request.calibrated_experiment().id for request in requests if request.subject in named}
 
     stderr = stderr_console()
     results: list[Result] = []
     episodes = run_many(
-        chosen,
-        backends=engines,
-        parameters=values,
-        settings=settings,
-        marker_proxy=checked_proxy(marker_proxy).value,
-        asset=asset,
-        seed=seed,
-        repeats=repeats,
-        jitter=_jitter(jitter_mm, jitter_deg),
+        requests,
         out=out,
         resume=resume,
         notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
     )
     try:
         with progress_bar(stderr) as progress:
-            bar = progress.add_task("episodes", total=len(chosen) * len(engines) * repeats)
+            bar = progress.add_task("episodes", total=len(requests) * repeats)
             for result in episodes:
                 results.append(result)
                 progress.update(bar, advance=1, description=result.id.removeprefix("GAUGE/"))
@@ -135,9 +151,8 @@ def score(
         str | None, typer.Option("--id", help="Experiment, or experiment file; a JSON file may state it itself.")
     ] = None,
     parameters: ParametersOption = None,
-    use_withheld: Annotated[
-        bool, typer.Option("--use-withheld", help="Score on a band that is withheld; gauge show tells why it is.")
-    ] = False,
+    reference: ReferenceOption = DataSource.BUNDLED,
+    use_withheld: WithheldOption = False,
     json_lines: Json = False,
 ) -> None:
     """Score a trajectory from your own simulator: g(t) in the observable's unit (mm for positions), no engine needed.
@@ -148,7 +163,11 @@ def score(
     from gauge_envs.runs.score_file import score_file
 
     result, interpolated = score_file(
-        file, variant=name, parameters=parsed_parameters(parameters), use_withheld=use_withheld
+        file,
+        variant=name,
+        parameters=parsed_parameters(parameters),
+        reference=reference,
+        use_withheld=use_withheld,
     )
     if interpolated:
         stderr_console().print(

@@ -21,7 +21,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.references.imported import DriverRecord, DriverSource, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.imported import DriverRecord, SpreadRecord, VariantRecord, write_imported
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -160,13 +160,13 @@ class _VariantImporter:
 
     def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str]) -> None:
         # Recorded motion is projected on the task file's motions, whatever was imported before.
-        self._resolved = load_experiment(variant, drivers=DriverSource.BUNDLED)
+        self._experiment = load_experiment(variant)
         self._layout = layout
         self._seen = seen
-        self._coordinates = self._resolved.coordinates
-        self.spool = TrialSpool(self._resolved.frame_count, len(self._coordinates))
-        self._drivers = {driver.body: _DriverMean(driver) for driver in self._resolved.scene.drivers}
-        self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._resolved)}
+        self._coordinates = self._experiment.coordinates
+        self.spool = TrialSpool(self._experiment.frame_count, len(self._coordinates))
+        self._drivers = {driver.body: _DriverMean(driver) for driver in self._experiment.scene.drivers}
+        self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._experiment)}
         self._files: dict[str, str] = {}
         self._findings: list[Finding] = []
 
@@ -179,7 +179,7 @@ class _VariantImporter:
             if digest in self._seen:
                 raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
             trial = parse_trial(content)
-            trajectory = trial_trajectory(trial, self._resolved)
+            trajectory = trial_trajectory(trial, self._experiment)
         except TrialError as error:
             self._add_finding(file, error, left_out=True)
             return
@@ -200,9 +200,9 @@ class _VariantImporter:
             record = self._store(statistics, rows, left_out)
         else:
             error = TrialError("(folder)", f"{used} of its trials can be used", f"{LEAST_TRIALS} or more are needed")
-            self._add_finding(self._resolved.name, error, left_out=True)
+            self._add_finding(self._experiment.name, error, left_out=True)
         return ImportedTrials(
-            variant=self._resolved.variant,
+            variant=self._experiment.variant,
             record=record,
             used=used,
             left_out=left_out,
@@ -222,7 +222,7 @@ class _VariantImporter:
             self._add_finding(file, error, left_out=False)
             return
         times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
-        score = score_trajectory(self._resolved, None, times_s=times_s, values=trajectory)
+        score = score_trajectory(self._experiment, None, times_s=times_s, values=trajectory)
         for metric, values in self._events.items():
             value = getattr(score, EVENT_FIELDS[metric])
             values.append(np.nan if value is None else value)
@@ -230,7 +230,7 @@ class _VariantImporter:
     def _add_drivers(self, file: str, trial: Trial) -> None:
         """A trial whose driver is unknown still shows what it drove."""
         try:
-            tracks = driver_tracks(trial, self._resolved)
+            tracks = driver_tracks(trial, self._experiment)
         except TrialError as error:
             self._add_finding(file, error, left_out=False)
             return
@@ -244,12 +244,12 @@ class _VariantImporter:
                 self._add_finding(file, error, left_out=False)
 
     def _rows(self, statistics: TrialStatistics | None) -> tuple[BaselineRow, ...]:
-        published = published_baselines(self._resolved.name)
+        published = published_baselines(self._experiment.name)
         own: dict[str, Spread | None] = {}
         if statistics is not None:
             own = {"rmse": Spread.of(statistics.rmse), "dtw": Spread.of(statistics.dtw)}
         own |= {metric: Spread.of(np.array(values)) for metric, values in self._events.items()}
-        unit = self._resolved.score.observable.unit
+        unit = self._experiment.score.observable.unit
         return tuple(
             BaselineRow(
                 metric=metric,
@@ -261,10 +261,10 @@ class _VariantImporter:
         )
 
     def _store(self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int) -> VariantRecord:
-        resolved = self._resolved
+        experiment = self._experiment
         band = Band(
             grade=BandGrade.TRIALS,
-            unit=resolved.score.observable.unit,
+            unit=experiment.score.observable.unit,
             coordinates=self._coordinates,
             projection=np.eye(len(self._coordinates)),
             mean=statistics.mean,
@@ -277,11 +277,11 @@ class _VariantImporter:
         return write_imported(
             band,
             {body: mean.coordinates for body, mean in drivers.items()},
-            variant=resolved.name,
+            variant=experiment.name,
             left_out=left_out,
             revision=self._layout.revision,
             files=self._files,
-            task_sha256=resolved.file_sha256,
+            task_sha256=experiment.file_sha256,
             metrics=_spread_records(rows),
             driver_records=tuple(mean.record() for mean in drivers.values()),
         )
@@ -359,8 +359,8 @@ def _largest(values: FloatArray) -> float | None:
     return float(values.max()) if values.size else None
 
 
-def _event_metrics(resolved: Experiment) -> tuple[str, ...]:
-    return tuple(metric for metric in resolved.score.metrics if metric in EVENT_FIELDS)
+def _event_metrics(experiment: Experiment) -> tuple[str, ...]:
+    return tuple(metric for metric in experiment.score.metrics if metric in EVENT_FIELDS)
 
 
 def _spread_records(rows: tuple[BaselineRow, ...]) -> Mapping[str, SpreadRecord]:

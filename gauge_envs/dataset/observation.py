@@ -57,12 +57,12 @@ class DriverTrack:
     start_offset_mm: float
 
 
-def trial_trajectory(trial: Trial, resolved: Experiment) -> FloatArray:
+def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     """g(t) of a trial over the frames of an experiment.
 
     Args:
         trial: The trial.
-        resolved: The experiment that it is of.
+        experiment: The experiment that it is of.
 
     Returns:
         In the observable's unit, shape [frame_count, coordinate_count]; NaN where a sample is missing. Frames past
@@ -71,41 +71,43 @@ def trial_trajectory(trial: Trial, resolved: Experiment) -> FloatArray:
     Raises:
         TrialError: The trial is too short, lacks an asset or marker, or is not of this experiment.
     """
-    if resolved.score.observable is Observable.POSITION:
-        names = resolved.recorded
+    if experiment.score.observable is Observable.POSITION:
+        names = experiment.recorded
         tracks = [_pose(trial, name).positions_mm for name in names]
         for name, positions in zip(names, tracks, strict=True):
             if len(positions) != len(tracks[0]):
                 raise TrialError(
                     name, f"it has {len(positions)} frames", f"{len(tracks[0])} are expected, as {names[0]} has"
                 )
-            _check_start(name, positions, np.asarray(resolved.scene.body(name).pose.position_m))
+            _check_start(name, positions, np.asarray(experiment.scene.body(name).pose.position_m))
         values = np.concatenate(tracks, axis=1)
     else:
-        values = _marker_trajectory(trial, resolved)
-    _check_length(len(values), resolved)
-    frames = np.full((resolved.frame_count, values.shape[1]), np.nan)
-    count = min(len(values), resolved.frame_count)
+        values = _marker_trajectory(trial, experiment)
+    _check_length(len(values), experiment)
+    frames = np.full((experiment.frame_count, values.shape[1]), np.nan)
+    count = min(len(values), experiment.frame_count)
     frames[:count] = values[:count]
     if np.isnan(frames).all():
         raise TrialError("(file)", "no frame of what is recorded was captured", "samples are expected")
     return frames
 
 
-def driver_tracks(trial: Trial, resolved: Experiment) -> tuple[DriverTrack, ...]:
+def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ...]:
     """Recorded motion of the driven bodies, in the order of the scene's drivers.
 
     Raises:
         TrialError: A driven body is missing, or its motion does not determine a driver's coordinates.
     """
     return tuple(
-        _driver_track(driver, _pose(trial, driver.body), resolved.scene.body(driver.body).pose, resolved.frame_count)
-        for driver in resolved.scene.drivers
+        _driver_track(
+            driver, _pose(trial, driver.body), experiment.scene.body(driver.body).pose, experiment.frame_count
+        )
+        for driver in experiment.scene.drivers
     )
 
 
-def _check_length(frame_count: int, resolved: Experiment) -> None:
-    needed = resolved.frame_count if published_baselines(resolved.name) else 2
+def _check_length(frame_count: int, experiment: Experiment) -> None:
+    needed = experiment.frame_count if published_baselines(experiment.name) else 2
     if frame_count < needed:
         raise TrialError("(file)", f"it has {frame_count} frames", f"{needed} or more are needed")
 
@@ -150,15 +152,15 @@ def _check_start(name: str, positions_mm: FloatArray, start_m: FloatArray) -> No
 # --- markers ---------------------------------------------------------------------------------------------------------
 
 
-def _marker_trajectory(trial: Trial, resolved: Experiment) -> FloatArray:
-    markers = resolved.scene.markers
+def _marker_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
+    markers = experiment.scene.markers
     if markers is None:
         raise TrialError("(file)", "the experiment has no markers", "its task file lists them")
     ids, positions_mm = _markers(trial, markers.bodies, len(markers.positions_m))
     rest_mm = 1e3 * np.asarray(markers.positions_m)
     _check_order(ids, positions_mm, rest_mm)
     try:
-        return observe_markers(1e-3 * positions_mm, markers, resolved.score.observable)
+        return observe_markers(1e-3 * positions_mm, markers, experiment.score.observable)
     except ShapeError as error:
         raise TrialError("markers", str(error), "markers as in the metadata are expected") from None
 

@@ -11,7 +11,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.task_format import Variant
 from gauge_envs.files import data_folder, json_ready
-from gauge_envs.references.imported import load_imported
+from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import published_baselines
 
 __all__ = [
@@ -33,20 +33,22 @@ def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
 
 
 def _row(variant: Variant) -> dict[str, Any]:
-    resolved, imported, band = load_experiment(variant), load_imported(variant.name), load_band(variant.name)
+    imported = load_imported(variant.name)
+    source = DataSource.BUNDLED if imported is None else DataSource.IMPORTED
+    experiment, band = load_experiment(variant, drivers=source), load_band(variant.name, source)
     record = imported.record if imported else None
     recorded = {driver.body: driver.model_dump() for driver in record.drivers} if record else {}
     return json_ready(
         {
             "id": variant.id,
-            "grade": band_grade(variant.name).value,
+            "grade": band_grade(variant.name, source).value,
             "imported": record is not None,
             "trials": band.trial_count if band else None,
             "revision": record.revision if record else None,
             "is_current": record.task_sha256 == task_sha256(variant.family) if record else None,
             "drivers": [
                 {"body": driver.body, "provenance": driver.provenance, "recorded": recorded.get(driver.body)}
-                for driver in resolved.scene.drivers
+                for driver in experiment.scene.drivers
             ],
             "baselines": _baselines(variant),
         }

@@ -71,7 +71,7 @@ def jitter_option(options: Mapping[str, Any]) -> Jitter | None:
     return value
 
 
-def check_support(resolved: Experiment, backend: str) -> None:
+def check_support(experiment: Experiment, backend: str) -> None:
     """Raise when a backend cannot build an experiment.
 
     Raises:
@@ -79,19 +79,19 @@ def check_support(resolved: Experiment, backend: str) -> None:
         MissingExtraError: Its engine is not installed.
         UnsupportedSceneError: It declines; the message gives its reasons, and a backend that can.
     """
-    support = backend_for(backend, resolved.model_file).supports(resolved.scene)
+    support = backend_for(backend, experiment.model_file).supports(experiment.scene)
     if not support:
-        raise UnsupportedSceneError(_unsupported_message(resolved, backend, support.missing))
+        raise UnsupportedSceneError(_unsupported_message(experiment, backend, support.missing))
 
 
-def _unsupported_message(resolved: Experiment, asked: str, missing: tuple[str, ...]) -> str:
+def _unsupported_message(experiment: Experiment, asked: str, missing: tuple[str, ...]) -> str:
     able = []
     for name in backend_names():
         try:
-            if name != asked and backend_for(name, resolved.model_file).supports(resolved.scene):
+            if name != asked and backend_for(name, experiment.model_file).supports(experiment.scene):
                 able.append(name)
         except GaugeError:
             continue
     reasons = "; ".join(missing)
     others = f"backend={able[0]!r} can" if able else "no installed backend can run this experiment yet"
-    return f"{resolved.id}: backend {asked!r} cannot build it: {reasons}; {others}"
+    return f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {others}"

@@ -21,7 +21,7 @@ from gauge_envs.errors import BackendError, EpisodeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.observables.observer import checked_proxy
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -53,7 +53,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
 
     Reward: minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 where there is no reference.
 
-    `info`: `frame`, `time_s`, `reference` (grade of the band), where the scene is that of an edited asset `edited`, and
+    `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (where band and driven
+    motion are from, `bundled` or `imported`), where the scene is that of an edited asset `edited`, and
     when the simulation diverged `diverged` (why).
 
     Copies and pickles are environments of their own that go on bit for bit from where this one is, also in another
@@ -67,8 +68,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         settings: Numerical settings of the backend that replace its defaults.
         marker_proxy: What stands for a marker on a deformable body: `node`, the nearest node, as in the paper; or
             `material`, its own material point between the nodes.
-        drivers: `imported` drives bodies as imported trials show, `bundled` as the task file states; None takes what
-            `gauge data use` chose, `imported` unless it was asked otherwise.
+        drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show.
+        reference: `bundled` scores against what the package has, `imported` against the imported trials.
         asset: File that the scene is from, instead of the task file: a USD layer for any backend, an MJCF file for
             `mujoco`. It states constants and driven motion; what is observed, and what it is scored against, stay the
             variant's. For `GAUGE/Asset` it is an experiment file, as `crate.toml`; docs/assets.md.
@@ -109,14 +110,15 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         settings: Mapping[str, Any] | None = None,
         marker_proxy: str = "node",
         use_withheld: bool = False,
-        drivers: str | None = None,
+        drivers: str = "bundled",
+        reference: str = "bundled",
         asset: str | PathLike[str] | None = None,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
     ) -> None:
         self._pictures = Pictures(render_mode, width=width, height=height)
-        self.experiment = load_experiment(variant, parameters, drivers=drivers, asset=asset)
+        self.experiment = resolve_experiment(variant, parameters, drivers=drivers, reference=reference, asset=asset)
         self.backend_name = backend
         self.render_mode = render_mode
         self.band = reference_band(self.experiment, use_withheld=use_withheld)
@@ -134,9 +136,9 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     def _engine(self) -> Backend:
         return backend_for(self.backend_name, self.experiment.model_file)
 
-    def _build(self, resolved: Experiment) -> None:
-        self.simulation: Simulation = self._engine.build(resolved.scene, self._settings)
-        self.episode = Episode(resolved, self.simulation, band=self.band, marker_proxy=self._marker_proxy)
+    def _build(self, experiment: Experiment) -> None:
+        self.simulation: Simulation = self._engine.build(experiment.scene, self._settings)
+        self.episode = Episode(experiment, self.simulation, band=self.band, marker_proxy=self._marker_proxy)
 
     # --- copies ---
 
@@ -199,11 +201,11 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
             scene = self.experiment.scene
             if jitter is not None:
                 scene = jittered(scene, jitter, seed=self.seed_used)
-            resolved = replace(self.experiment, scene=scene)
-            check_support(resolved, self.backend_name)
+            experiment = replace(self.experiment, scene=scene)
+            check_support(experiment, self.backend_name)
             self._pictures.close()
             self.simulation.close()
-            self._build(resolved)
+            self._build(experiment)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)
         self.episode.begin()

@@ -63,7 +63,7 @@ class Episode:
     """What one episode does to a world and what it records of it.
 
     Args:
-        resolved: The experiment.
+        experiment: The experiment.
         world: The world, standing at the start of the experiment's scene.
         band: What the reward is measured against; None gives a reward of 0.
         marker_proxy: What stands for a marker on a deformable body.
@@ -82,19 +82,19 @@ class Episode:
         ParameterError: The world was built for another drive interval than `SAMPLE_INTERVAL_S`.
     """
 
-    def __init__(self, resolved: Experiment, world: World, *, band: Band | None, marker_proxy: MarkerProxy) -> None:
+    def __init__(self, experiment: Experiment, world: World, *, band: Band | None, marker_proxy: MarkerProxy) -> None:
         check_drive_interval(world.settings)
-        scene = resolved.scene
-        self.experiment = resolved
+        scene = experiment.scene
+        self.experiment = experiment
         self.band = band
         self.marker_proxy = marker_proxy
         self.frame: int | None = None
         self.fault: str | None = None
         self._world = world
-        self._drivers = [DriverPath(driver, scene, resolved.frame_count) for driver in scene.drivers]
+        self._drivers = [DriverPath(driver, scene, experiment.frame_count) for driver in scene.drivers]
         self._driven = tuple(driver.body for driver in scene.drivers)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
-        rows = [self._dynamic.index(name) for name in resolved.recorded]
+        rows = [self._dynamic.index(name) for name in experiment.recorded]
         # A slice reads faster than an index array, and the recorded bodies mostly are all that move.
         self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
         self._masses = np.array([body.mass_kg for body in scene.dynamic_bodies]).reshape(-1, 1)
@@ -110,14 +110,14 @@ class Episode:
         self._band_rows = _band_rows(band)
         self.rest_nodes_m = self.nodes_m()
         self._deformables = [_DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
-        observable = resolved.score.observable
+        observable = experiment.score.observable
         self._observer: Observer = (
-            ObserverPositions(resolved.recorded)
+            ObserverPositions(experiment.recorded)
             if observable is Observable.POSITION
             else ObserverMarkers(scene, observable, world, marker_proxy)
         )
         self._grade = BandGrade.NONE.value if band is None else band.grade.value
-        frames, bodies = resolved.frame_count, len(resolved.recorded)
+        frames, bodies = experiment.frame_count, len(experiment.recorded)
         self._samples = np.full(((frames - 1) * SAMPLES_PER_FRAME + 1, self._observer.width), np.nan)
         self._bodies = np.full((frames, bodies, 13), np.nan)
         self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
@@ -315,9 +315,15 @@ class Episode:
         return observation
 
     def info(self) -> dict[str, Any]:
-        """Frame, time and grade of the reference."""
+        """Frame, time, grade of the reference, and where reference and driven motion are from."""
         frame = self.frame or 0
-        info = {"frame": frame, "time_s": frame / FRAME_RATE_HZ, "reference": self._grade}
+        info = {
+            "frame": frame,
+            "time_s": frame / FRAME_RATE_HZ,
+            "reference": self._grade,
+            "reference_source": self.experiment.reference_source.value,
+            "drivers": self.experiment.drivers.value,
+        }
         return info | {"edited": True} if self.experiment.edited else info
 
     def reward(self) -> float:

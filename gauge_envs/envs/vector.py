@@ -25,7 +25,7 @@ from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.observables.observer import checked_proxy
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -62,6 +62,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         marker_proxy: As of `GaugeEnv`.
         use_withheld: As of `GaugeEnv`.
         drivers: As of `GaugeEnv`.
+        reference: As of `GaugeEnv`.
         asset: As of `GaugeEnv`.
         render_mode: As of `GaugeEnv`.
         width: As of `GaugeEnv`.
@@ -101,7 +102,8 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         settings: Mapping[str, Any] | None = None,
         marker_proxy: str = "node",
         use_withheld: bool = False,
-        drivers: str | None = None,
+        drivers: str = "bundled",
+        reference: str = "bundled",
         asset: str | PathLike[str] | None = None,
         render_mode: str | None = None,
         width: int = 640,
@@ -111,7 +113,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             raise ParameterError(f"num_envs is {num_envs}, expected 1 or more")
         self._pictures = Pictures(render_mode, width=width, height=height)
         self.num_envs = num_envs
-        self.experiment = load_experiment(variant, parameters, drivers=drivers, asset=asset)
+        self.experiment = resolve_experiment(variant, parameters, drivers=drivers, reference=reference, asset=asset)
         self.backend_name = backend
         self.render_mode = render_mode
         self.band = reference_band(self.experiment, use_withheld=use_withheld)
@@ -127,12 +129,12 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
-    def _build(self, resolved: Sequence[Experiment]) -> None:
-        scenes = [one.scene for one in resolved]
+    def _build(self, experiment: Sequence[Experiment]) -> None:
+        scenes = [one.scene for one in experiment]
         self.worlds = backend_for(self.backend_name, self.experiment.model_file).build_worlds(scenes, self._settings)
         self.episodes = [
             Episode(one, world, band=self.band, marker_proxy=self._marker_proxy)
-            for one, world in zip(resolved, self.worlds.worlds, strict=True)
+            for one, world in zip(experiment, self.worlds.worlds, strict=True)
         ]
         self._running: dict[int, Episode] = {}
         self._observations: list[Observation] = []
@@ -187,12 +189,12 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     def _rebuild(self, jitter: Jitter | None) -> None:
         scene = self.experiment.scene
         scenes = [scene if jitter is None else jittered(scene, jitter, seed=seed) for seed in self.seeds_used]
-        resolved = [replace(self.experiment, scene=one) for one in scenes]
-        for one in resolved:
+        experiment = [replace(self.experiment, scene=one) for one in scenes]
+        for one in experiment:
             check_support(one, self.backend_name)
         self._pictures.close()
         self.worlds.close()
-        self._build(resolved)
+        self._build(experiment)
 
     def step(self, actions: Any) -> Step:
         """Simulate one frame, 1/30 s, in every world; where all have ended, start the next episode of all instead.

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.bands import Band, BandGrade, _bundled_band, _folder
-from gauge_envs.references.imported import DriverSource
+from gauge_envs.references.bands import Band, BandGrade, bundled_band
+from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import carried_band, law_for
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -20,29 +20,29 @@ __all__ = [
 ]
 
 
-def reference_band(resolved: Experiment, *, use_withheld: bool = False) -> Band | None:
+def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
     """The best reference there is for an experiment: real trials, else a recording, else a law, else none.
 
+    An experiment with `reference_source` imported is scored against the imported trials alone.
+
     Args:
-        resolved: The experiment.
+        experiment: The experiment.
         use_withheld: Take a band too that is withheld by default, as it may be of another material or covers too
             little; `Band.withheld` gives the reason.
     """
-    if resolved.reference is not None:
-        return resolved.reference.band
-    band = load_band(resolved.name)
+    if experiment.reference is not None:
+        return experiment.reference.band
+    band = load_band(experiment.name, experiment.reference_source)
     if band is not None and (use_withheld or band.withheld is None):
         return band
-    law = law_for(resolved.name)
+    law = law_for(experiment.name)
     if law is None:
         return None
     # An asset changes what is simulated, not what it is held against.
-    scene = (
-        resolved.scene if resolved.asset is None else load_experiment(resolved.name, drivers=DriverSource.BUNDLED).scene
-    )
+    scene = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene
     return carried_band(
-        variant=resolved.name,
-        positions_mm=_carried_positions_mm(scene, law.body, law.carrier, resolved.frame_count),
+        variant=experiment.name,
+        positions_mm=_carried_positions_mm(scene, law.body, law.carrier, experiment.frame_count),
     )
 
 
@@ -55,21 +55,25 @@ def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: in
     return 1e3 * np.array([pose.to_world(place) for pose in poses])
 
 
-def load_band(variant: str) -> Band | None:
-    """The band of a variant: that of imported trials where there are some, else the bundled one; None without either.
+def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | None:
+    """The band of a variant; None where the source has none.
+
+    Args:
+        variant: Name of the variant.
+        source: Bundled band, or that of the imported trials.
 
     Raises:
         ReferenceFileError: A file of the band is damaged.
     """
-    from gauge_envs.references.imported import load_imported  # the store holds bands, so it imports this module
-
+    if source is DataSource.BUNDLED:
+        return bundled_band(variant)
     imported = load_imported(variant)
-    return _bundled_band(_folder("bands"), variant) if imported is None else imported.band
+    return None if imported is None else imported.band
 
 
-def band_grade(variant: str) -> BandGrade:
+def band_grade(variant: str, source: DataSource = DataSource.BUNDLED) -> BandGrade:
     """The grade of what a variant is scored on; a band that is withheld does not count."""
-    band = load_band(variant)
+    band = load_band(variant, source)
     if band is not None and band.withheld is None:
         return band.grade
     return BandGrade.NONE if law_for(variant) is None else BandGrade.LAW

@@ -101,7 +101,7 @@ class Score:
 
 
 def score_trajectory(
-    resolved: Experiment,
+    experiment: Experiment,
     band: Band | None,
     *,
     times_s: NDArray[np.float64],
@@ -110,7 +110,7 @@ def score_trajectory(
     """Score a generalized trajectory.
 
     Args:
-        resolved: The experiment that it is of.
+        experiment: The experiment that it is of.
         band: Reference to score it against; None scores only what needs no band.
         times_s: Times of the samples from the first frame on [s], strictly increasing, shape [sample_count]; they must
             contain the 30 Hz frames, and more samples make the release alignment sharper.
@@ -119,33 +119,33 @@ def score_trajectory(
     Raises:
         ShapeError: A frame is missing, or values are not finite or have the wrong width.
     """
-    frames = _frames(resolved, times_s, values)
-    baselines = resolved.baselines
+    frames = _frames(experiment, times_s, values)
+    baselines = experiment.baselines
     scores: dict[str, Any] = {}
     if band is not None:
         scores |= _band_scores(band, baselines, times_s, values, frames)
-    scores |= _event_scores(resolved, baselines, frames)
+    scores |= _event_scores(experiment, baselines, frames)
     # An event that never happens, or a scale that nothing was measured on, is NaN: no number, and so none reported.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     grade = band.grade if band is not None else BandGrade.NONE
     withheld = None if band is None else band.withheld
     return Score(
         grade=grade.value,
-        unit=resolved.score.observable.unit,
+        unit=experiment.score.observable.unit,
         withheld=withheld,
-        edited=resolved.edited,
+        edited=experiment.edited,
         **scores,
     )
 
 
-def _frames(resolved: Experiment, times_s: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    wanted = np.arange(resolved.frame_count) / FRAME_RATE_HZ
+def _frames(experiment: Experiment, times_s: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    wanted = np.arange(experiment.frame_count) / FRAME_RATE_HZ
     index = np.clip(np.searchsorted(times_s, wanted - 1e-6), 0, len(times_s) - 1)
     missing = np.abs(times_s[index] - wanted) > 1e-4
     if missing.any():
         frame = int(missing.argmax())
         raise ShapeError(
-            f"{resolved.name} needs {resolved.frame_count} frames at 30 Hz: "
+            f"{experiment.name} needs {experiment.frame_count} frames at 30 Hz: "
             f"no sample at frame {frame} (t = {wanted[frame]:.4f} s)"
         )
     return values[index]
@@ -192,29 +192,29 @@ def _band_scores(
 
 
 def _event_scores(
-    resolved: Experiment, baselines: Mapping[str, Any], frames: NDArray[np.float64]
+    experiment: Experiment, baselines: Mapping[str, Any], frames: NDArray[np.float64]
 ) -> dict[str, float | None]:
     """LSD and MTE of a cradle's last ball, period and energy loss of a pendulum, where the task file asks for them."""
-    wanted = resolved.score.metrics
+    wanted = experiment.score.metrics
     scores: dict[str, float | None] = {}
     if not {"lsd", "mte", "pd", "el"} & set(wanted):
         return scores
-    body = resolved.recorded[0]
-    hinge = next(j for j in resolved.scene.joints if isinstance(j, Hinge) and j.body == body)
-    arm_m = float(np.linalg.norm(np.subtract(resolved.scene.body(body).pose.position_m, hinge.anchor_m)))
+    body = experiment.recorded[0]
+    hinge = next(j for j in experiment.scene.joints if isinstance(j, Hinge) and j.body == body)
+    arm_m = float(np.linalg.norm(np.subtract(experiment.scene.body(body).pose.position_m, hinge.anchor_m)))
     rest_height_mm = 1e3 * (hinge.anchor_m[2] - arm_m)
     height_mm = frames[:, 2]
     if "lsd" in wanted:
         lsd_s = longest_stationary_duration(height_mm, frame_rate_hz=FRAME_RATE_HZ)
         scores |= {"lsd_s": lsd_s, "lsd_normalized": _over(lsd_s, baselines, "lsd")}
     if "mte" in wanted:
-        highest = max(resolved.scene.body(j.body).pose.position_m[2] for j in resolved.scene.joints)
+        highest = max(experiment.scene.body(j.body).pose.position_m[2] for j in experiment.scene.joints)
         mte = momentum_transfer_efficiency(
             height_mm, drop_height_mm=1e3 * highest - rest_height_mm, rest_height_mm=rest_height_mm
         )
         scores |= {"mte": mte, "mte_normalized": _over(mte, baselines, "mte")}
     if "pd" in wanted:
-        axis = "xyz".index(resolved.score.period_axis or "x")
+        axis = "xyz".index(experiment.score.period_axis or "x")
         count = baselines["pd"].frames if "pd" in baselines else len(frames)
         pd_s = oscillation_period(frames[:count, axis], frame_rate_hz=FRAME_RATE_HZ)
         scores |= {"pd_s": pd_s, "pd_normalized": _over(pd_s, baselines, "pd")}

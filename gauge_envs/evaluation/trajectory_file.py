@@ -78,12 +78,12 @@ def recorded_id(file: Path) -> tuple[str | None, Any, bool]:
     return name, parameters, bool(content.get("asset"))
 
 
-def read_trajectory(file: Path, resolved: Experiment) -> UserTrajectory:
+def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     """Read the trajectory of an experiment from a CSV, NPZ or JSON file (formats: see the module).
 
     Args:
         file: Its suffix says the format.
-        resolved: The experiment that it is of.
+        experiment: The experiment that it is of.
 
     Raises:
         TrajectoryFileError: The file cannot be read or used; the message names file, place and what was expected.
@@ -92,11 +92,11 @@ def read_trajectory(file: Path, resolved: Experiment) -> UserTrajectory:
     reader = readers.get(file.suffix.lower())
     if reader is None:
         raise TrajectoryFileError(f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}")
-    layout = _Layout(file, resolved.coordinates, resolved.score.observable.unit)
+    layout = _Layout(file, experiment.coordinates, experiment.score.observable.unit)
     times, values = reader(layout)
     if times is None:
         times = np.arange(len(values)) / FRAME_RATE_HZ
-    return _on_frames(file, times, values, resolved.frame_count)
+    return _on_frames(file, times, values, experiment.frame_count)
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Experiments: task files and files of users, resolved to a scene and how it is observed and scored."""
+"""Experiments: task files and files of users, each resolved to a scene and how it is observed and scored."""

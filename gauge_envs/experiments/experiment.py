@@ -10,7 +10,7 @@ from typing import Any
 
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec, Variant
 from gauge_envs.observables.kinds import coordinate_names
-from gauge_envs.references.imported import DriverSource
+from gauge_envs.references.imported import DataSource
 from gauge_envs.references.published import Baseline, Reference, published_baselines
 from gauge_envs.scene import Scene
 
@@ -70,7 +70,7 @@ ASSET_NAME = "Asset"
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One experiment, resolved: its scene, and how it is observed and scored.
+    """One experiment: its scene, and how it is observed and scored.
 
     Attributes:
         name: `SlopeSlider-2-wood`; `Asset-crate` where a user's experiment file states it.
@@ -83,6 +83,7 @@ class Experiment:
         overrides: What differs from the calibrated constants, keyed `body.constant`.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
         drivers: Whether any driven motion is that of imported trials, or all are bundled.
+        reference_source: Whether it is scored against imported trials, or against what the package has.
         file_sha256: Hash of the task file; of the experiment file and what it names, where a user brought it.
         asset: File that the scene is from; None where the task file states it.
         reference: What it is scored against; None where the package has that under its name.
@@ -97,7 +98,8 @@ class Experiment:
     parameters: str
     overrides: Mapping[str, Any]
     driver_provenance: str | None
-    drivers: DriverSource = DriverSource.BUNDLED
+    drivers: DataSource = DataSource.BUNDLED
+    reference_source: DataSource = DataSource.BUNDLED
     file_sha256: str
     asset: Asset | None = None
     reference: Reference | None = None
@@ -130,7 +132,7 @@ class Experiment:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskExperiment(Experiment):
-    """One variant of a task file, resolved.
+    """The experiment of one variant of a task file.
 
     Attributes:
         variant: Which one.

@@ -1,114 +1,63 @@
-"""One experiment, resolved: task file + parameters, or an asset -> scene, and how it is observed and scored."""
+"""The doors to an experiment: a variant of the package, a variant with the scene of a file, or a user's own file."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import overload
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.experiment import (
-    ASSET_NAME,
-    Experiment,
-    TaskExperiment,
-    driver_provenance,
-)
+from gauge_envs.experiments.experiment import ASSET_NAME, Experiment, TaskExperiment, driver_provenance
 from gauge_envs.experiments.scene_builder import Parameters, SceneBuilder, parameter_overrides
+from gauge_envs.experiments.scene_source import is_experiment_file, with_asset
 from gauge_envs.experiments.task_files import find_variant, task_path, task_sha256, task_spec
 from gauge_envs.experiments.task_format import Variant
-from gauge_envs.references.imported import DriverSource, chosen_drivers, recorded_drivers
-from gauge_envs.scene import (
-    Scene,
-)
+from gauge_envs.experiments.user_file import load_experiment_file
+from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
 
-__all__ = [
-    "load_experiment",
-]
-
-
-@overload
-def load_experiment(
-    name: Variant,
-    parameters: Parameters = "calibrated",
-    *,
-    drivers: str | None = None,
-    asset: str | PathLike[str] | None = None,
-) -> TaskExperiment: ...
-
-
-@overload
-def load_experiment(
-    name: str,
-    parameters: Parameters = "calibrated",
-    *,
-    drivers: str | None = None,
-    asset: str | PathLike[str] | None = None,
-) -> Experiment: ...
+__all__ = ["load_experiment", "load_experiment_from_asset", "resolve_experiment"]
 
 
 def load_experiment(
-    name: str | Variant,
+    variant: str | Variant,
     parameters: Parameters = "calibrated",
     *,
-    drivers: str | None = None,
-    asset: str | PathLike[str] | None = None,
-) -> Experiment:
-    """Resolve one experiment.
+    drivers: DataSource | str = DataSource.BUNDLED,
+    reference: DataSource | str = DataSource.BUNDLED,
+) -> TaskExperiment:
+    """Load one variant from its task file.
 
     Args:
-        name: Variant, its name, or its Gymnasium id; or an experiment file of the user's own, as `crate.toml`.
+        variant: Variant, its name, or its Gymnasium id.
         parameters: `calibrated`, another parameter set of the task file, or overrides keyed `body.constant`, where a
             constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`.
-        drivers: `imported` drives bodies as imported trials show, where there are some; `bundled` as the task file
-            states. None takes what `gauge data use` chose, `imported` unless it was asked otherwise.
-        asset: File that the scene is from: a USD layer, or a model file of an engine, as MJCF. It states constants and
-            driven motion itself, so `parameters` and `drivers` are for experiments without one. For the name `Asset`
-            it is an experiment file.
+        drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show.
+        reference: `bundled` scores against what the package has, `imported` against the imported trials.
+
+    Returns:
+        The experiment. Its `drivers` are `imported` only where the imported trials show a driven body.
 
     Raises:
         UnknownNameError: No such variant.
-        ParameterError: No such parameter set, body, constant or kind of drivers, or a value out of range; or they
-            come with an asset.
+        ParameterError: No such parameter set, body, constant or data source; a value out of range; or `imported` was
+            asked for, and no trials of the variant were imported.
         TaskFileError: The task file is wrong.
-        ReferenceFileError: The imported drivers, or the band of an experiment file, are damaged.
-        AssetError: The asset cannot be read, or does not fit the variant.
+        ReferenceFileError: The imported trials are damaged.
+
+    Example:
+        >>> from gauge_envs import load_experiment
+        >>> experiment = load_experiment("SlopeSlider-2-wood", {"cube.friction": 0.3})
+        >>> experiment.frame_count, experiment.parameters, experiment.coordinates
+        (19, 'custom', ('cube.x', 'cube.y', 'cube.z'))
     """
-    from gauge_envs.experiments.scene_source import is_experiment_file, with_asset
-    from gauge_envs.experiments.user_file import load_experiment_file
-
-    path = None if asset is None else Path(asset)
-    if isinstance(name, str) and name.removeprefix("GAUGE/") == ASSET_NAME:
-        if path is None:
-            raise ParameterError(f"GAUGE/{ASSET_NAME} is what an experiment file states: asset='crate.toml'")
-        name, path = str(path), None
-    if isinstance(name, str) and is_experiment_file(Path(name)):
-        if path is not None:
-            raise ParameterError(f"{name} names its own USD layer; it goes without asset={str(asset)!r}")
-        _check_stated(Path(name), parameters, drivers)
-        return load_experiment_file(Path(name))
-    variant = find_variant(name) if isinstance(name, str) else name
-    if path is None:
-        return _of_task(variant, parameters, drivers)
-    _check_stated(path, parameters, drivers)
-    return with_asset(_of_task(variant, "calibrated", DriverSource.BUNDLED), path)
-
-
-def _check_stated(path: Path, parameters: Parameters, drivers: str | None) -> None:
-    """Refuse what an asset states itself."""
-    if parameters and parameters != "calibrated":
-        raise ParameterError(f"parameters {parameters!r} with {path.name}: it states the constants; edit them there")
-    if drivers is not None and drivers != DriverSource.BUNDLED:
-        raise ParameterError(f"drivers {drivers!r} with {path.name}: the motion of driven bodies is the file's")
-
-
-def _of_task(variant: Variant, parameters: Parameters, drivers: str | None) -> TaskExperiment:
+    if isinstance(variant, str):
+        variant = find_variant(variant)
     path, spec = task_path(variant.family), task_spec(variant.family)
     label, overrides = parameter_overrides(spec, variant, parameters)
     builder = SceneBuilder(path, spec, variant, overrides)
-    scene, source = _driven(variant, builder.build(), drivers)
+    scene = builder.build()
     subtask = spec.subtasks[variant.subtask] if variant.subtask else None
-    return TaskExperiment(
+    experiment = TaskExperiment(
         name=variant.name,
         title=spec.title if subtask is None else f"{spec.title}, {subtask.title}",
         score=spec.score,
@@ -120,21 +69,91 @@ def _of_task(variant: Variant, parameters: Parameters, drivers: str | None) -> T
         parameters=label,
         overrides=overrides,
         driver_provenance=driver_provenance(scene),
-        drivers=source,
+        reference_source=_data_source(variant, "reference", reference),
         file_sha256=task_sha256(variant.family),
     )
+    if _data_source(variant, "drivers", drivers) is DataSource.BUNDLED:
+        return experiment
+    recorded = recorded_drivers(variant.name, scene.drivers)
+    if recorded == scene.drivers:
+        return experiment
+    driven = replace(scene, drivers=recorded)
+    return replace(experiment, scene=driven, drivers=DataSource.IMPORTED, driver_provenance=driver_provenance(driven))
 
 
-def _driven(variant: Variant, scene: Scene, asked: str | None) -> tuple[Scene, DriverSource]:
-    """The scene with the drivers that were asked for, and whether any of them is imported."""
-    if asked is not None and asked not in list(DriverSource):
-        known = " or ".join(repr(source.value) for source in DriverSource)
-        raise ParameterError(f"drivers {asked!r}: choose {known}")
-    if not scene.drivers or asked == DriverSource.BUNDLED:
-        return scene, DriverSource.BUNDLED
-    if asked is None and chosen_drivers() is DriverSource.BUNDLED:
-        return scene, DriverSource.BUNDLED
-    drivers = recorded_drivers(variant.name, scene.drivers)
-    if drivers == scene.drivers:
-        return scene, DriverSource.BUNDLED
-    return replace(scene, drivers=drivers), DriverSource.IMPORTED
+def load_experiment_from_asset(
+    variant: str | Variant, asset: str | PathLike[str], *, reference: DataSource | str = DataSource.BUNDLED
+) -> TaskExperiment:
+    """Load one variant with the scene of a file; the file states constants and driven motion.
+
+    Args:
+        variant: Variant, its name, or its Gymnasium id: what is observed, and what it is scored against.
+        asset: USD layer for any engine, or model file of one engine, as MJCF for MuJoCo.
+        reference: As of `load_experiment`.
+
+    Raises:
+        UnknownNameError: No such variant.
+        ParameterError: No such data source, or no trials of the variant were imported.
+        AssetError: The file cannot be read, or does not fit the variant.
+    """
+    return with_asset(load_experiment(variant, reference=reference), Path(asset))
+
+
+def resolve_experiment(
+    subject: str | Variant,
+    parameters: Parameters = "calibrated",
+    *,
+    drivers: DataSource | str = DataSource.BUNDLED,
+    reference: DataSource | str = DataSource.BUNDLED,
+    asset: str | PathLike[str] | None = None,
+) -> Experiment:
+    """Find the experiment that the arguments of `gymnasium.make` and of the command line name.
+
+    Args:
+        subject: Variant, name or id; `GAUGE/Asset`; or the path of an experiment file, as `crate.toml`.
+        parameters: As of `load_experiment`.
+        drivers: As of `load_experiment`.
+        reference: As of `load_experiment`.
+        asset: None; the file of `load_experiment_from_asset`; or, for `GAUGE/Asset`, an experiment file.
+
+    Raises:
+        UnknownNameError: No such variant.
+        ParameterError: As of `load_experiment`; or an argument is given that the asset states itself.
+        TaskFileError: The task file or the experiment file is wrong.
+        ReferenceFileError: Imported trials, or the band of an experiment file, are damaged.
+        AssetError: The asset cannot be read, or does not fit the variant.
+    """
+    path = None if asset is None else Path(asset)
+    if isinstance(subject, str) and subject.removeprefix("GAUGE/") == ASSET_NAME:
+        if path is None:
+            raise ParameterError(f"GAUGE/{ASSET_NAME} is what an experiment file states: asset='crate.toml'")
+        subject, path = str(path), None
+    if isinstance(subject, str) and is_experiment_file(Path(subject)):
+        if path is not None:
+            raise ParameterError(f"{subject} names its own USD layer; it goes without asset={str(asset)!r}")
+        _check_stated(Path(subject), parameters, drivers)
+        if DataSource.of(reference, "reference") is not DataSource.BUNDLED:
+            raise ParameterError(f"reference {str(reference)!r} with {subject}: it states its own band")
+        return load_experiment_file(subject)
+    if path is None:
+        return load_experiment(subject, parameters, drivers=drivers, reference=reference)
+    _check_stated(path, parameters, drivers)
+    return load_experiment_from_asset(subject, path, reference=reference)
+
+
+def _check_stated(path: Path, parameters: Parameters, drivers: DataSource | str) -> None:
+    """Refuse what an asset states itself."""
+    if parameters and parameters != "calibrated":
+        raise ParameterError(f"parameters {parameters!r} with {path.name}: it states the constants; edit them there")
+    if DataSource.of(drivers, "drivers") is not DataSource.BUNDLED:
+        raise ParameterError(f"drivers {str(drivers)!r} with {path.name}: the motion of driven bodies is the file's")
+
+
+def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:
+    source = DataSource.of(value, name)
+    if source is DataSource.IMPORTED and load_imported(variant.name) is None:
+        raise ParameterError(
+            f"{variant.name}: {name}='imported', but no trials of it were imported; "
+            f"`gauge data import DIR` imports them, {name}='bundled' does without"
+        )
+    return source

@@ -64,11 +64,11 @@ def contents_sha256(contents: Sequence[bytes]) -> str:
 # --- the scene of a variant, from a file -----------------------------------------------------------------------------
 
 
-def with_asset(resolved: TaskExperiment, path: Path) -> TaskExperiment:
+def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
     """An experiment with the scene of a file.
 
     Args:
-        resolved: The experiment with its calibrated scene and bundled drivers.
+        experiment: The experiment with its calibrated scene and bundled drivers.
         path: USD layer, or model file of an installed engine.
 
     Raises:
@@ -80,42 +80,42 @@ def with_asset(resolved: TaskExperiment, path: Path) -> TaskExperiment:
     contents = [read_bytes(path)]
     changes: tuple[str, ...]
     if path.suffix in USD_SUFFIXES:
-        layer = _usd_scene(resolved, path)
+        layer = _usd_scene(experiment, path)
         kind, scene = AssetKind.USD, layer.scene
         contents += map(read_bytes, layer.used_files)
-        changes = tuple(scene_changes(resolved.scene, scene))
+        changes = tuple(scene_changes(experiment.scene, scene))
     elif (engine := backend_of_suffix(path.suffix)) is not None:
-        kind, file = AssetKind.MODEL, engine.read_file(path, resolved.scene)
+        kind, file = AssetKind.MODEL, engine.read_file(path, experiment.scene)
         scene, changes = file.scene, file.changes
     else:
         raise AssetError(path, "", f"suffix {path.suffix!r} is neither USD ({', '.join(USD_SUFFIXES)}) nor an engine's")
     found = replace(
-        resolved,
+        experiment,
         scene=scene,
         driver_provenance=driver_provenance(scene),
         asset=Asset(path=path, kind=kind, sha256=contents_sha256(contents), edited=bool(changes), changes=changes),
     )
-    check_fit(found, resolved)
+    check_fit(found, experiment)
     return found
 
 
-def _usd_scene(resolved: TaskExperiment, path: Path) -> UsdScene:
+def _usd_scene(experiment: TaskExperiment, path: Path) -> UsdScene:
     from gauge_envs.scene.usd.reader import read_usd
 
-    duration_s = resolved.scene.duration_s
+    duration_s = experiment.scene.duration_s
     found = read_usd(path, duration_s=duration_s)
-    of = found.metadata.get("variant", resolved.name)
-    if of != resolved.name:
+    of = found.metadata.get("variant", experiment.name)
+    if of != experiment.name:
         raise AssetError(
             path,
             "customLayerData",
-            f"it is the scene of {of}, and {resolved.name} was asked for; if that is meant, delete 'variant' there",
+            f"it is the scene of {of}, and {experiment.name} was asked for; if that is meant, delete 'variant' there",
         )
     if not math.isclose(found.scene.duration_s, duration_s, rel_tol=1e-9):
         raise AssetError(
             path,
             "gauge:duration_s",
-            f"it lasts {found.scene.duration_s:.10g} s, but an episode of {resolved.name} {duration_s:.10g} s",
+            f"it lasts {found.scene.duration_s:.10g} s, but an episode of {experiment.name} {duration_s:.10g} s",
         )
     return found
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -134,7 +135,7 @@ class FileExperiment(Experiment):
     definition: ExperimentFile
 
 
-def load_experiment_file(path: Path) -> FileExperiment:
+def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     """Read an experiment file, and the USD layer and the band that it names.
 
     Raises:
@@ -142,6 +143,7 @@ def load_experiment_file(path: Path) -> FileExperiment:
         AssetError: The USD layer cannot be read, or lacks a prim that the file names.
         ReferenceFileError: The band is wrong.
     """
+    path = Path(path)
     content = read_bytes(path)
     try:
         definition = ExperimentFile.model_validate(tomllib.loads(content.decode("utf-8")))
@@ -157,19 +159,19 @@ def load_experiment_file(path: Path) -> FileExperiment:
         table = path.parent / definition.band.file
         band = read_band(table, _band_facts(definition), path)
         contents.append(read_bytes(table))
-    resolved = _resolved(
+    experiment = _file_experiment(
         definition.model_copy(update={"recorded": recorded}),
         scene,
         band,
         asset=Asset(path=path, kind=AssetKind.EXPERIMENT, sha256=contents_sha256(contents)),
         file_sha256=contents_sha256(contents),
     )
-    check_fit(resolved, resolved)
-    _check_band(path, resolved)
-    return resolved
+    check_fit(experiment, experiment)
+    _check_band(path, experiment)
+    return experiment
 
 
-def _resolved(
+def _file_experiment(
     definition: ExperimentFile, scene: Scene, band: Band | None, *, asset: Asset, file_sha256: str
 ) -> FileExperiment:
     name = f"{ASSET_NAME}-{definition.name}"
@@ -206,11 +208,11 @@ def _resolved(
 # --- in a result -----------------------------------------------------------------------------------------------------
 
 
-def experiment_record(resolved: FileExperiment) -> dict[str, Any]:
+def experiment_record(experiment: FileExperiment) -> dict[str, Any]:
     """What a result keeps of an experiment file beside the scene, JSON-ready: the file, and its band."""
-    band = resolved.reference.band if resolved.reference is not None else None
+    band = experiment.reference.band if experiment.reference is not None else None
     return {
-        "definition": resolved.definition.model_dump(mode="json"),
+        "definition": experiment.definition.model_dump(mode="json"),
         "band": None if band is None else band.to_dict(),
     }
 
@@ -225,7 +227,7 @@ def recorded_experiment_file(
     """
     definition = ExperimentFile.model_validate(record["definition"])
     band = None if record["band"] is None else Band.from_dict(record["band"])
-    return _resolved(definition, scene, band, asset=asset, file_sha256=file_sha256)
+    return _file_experiment(definition, scene, band, asset=asset, file_sha256=file_sha256)
 
 
 # --- scene -----------------------------------------------------------------------------------------------------------
@@ -339,9 +341,9 @@ def _band_facts(definition: ExperimentFile) -> dict[str, Any]:
     return stated | given
 
 
-def _check_band(path: Path, resolved: FileExperiment) -> None:
-    band = resolved.reference.band if resolved.reference is not None else None
-    names = resolved.coordinates
+def _check_band(path: Path, experiment: FileExperiment) -> None:
+    band = experiment.reference.band if experiment.reference is not None else None
+    names = experiment.coordinates
     if band is not None and band.projection.shape[1] != len(names):
         raise TaskFileError(
             path,

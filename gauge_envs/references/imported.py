@@ -29,20 +29,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from gauge_envs.errors import DatasetError, ReferenceFileError
+from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.drivers import Driver, SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
+    "BUNDLED_DATA",
+    "DataSource",
     "DriverRecord",
-    "DriverSource",
     "ImportedVariant",
     "SpreadRecord",
     "VariantRecord",
-    "choose_drivers",
-    "chosen_drivers",
     "dataset_record",
+    "has_import",
     "load_imported",
     "recorded_drivers",
     "user_data_folder",
@@ -50,6 +50,34 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+
+
+class DataSource(StrEnum):
+    """Where driven motion and bands are from. Only an argument chooses; what was imported changes nothing by itself."""
+
+    BUNDLED = "bundled"
+    """What the package states: the task file's drivers, the bundled bands and laws."""
+    IMPORTED = "imported"
+    """What `gauge data import` made of real trials."""
+
+    @classmethod
+    def of(cls, value: DataSource | str, name: str) -> DataSource:
+        """Data source by its value.
+
+        Args:
+            value: `bundled` or `imported`.
+            name: Argument that it was given for, as `drivers`.
+
+        Raises:
+            ParameterError: It is neither.
+        """
+        if value not in tuple(cls):
+            raise ParameterError(f"{name} {value!r}: choose {' or '.join(repr(source.value) for source in cls)}")
+        return cls(value)
+
+
+BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUNDLED.value}
+"""Record of a result that rests on no import."""
 
 
 class _Record(BaseModel):
@@ -149,10 +177,6 @@ class ImportedVariant:
     record: VariantRecord
     band: Band
     driver_values: Mapping[str, FloatArray]
-
-
-class _Choice(_Record):
-    drivers: DriverSource
 
 
 # --- folder ----------------------------------------------------------------------------------------------------------
@@ -259,6 +283,11 @@ def _write(file: Path, content: bytes) -> None:
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
+def has_import(variant: str) -> bool:
+    """Whether trials of a variant were imported; their files are not read."""
+    return (_trials_folder() / f"{variant}.json").is_file()
+
+
 def load_imported(variant: str) -> ImportedVariant | None:
     """What was imported of a variant; None where nothing was.
 
@@ -331,30 +360,6 @@ def _band(record: VariantRecord, mean: FloatArray, sigma: FloatArray, measured: 
 # --- drivers ---------------------------------------------------------------------------------------------------------
 
 
-def chosen_drivers() -> DriverSource:
-    """Which drivers `gauge data use` chose; imported ones where it was never asked.
-
-    Raises:
-        ReferenceFileError: The file that holds the choice is damaged.
-    """
-    file = user_data_folder() / "choice.json"
-    try:
-        return _Choice.model_validate_json(file.read_bytes()).drivers
-    except FileNotFoundError:
-        return DriverSource.IMPORTED
-    except (OSError, ValidationError):
-        raise ReferenceFileError(file, None, "is damaged; gauge data use --drivers imported renews it") from None
-
-
-def choose_drivers(source: DriverSource) -> None:
-    """Choose the drivers that experiments use from now on, where their maker does not say.
-
-    Raises:
-        DatasetError: The user's data folder cannot be written.
-    """
-    _write(user_data_folder() / "choice.json", _Choice(drivers=source).model_dump_json().encode() + b"\n")
-
-
 def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver, ...]:
     """The drivers of a variant, with recorded motion for every body that imported trials show.
 
@@ -394,31 +399,22 @@ def _recorded(driver: Driver, values: FloatArray, variant: str) -> Driver:
     return replace(driver, motions=tuple(motions), provenance="mocap")
 
 
-def dataset_record(variant: str, drivers: DriverSource) -> dict[str, str]:
-    """What a result keeps of the import that it rests on: `revision`, `sha256`, `drivers`; empty where there is none.
+def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) -> dict[str, str]:
+    """Record, for a result, which drivers and which reference were in use.
 
     Args:
         variant: Name of the variant.
-        drivers: Which drivers were in use.
+        drivers: Source of the driven motion.
+        reference: Source of the band.
+
+    Returns:
+        `drivers` and `reference`; where one of them is imported, also `revision` and `sha256` of the import.
 
     Raises:
         ReferenceFileError: The import is damaged.
     """
-    imported = load_imported(variant)
+    sources = {"drivers": drivers.value, "reference": reference.value}
+    imported = load_imported(variant) if DataSource.IMPORTED in (drivers, reference) else None
     if imported is None:
-        return {}
-    record = imported.record
-    return {
-        "revision": record.revision or "unknown",
-        "sha256": record.files_sha256,
-        "drivers": drivers.value if record.drivers else "none recorded",
-    }
-
-
-class DriverSource(StrEnum):
-    """Which motion a driven body follows, where there are two to choose from."""
-
-    IMPORTED = "imported"
-    """The mean motion of the real trials of an imported dataset, where it has the variant; else as bundled."""
-    BUNDLED = "bundled"
-    """The motion that the task file states."""
+        return sources
+    return sources | {"revision": imported.record.revision or "unknown", "sha256": imported.record.files_sha256}

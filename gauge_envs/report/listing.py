@@ -21,7 +21,7 @@ from gauge_envs.experiments.task_format import Variant
 from gauge_envs.experiments.user_file import FileExperiment
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade, SigmaSource
-from gauge_envs.references.imported import DriverRecord, DriverSource, load_imported
+from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
 from gauge_envs.references.published import law_for
 from gauge_envs.report.text import (
     ENGINE_TITLES,
@@ -55,25 +55,25 @@ def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
     """One row a variant; `backends` maps each installed backend to an empty list, or to what it lacks."""
     rows = []
     for variant in variants:
-        resolved = load_experiment(variant)
+        experiment = load_experiment(variant)
         rows.append(
             {
                 "id": variant.id,
                 "family": variant.family,
-                "group": resolved.spec.group.value,
-                "observable": resolved.score.observable.value,
-                "frames": resolved.frame_count,
+                "group": experiment.spec.group.value,
+                "observable": experiment.score.observable.value,
+                "frames": experiment.frame_count,
                 "grade": band_grade(variant.name).value,
-                "imported": load_imported(variant.name) is not None,
-                "backends": {name: _lacks(name, resolved) for name in backend_names()},
+                "imported": has_import(variant.name),
+                "backends": {name: _lacks(name, experiment) for name in backend_names()},
             }
         )
     return rows
 
 
-def _lacks(name: str, resolved: Experiment) -> list[str]:
+def _lacks(name: str, experiment: Experiment) -> list[str]:
     try:
-        return list(backend_for(name, resolved.model_file).supports(resolved.scene).missing)
+        return list(backend_for(name, experiment.model_file).supports(experiment.scene).missing)
     except (BackendError, MissingExtraError) as error:
         return [str(error)]
 
@@ -86,7 +86,7 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         table.add_column(title, no_wrap=True, justify="right" if title == "frames" else "left")
     for row in rows:
         can = [_yes_no(not row["backends"][name]) for name in names]
-        grade = f"{row['grade']}, imported" if row["imported"] else row["grade"]
+        grade = f"{row['grade']}; trials imported" if row["imported"] else row["grade"]
         table.add_row(row["id"], row["group"], row["observable"], str(row["frames"]), grade, *can)
     return table
 
@@ -95,42 +95,42 @@ def _yes_no(yes: bool) -> str:
     return "[green]yes[/]" if yes else "[dim]no[/]"
 
 
-def description(resolved: Experiment) -> dict[str, Any]:
+def description(experiment: Experiment) -> dict[str, Any]:
     """Everything that defines one experiment, JSON-ready, with where each number is from."""
-    scene = resolved.scene
+    scene = experiment.scene
     return json_ready(
         {
-            "id": resolved.id,
-            "title": resolved.title,
-            **(_of_file(resolved) if isinstance(resolved, FileExperiment) else _of_task(resolved)),
-            "asset": None if resolved.asset is None else resolved.asset.to_dict(),
-            "frames": resolved.frame_count,
+            "id": experiment.id,
+            "title": experiment.title,
+            **(_of_file(experiment) if isinstance(experiment, FileExperiment) else _of_task(experiment)),
+            "asset": None if experiment.asset is None else experiment.asset.to_dict(),
+            "frames": experiment.frame_count,
             "duration_s": scene.duration_s,
             "observable": {
-                "kind": resolved.score.observable.value,
-                "unit": resolved.score.observable.unit,
-                "coordinates": resolved.coordinates,
+                "kind": experiment.score.observable.value,
+                "unit": experiment.score.observable.unit,
+                "coordinates": experiment.coordinates,
             },
-            "bodies": [_body(body, resolved) for body in (*scene.bodies, *scene.deformables)],
+            "bodies": [_body(body, experiment) for body in (*scene.bodies, *scene.deformables)],
             "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
             "joints": [
                 {"kind": "hinge" if isinstance(joint, Hinge) else "tether"} | dataclasses.asdict(joint)
                 for joint in scene.joints
             ],
             "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
-            "drivers": [_driver(resolved, index) for index in range(len(scene.drivers))],
+            "drivers": [_driver(experiment, index) for index in range(len(scene.drivers))],
             "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
-            "reference": _reference(resolved),
-            "baselines": [dataclasses.asdict(line) for line in resolved.baselines.values()],
-            "backends": {name: _lacks(name, resolved) for name in backend_names()},
+            "reference": _reference(experiment),
+            "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
+            "backends": {name: _lacks(name, experiment) for name in backend_names()},
         }
     )
 
 
-def _of_task(resolved: Experiment) -> dict[str, Any]:
+def _of_task(experiment: Experiment) -> dict[str, Any]:
     """What a task file says beside the scene."""
-    assert isinstance(resolved, TaskExperiment)
-    spec, variant = resolved.spec, resolved.variant
+    assert isinstance(experiment, TaskExperiment)
+    spec, variant = experiment.spec, experiment.variant
     return {
         "summary": spec.summary,
         "group": spec.group.value,
@@ -152,9 +152,9 @@ def _of_task(resolved: Experiment) -> dict[str, Any]:
     }
 
 
-def _of_file(resolved: FileExperiment) -> dict[str, Any]:
+def _of_file(experiment: FileExperiment) -> dict[str, Any]:
     """What an experiment file says beside the scene."""
-    definition = resolved.definition
+    definition = experiment.definition
     return {
         "summary": definition.summary,
         "group": None,
@@ -167,17 +167,18 @@ def _of_file(resolved: FileExperiment) -> dict[str, Any]:
     }
 
 
-def _reference(resolved: Experiment) -> dict[str, Any]:
+def _reference(experiment: Experiment) -> dict[str, Any]:
     """What an experiment is scored against, or could be."""
-    own = resolved.reference
-    band = load_band(resolved.name) if own is None else own.band
-    law = law_for(resolved.name) if own is None else None
-    used = reference_band(resolved)
+    own = experiment.reference
+    band = load_band(experiment.name, experiment.reference_source) if own is None else own.band
+    law = law_for(experiment.name) if own is None else None
+    used = reference_band(experiment)
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
         "trial_count": None if band is None else band.trial_count,
         "source": None if band is None else band.source,
-        "imported": load_imported(resolved.name) is not None,
+        "imported": experiment.reference_source is DataSource.IMPORTED,
+        "is_import_available": has_import(experiment.name),
         "law": None if law is None else law.condition,
         "sigma_source": None if band is None else band.sigma_source.value,
         "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
@@ -185,11 +186,11 @@ def _reference(resolved: Experiment) -> dict[str, Any]:
     }
 
 
-def _body(body: RigidBody | Deformable, resolved: Experiment) -> dict[str, Any]:
+def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
     described: dict[str, Any] = {
         "name": body.name,
         "kind": "rigid" if isinstance(body, RigidBody) else type(body).__name__.lower(),
-        "recorded": body.name in resolved.recorded,
+        "recorded": body.name in experiment.recorded,
     }
     values = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
     shape = values.pop("shape", None)
@@ -199,26 +200,25 @@ def _body(body: RigidBody | Deformable, resolved: Experiment) -> dict[str, Any]:
     return described | values | {"position_m": pose.position_m, "quaternion_wxyz": pose.quaternion}
 
 
-def _driver(resolved: Experiment, index: int) -> dict[str, Any]:
-    driver = resolved.scene.drivers[index]
-    if not isinstance(resolved, TaskExperiment) or resolved.asset is not None:
+def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
+    driver = experiment.scene.drivers[index]
+    if not isinstance(experiment, TaskExperiment) or experiment.asset is not None:
         return _driver_of_asset(driver)
-    variant, spec = resolved.variant, resolved.spec
+    variant, spec = experiment.variant, experiment.spec
     own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
     stated = (own if own is not None else spec.drivers)[index]
     motions = [motion.model_dump(exclude_none=True) for motion in stated.motions]
-    note, recorded = stated.note, _recorded_driver(resolved, driver.body)
-    in_use = recorded is not None and resolved.drivers is DriverSource.IMPORTED
-    if recorded is not None and in_use:
+    note, recorded = stated.note, _recorded_driver(experiment, driver.body)
+    if recorded is not None:
         note = f"{_recorded_note(recorded)}; not in use is the bundled one: {note}"
         for motion, used in zip(motions, driver.motions, strict=True):
             motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
-    elif recorded is not None:
-        note = f"{note}; not in use is the imported one: gauge data use --drivers imported"
+    elif has_import(experiment.name):
+        note = f"{note}; imported trials exist: drivers='imported' or --drivers imported uses their motion"
     return {
         "body": driver.body,
         "provenance": driver.provenance,
-        "imported": in_use,
+        "imported": recorded is not None,
         "note": note,
         "motions": motions,
     }
@@ -241,9 +241,9 @@ def _driver_of_asset(driver: Driver) -> dict[str, Any]:
     return {"body": driver.body, "provenance": driver.provenance, "imported": False, "note": note, "motions": motions}
 
 
-def _recorded_driver(resolved: Experiment, body: str) -> DriverRecord | None:
-    """The imported driver of a body, in use or not."""
-    imported = load_imported(resolved.name)
+def _recorded_driver(experiment: Experiment, body: str) -> DriverRecord | None:
+    """The imported driver of a body; None where the bundled one is in use."""
+    imported = load_imported(experiment.name) if experiment.drivers is DataSource.IMPORTED else None
     if imported is None:
         return None
     return next((record for record in imported.record.drivers if record.body == body), None)

@@ -1,36 +1,26 @@
-"""Run one episode or many, write each result as it ends, go on where a run was cut off; score files of users."""
+"""Runs many episodes, writes each result as it ends, and goes on where a run was cut off."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
-from os import PathLike
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from gauge_envs.backends import backend as find_backend
 from gauge_envs.backends import backend_for
 from gauge_envs.envs.arguments import check_support
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnsupportedSceneError
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.task_format import Variant
-from gauge_envs.files import json_ready
-from gauge_envs.references.bands import BandGrade
-from gauge_envs.references.imported import chosen_drivers, dataset_record
-from gauge_envs.runs.episodes import run_episode, run_repeats, run_subject
+from gauge_envs.runs.episodes import planned_result, run_episode, run_repeats
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.runs.scene_record import asset_record
 from gauge_envs.scene.jitter import Jitter, jittered
 
 __all__ = [
-    "check_request",
+    "check_requests",
     "run_many",
 ]
 
@@ -39,57 +29,41 @@ Notify = Callable[[str], None]
 _log = logging.getLogger(__name__)
 
 
-# --- one episode -----------------------------------------------------------------------------------------------------
-
-
-# --- many episodes ---------------------------------------------------------------------------------------------------
-
-
-def check_request(
-    variants: Sequence[str | Variant],
-    *,
-    backends: Sequence[str],
-    parameters: Parameters,
-    settings: Mapping[str, Any] | None,
-    asset: str | PathLike[str] | None = None,
-) -> None:
+def check_requests(requests: Sequence[RunRequest]) -> None:
     """Raise at once what would otherwise fail every single episode.
+
+    Args:
+        requests: What will run, on one or several backends.
 
     Raises:
         UnknownNameError: No such backend.
         MissingExtraError: The engine of a backend is not installed.
-        ParameterError: No variant takes the parameters, or a backend does not take the settings.
+        ParameterError: No experiment takes the parameters, or a backend does not take the settings.
         AssetError: The asset cannot be used.
         UnsupportedSceneError: The asset is a model file that a backend does not read.
     """
-    resolved, refused = [], None
-    for variant in variants:
+    usable: dict[str, list[tuple[RunRequest, Experiment]]] = {request.backend: [] for request in requests}
+    refused = None
+    for request in requests:
         try:
-            resolved.append(load_experiment(variant, parameters, asset=asset))
+            usable[request.backend].append((request, request.experiment()))
         except ParameterError as error:
             refused = error
-    if refused is not None and not resolved:
+    if refused is not None and not any(usable.values()):
         raise refused
-    for name in backends:
-        engine = backend_for(name, resolved[0].model_file if resolved else None)
-        if asset is not None:
-            check_support(resolved[0], name)
-        able = next((one.scene for one in resolved if settings and engine.supports(one.scene)), None)
+    for name, pairs in usable.items():
+        engine = backend_for(name, pairs[0][1].model_file if pairs else None)
+        for request, experiment in pairs[:1]:
+            if request.asset is not None:
+                check_support(experiment, name)
+        able = next(((r, e) for r, e in pairs if r.settings and engine.supports(e.scene)), None)
         if able is not None:
-            engine.build(able, settings).close()
+            engine.build(able[1].scene, able[0].settings).close()
 
 
 def run_many(
-    variants: Iterable[str | Variant],
+    requests: Iterable[RunRequest],
     *,
-    backends: Sequence[str] = ("mujoco",),
-    parameters: Parameters = "calibrated",
-    settings: Mapping[str, Any] | None = None,
-    marker_proxy: str = "node",
-    asset: str | PathLike[str] | None = None,
-    seed: int = 0,
-    repeats: int = 1,
-    jitter: Jitter | None = None,
     out: Path | None = None,
     resume: bool = False,
     notify: Notify = _log.warning,
@@ -99,124 +73,66 @@ def run_many(
     One that is declined or fails is yielded with its `error`, and not written; the others go on.
 
     Args:
-        variants: Variants, names, ids, or paths of experiment files.
-        backends: Names of installed physics engines.
-        parameters: As in `run_episode`.
-        settings: As in `run_episode`.
-        marker_proxy: As in `run_episode`.
-        asset: As in `run_episode`; it is of one variant.
-        seed: As in `run_episode`.
-        repeats: How often each runs, from starts that scatter; 1 runs the calibrated start, unless jitter is given.
-        jitter: How far starts scatter; the default `Jitter` where repeats ask for it.
+        requests: What to run, in order. Repeats without a jitter start from the default `Jitter`.
         out: Folder for the result files, created if need be; None writes none.
-        resume: Take results that `out` has already, where they are of the same experiment, backend, parameters,
-            settings, seed, jitter, task file, asset, imported trials and versions of engine and gauge-envs. A damaged
-            one is moved aside, to `*.damaged`, and run again.
+        resume: Take results that `out` has already, where they are of the same request, task file, asset, imported
+            trials and versions of engine and gauge-envs. A damaged one is moved aside, to `*.damaged`, and run again.
         notify: Takes one sentence for each file that `resume` could not take.
 
     Returns:
         Iterator that runs the next episode when asked for it.
 
     Raises:
-        UnknownNameError: No such variant.
         ResultFileError: `out` cannot be written; raised before anything runs.
-        AssetError: The asset or an experiment file cannot be used; raised before anything runs.
+        AssetError: An asset or an experiment file cannot be used; raised before anything runs.
+        ParameterError: `imported` was asked for, and nothing was imported; raised before anything runs.
     """
-    chosen = {subject: load_experiment(subject, asset=asset) for subject in map(run_subject, variants)}
+    jittered_requests = [
+        replace(request, jitter=Jitter()) if request.repeats > 1 and request.jitter is None else request
+        for request in requests
+    ]
+    planned = [(request, request.calibrated_experiment()) for request in jittered_requests]
     if out is not None:
         _check_writable(out)
 
-    if repeats > 1 and jitter is None:
-        jitter = Jitter()
-
     def results() -> Iterator[Result]:
-        for name in backends:
-            for subject, known in chosen.items():
-                empty = [
-                    _empty_result(known, name, parameters, settings, marker_proxy, seed + number, jitter)
-                    for number in range(repeats)
-                ]
-                files = [None if out is None else out / result_file_name(one) for one in empty]
-                found = [
-                    _earlier(file, one, notify) if resume and file is not None else None
-                    for file, one in zip(files, empty, strict=True)
-                ]
-                if all(found):
-                    yield from (result for result in found if result)
-                    continue
-                for result, file in zip(_attempt(subject, asset, parameters, empty, jitter), files, strict=True):
-                    if file is not None and result.error is None:
-                        write_result(result, file)
-                    yield result
+        for request, known in planned:
+            empty = [planned_result(request, known, seed=request.seed + number) for number in range(request.repeats)]
+            files = [None if out is None else out / result_file_name(one) for one in empty]
+            found = [
+                _earlier(file, one, notify) if resume and file is not None else None
+                for file, one in zip(files, empty, strict=True)
+            ]
+            if all(found):
+                yield from (result for result in found if result)
+                continue
+            for result, file in zip(_attempt(request, empty), files, strict=True):
+                if file is not None and result.error is None:
+                    write_result(result, file)
+                yield result
 
     return results()
 
 
-def _attempt(
-    subject: Variant | str,
-    asset: str | PathLike[str] | None,
-    parameters: Parameters,
-    empty: Sequence[Result],
-    jitter: Jitter | None,
-) -> list[Result]:
-    """Results of an experiment's repeats; those that were declined or failed carry the reason."""
-    first = empty[0]
+def _attempt(request: RunRequest, empty: Sequence[Result]) -> list[Result]:
+    """Results of a request's episodes; those that were declined or failed carry the reason."""
     try:
-        resolved = load_experiment(subject, parameters, asset=asset)
-        if jitter is not None:
-            jittered(resolved.scene, jitter, seed=0)
+        experiment = request.experiment()
+        if request.jitter is not None:
+            jittered(experiment.scene, request.jitter, seed=0)
     except ParameterError as error:
         return [replace(one, outcome=Outcome.DECLINED, error=str(error)) for one in empty]
     except GaugeError as error:
         return [replace(one, error=str(error)) for one in empty]
-    request: dict[str, Any] = {
-        "backend": first.backend,
-        "parameters": parameters,
-        "settings": first.settings_given or None,
-        "marker_proxy": first.marker_proxy,
-        "asset": asset,
-        "seed": first.seed,
-    }
     try:
-        if jitter is None:
-            return [run_episode(subject, **request)]
-        return run_repeats(subject, repeats=len(empty), jitter=jitter, **request)
+        return [run_episode(request)] if request.jitter is None else run_repeats(request)
     except UnsupportedSceneError as error:
         return [replace(one, outcome=Outcome.DECLINED, error=str(error)) for one in empty]
     except GaugeError as error:
         return [replace(one, error=str(error)) for one in empty]
     except Exception as error:  # Engines raise anything, and one episode must not cost the others.
-        _log.exception("%s on %s", first.id, first.backend)
+        _log.exception("%s on %s", empty[0].id, request.backend)
         return [replace(one, error=f"{type(error).__name__}: {error}") for one in empty]
-
-
-def _empty_result(
-    known: Experiment,
-    backend: str,
-    parameters: Parameters,
-    settings: Mapping[str, Any] | None,
-    marker_proxy: str,
-    seed: int,
-    jitter: Jitter | None,
-) -> Result:
-    """What is known before an episode runs; as it stands, one that failed."""
-    band = reference_band(known)
-    grade = BandGrade.NONE if band is None else band.grade
-    return Result(
-        id=known.id,
-        outcome=Outcome.FAILED,
-        parameters=(parameters if isinstance(parameters, str) else json_ready(parameters)) or "calibrated",
-        score=Score(grade=grade.value, unit=known.score.observable.unit, edited=known.edited),
-        task_sha256=known.file_sha256,
-        backend=backend,
-        settings_given=json_ready(settings or {}),
-        seed=seed,
-        jitter=asdict(jitter) if jitter else {},
-        marker_proxy=marker_proxy,
-        dataset=dataset_record(known.name, chosen_drivers() if known.asset is None else known.drivers),
-        asset=asset_record(known),
-        error="not run",
-    )
 
 
 def _check_writable(out: Path) -> None:

@@ -5,86 +5,61 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends import backend_for
 from gauge_envs.backends.base import Worlds
 from gauge_envs.envs.arguments import check_support
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode, advance_together
-from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.scene_source import is_experiment_file
-from gauge_envs.experiments.task_files import find_variant
-from gauge_envs.experiments.task_format import Variant
 from gauge_envs.files import json_ready, versions
 from gauge_envs.observables.observer import checked_proxy
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import dataset_record
-from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result, parameters_record
 from gauge_envs.runs.scene_record import asset_record
 from gauge_envs.scene.jitter import Jitter, jittered
 
-__all__ = [
-    "episode_result",
-    "run_episode",
-    "run_repeats",
-    "run_together",
-]
+__all__ = ["episode_result", "planned_result", "run_episode", "run_repeats", "run_together"]
 
 
-def run_episode(
-    variant: str | Variant,
-    *,
-    backend: str = "mujoco",
-    parameters: Parameters = "calibrated",
-    settings: Mapping[str, Any] | None = None,
-    marker_proxy: str = "node",
-    asset: str | PathLike[str] | None = None,
-    seed: int = 0,
-) -> Result:
+def run_episode(request: RunRequest) -> Result:
     """Run one episode with zero actions, which replays the recorded motion, and score it.
 
     Args:
-        variant: Variant, its name, or its Gymnasium id; or an experiment file, as `crate.toml`.
-        backend: Name of an installed physics engine.
-        parameters: Name of a parameter set, or overrides keyed `body.constant`.
-        settings: Numerical settings of the backend that replace its defaults.
-        marker_proxy: What stands for a marker on a deformable body, `node` or `material`; see `GaugeEnv`.
-        asset: File that the scene is from, instead of the task file; see `GaugeEnv`.
-        seed: Seed of the reset, 0 or more.
+        request: What to run; `repeats` and `jitter` are for `run_repeats`.
 
     Raises:
-        UnknownNameError: No such variant or backend.
-        ParameterError: A parameter, a setting or the seed does not exist or is out of range.
+        UnknownNameError: No such backend.
+        ParameterError: A parameter, a setting or an import does not exist, or a value is out of range.
         UnsupportedSceneError: The backend cannot build the scene.
         AssetError: The asset cannot be used.
     """
-    _check_seed(seed)
-    subject = run_subject(variant)
+    subject = request.subject
     env = gymnasium.make(
         f"GAUGE/{ASSET_NAME}" if isinstance(subject, str) else subject.id,
-        asset=subject if isinstance(subject, str) else asset,
-        backend=backend,
-        parameters=parameters,
-        settings=settings,
-        marker_proxy=marker_proxy,
+        asset=subject if isinstance(subject, str) else request.asset,
+        backend=request.backend,
+        parameters=request.parameters,
+        settings=request.settings,
+        marker_proxy=request.marker_proxy,
+        drivers=request.drivers,
+        reference=request.reference,
+        use_withheld=request.use_withheld,
         disable_env_checker=True,
     )
     try:
         space = env.action_space
         zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
         start = time.perf_counter()
-        env.reset(seed=seed)
+        env.reset(seed=request.seed)
         over = False
         info: dict[str, Any] = {}
         while not over:
@@ -97,7 +72,7 @@ def run_episode(
 
 
 def episode_result(env: gymnasium.Env, info: Mapping[str, Any], *, wall_s: float | None = None) -> Result:
-    """Result of an episode that has just ended, for those who step the environment themselves.
+    """Return the result of an episode that has just ended, for those who step the environment themselves.
 
     Args:
         env: Environment made by `gymnasium.make`.
@@ -108,127 +83,70 @@ def episode_result(env: gymnasium.Env, info: Mapping[str, Any], *, wall_s: float
         KeyError: The episode is not over: `info` has no score.
     """
     inner: GaugeEnv = env.unwrapped  # type: ignore[assignment]
-    return _result_of(
-        inner.episode,
-        info.get("diverged"),
+    planned = _planned(
+        inner.experiment,
+        score=info["score"],
         backend=inner.backend_name,
-        settings=inner.simulation.settings,
-        settings_given=env.spec.kwargs.get("settings") if env.spec else None,
-        engine_versions=inner.versions,
+        settings_given=(env.spec.kwargs.get("settings") if env.spec else None) or {},
         seed=inner.seed_used,
         jitter=inner.jitter,
+        marker_proxy=inner.episode.marker_proxy.value,
+    )
+    return _finished(
+        planned,
+        inner.episode,
+        info.get("diverged"),
+        settings=inner.simulation.settings,
+        engine_versions=inner.versions,
         wall_s=wall_s,
-        score=info["score"],
     )
 
 
-def _result_of(
-    episode: Episode,
-    fault: str | None,
-    *,
-    backend: str,
-    settings: Mapping[str, Any],
-    settings_given: Mapping[str, Any] | None,
-    engine_versions: Mapping[str, str],
-    seed: int | None,
-    jitter: Jitter | None,
-    wall_s: float | None,
-    score: Score | None = None,
-) -> Result:
-    resolved, recorded = episode.experiment, episode.trajectory()
-    return Result(
-        id=resolved.id,
-        outcome=Outcome.DIVERGED if fault else Outcome.FINISHED,
-        parameters=recorded_parameters(resolved),
-        score=score or episode.score(),
-        task_sha256=resolved.file_sha256,
-        backend=backend,
-        frames=len(recorded.frames),
-        diverged=bool(fault),
-        diverged_reason=fault,
-        wall_s=wall_s,
-        sim_s=float(recorded.times_s[-1]),
-        settings=json_ready(settings),
-        settings_given=json_ready(settings_given or {}),
-        versions={**engine_versions, **versions()},
-        seed=seed,
-        jitter=asdict(jitter) if jitter else {},
-        marker_proxy=episode.marker_proxy.value,
-        driver_provenance=resolved.driver_provenance,
-        dataset=dataset_record(resolved.name, resolved.drivers),
-        asset=asset_record(resolved),
-        trajectory=recorded_trajectory(resolved, recorded.times_s, recorded.samples),
-    )
-
-
-def run_repeats(
-    variant: str | Variant,
-    *,
-    repeats: int,
-    backend: str = "mujoco",
-    parameters: Parameters = "calibrated",
-    settings: Mapping[str, Any] | None = None,
-    marker_proxy: str = "node",
-    asset: str | PathLike[str] | None = None,
-    seed: int = 0,
-    jitter: Jitter | None = None,
-) -> list[Result]:
+def run_repeats(request: RunRequest) -> list[Result]:
     """Run an experiment several times at once, from starts that scatter as real ones do, and score each.
 
     They are worlds of one simulation where the engine has such; else simulations that are stepped in turn.
 
     Args:
-        variant: As in `run_episode`.
-        repeats: How many, 1 or more.
-        backend: Name of an installed physics engine.
-        parameters: Name of a parameter set, or overrides keyed `body.constant`.
-        settings: Numerical settings of the backend that replace its defaults.
-        marker_proxy: As in `run_episode`.
-        asset: As in `run_episode`.
-        seed: Seed of the first; each next one has one more.
-        jitter: How far the starts scatter; the default `Jitter` when left out.
+        request: What to run; its `jitter` is the default `Jitter` where it states none.
 
     Returns:
         Results in the order of their seeds. All are scored against the same reference, that of the calibrated start.
 
     Raises:
-        UnknownNameError: No such variant or backend.
-        ParameterError: A parameter, a setting, the seed or the number is out of range, or nothing can be jittered.
+        UnknownNameError: No such backend.
+        ParameterError: A parameter or a setting is out of range, or nothing can be jittered.
         UnsupportedSceneError: The backend cannot build the scene.
     """
-    _check_seed(seed)
-    if repeats < 1:
-        raise ParameterError(f"repeats is {repeats}, expected 1 or more")
-    proxy = checked_proxy(marker_proxy)
-    jitter = jitter or Jitter()
-    resolved = load_experiment(variant, parameters, asset=asset)
-    engine = backend_for(backend, resolved.model_file)
-    band = reference_band(resolved)
-    runs = [replace(resolved, scene=jittered(resolved.scene, jitter, seed=seed + k)) for k in range(repeats)]
+    request = replace(request, jitter=request.jitter or Jitter())
+    experiment = request.experiment()
+    engine = backend_for(request.backend, experiment.model_file)
+    band = reference_band(experiment, use_withheld=request.use_withheld)
+    seeds = range(request.seed, request.seed + request.repeats)
+    assert request.jitter is not None
+    runs = [replace(experiment, scene=jittered(experiment.scene, request.jitter, seed=seed)) for seed in seeds]
     for run in runs:
-        check_support(run, backend)
-    worlds = engine.build_worlds([run.scene for run in runs], settings)
+        check_support(run, request.backend)
+    worlds = engine.build_worlds([run.scene for run in runs], request.settings)
     try:
         start = time.perf_counter()
-        worlds.reset(seed)
+        worlds.reset(request.seed)
         episodes = [
-            Episode(run, world, band=band, marker_proxy=proxy) for run, world in zip(runs, worlds.worlds, strict=True)
+            Episode(run, world, band=band, marker_proxy=checked_proxy(request.marker_proxy))
+            for run, world in zip(runs, worlds.worlds, strict=True)
         ]
         faults = run_together(episodes, worlds)
-        share_s = (time.perf_counter() - start) / repeats
+        share_s = (time.perf_counter() - start) / request.repeats
         return [
-            _result_of(
+            _finished(
+                replace(planned_result(request, episode.experiment, seed=seed), score=episode.score()),
                 episode,
                 fault,
-                backend=backend,
                 settings=world.settings,
-                settings_given=settings,
                 engine_versions=engine.versions(),
-                seed=seed + number,
-                jitter=jitter,
                 wall_s=share_s,
             )
-            for number, (episode, fault, world) in enumerate(zip(episodes, faults, worlds.worlds, strict=True))
+            for seed, episode, fault, world in zip(seeds, episodes, faults, worlds.worlds, strict=True)
         ]
     finally:
         worlds.close()
@@ -253,28 +171,77 @@ def run_together(episodes: Sequence[Episode], worlds: Worlds) -> list[str | None
     return faults
 
 
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise ParameterError(f"seed is {seed}, expected 0 or more")
+def planned_result(request: RunRequest, experiment: Experiment, *, seed: int) -> Result:
+    """Return what is known of an episode before it runs; as it stands, a result that failed.
+
+    Args:
+        request: What will run.
+        experiment: Its experiment; where the parameters of the request are wrong, the calibrated one.
+        seed: Seed of the episode.
+    """
+    band = reference_band(experiment, use_withheld=request.use_withheld)
+    grade = BandGrade.NONE if band is None else band.grade
+    planned = _planned(
+        experiment,
+        score=Score(grade=grade.value, unit=experiment.score.observable.unit, edited=experiment.edited),
+        backend=request.backend,
+        settings_given=request.settings or {},
+        seed=seed,
+        jitter=request.jitter,
+        marker_proxy=request.marker_proxy,
+    )
+    stated = request.parameters if isinstance(request.parameters, str) else json_ready(request.parameters)
+    return replace(planned, parameters=stated or "calibrated")
 
 
-def recorded_parameters(resolved: Experiment) -> str | dict[str, Any]:
-    return json_ready(resolved.overrides) if resolved.parameters == "custom" else resolved.parameters
-
-
-def recorded_trajectory(
-    resolved: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]
-) -> RecordedTrajectory:
-    return RecordedTrajectory(
-        unit=resolved.score.observable.unit,
-        coordinates=list(resolved.coordinates),
-        times_s=times_s.tolist(),
-        samples=json_ready(samples.tolist()),
+def _planned(
+    experiment: Experiment,
+    *,
+    score: Score,
+    backend: str,
+    settings_given: Mapping[str, Any],
+    seed: int | None,
+    jitter: Jitter | None,
+    marker_proxy: str,
+) -> Result:
+    return Result(
+        id=experiment.id,
+        outcome=Outcome.FAILED,
+        parameters=parameters_record(experiment),
+        score=score,
+        task_sha256=experiment.file_sha256,
+        backend=backend,
+        settings_given=json_ready(settings_given),
+        seed=seed,
+        jitter=asdict(jitter) if jitter else {},
+        marker_proxy=marker_proxy,
+        driver_provenance=experiment.driver_provenance,
+        dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),
+        asset=asset_record(experiment),
+        error="not run",
     )
 
 
-def run_subject(name: str | Variant) -> Variant | str:
-    """What is run: a variant, or the path of an experiment file."""
-    if isinstance(name, Variant):
-        return name
-    return name if is_experiment_file(Path(name)) else find_variant(name)
+def _finished(
+    planned: Result,
+    episode: Episode,
+    fault: str | None,
+    *,
+    settings: Mapping[str, Any],
+    engine_versions: Mapping[str, str],
+    wall_s: float | None,
+) -> Result:
+    recorded = episode.trajectory()
+    return replace(
+        planned,
+        outcome=Outcome.DIVERGED if fault else Outcome.FINISHED,
+        frames=len(recorded.frames),
+        diverged=bool(fault),
+        diverged_reason=fault,
+        wall_s=wall_s,
+        sim_s=float(recorded.times_s[-1]),
+        settings=json_ready(settings),
+        versions={**engine_versions, **versions()},
+        error=None,
+        trajectory=RecordedTrajectory.of(episode.experiment, recorded.times_s, recorded.samples),
+    )

@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.evaluation.score import Score
-from gauge_envs.experiments.experiment import AssetKind
+from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
+from gauge_envs.references.imported import BUNDLED_DATA
 
 __all__ = [
     "Outcome",
     "RecordedTrajectory",
     "Result",
+    "parameters_record",
 ]
 
 
@@ -60,6 +62,24 @@ class RecordedTrajectory:
         if any(len(row) != len(self.coordinates) for row in self.samples):
             raise ValueError(f"a sample has not {len(self.coordinates)} coordinates")
 
+    @classmethod
+    def of(
+        cls, experiment: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]
+    ) -> RecordedTrajectory:
+        """Record of a generalized trajectory.
+
+        Args:
+            experiment: The experiment that it is of.
+            times_s: Times [s], shape [sample_count].
+            samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
+        """
+        return cls(
+            unit=experiment.score.observable.unit,
+            coordinates=list(experiment.coordinates),
+            times_s=times_s.tolist(),
+            samples=json_ready(samples.tolist()),
+        )
+
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None."""
         samples = np.array(self.samples, dtype=np.float64)
@@ -90,8 +110,8 @@ class Result:
         task_sha256: Hash of the task file that the episode was built from; of an experiment file and all that it names.
         marker_proxy: What stood for a marker on a deformable body: `node` or `material`.
         driver_provenance: Where the driven motion is from; None where nothing is driven.
-        dataset: Import of real trials that score or drivers rest on: `revision`, `sha256` over its trials, `drivers`
-            (`imported`, `bundled` or `none recorded`); empty where nothing was imported.
+        dataset: Where driven motion (`drivers`) and band (`reference`) are from, `bundled` or `imported`; where one of
+            them is imported, also `revision` of the dataset and `sha256` over the imported trials.
         asset: File that the scene was from: its name `file`, `kind`, `sha256`, whether it is `edited` and in which
             `changes`; with the `scene` as text of a USD layer where the package does not have it, and the
             `experiment` of an experiment file. Empty where the task file stated the scene.
@@ -118,7 +138,7 @@ class Result:
     jitter: dict[str, float] = field(default_factory=dict)
     marker_proxy: str = "node"
     driver_provenance: str | None = None
-    dataset: dict[str, str] = field(default_factory=dict)
+    dataset: dict[str, str] = field(default_factory=BUNDLED_DATA.copy)
     asset: dict[str, Any] = field(default_factory=dict)
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     error: str | None = None
@@ -144,4 +164,6 @@ class Result:
         return values
 
 
-# --- the experiment of a result --------------------------------------------------------------------------------------
+def parameters_record(experiment: Experiment) -> str | dict[str, Any]:
+    """Parameters of an experiment as a result keeps them: the name of the set, or the overrides."""
+    return json_ready(experiment.overrides) if experiment.parameters == "custom" else experiment.parameters

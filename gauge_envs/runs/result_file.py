@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.experiments.task_files import find_variant
+from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 
 __all__ = [
@@ -31,6 +32,7 @@ def result_file_name(result: Result) -> str:
     parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
     if result.is_edited:
         parts.append(f"asset-{result.asset['sha256'][:8]}")
+    parts += [f"{key}-imported" for key in BUNDLED_DATA if result.dataset[key] == DataSource.IMPORTED]
     if result.settings_given:
         parts.append(f"settings-{_digest(result.settings_given)}")
     if result.jitter:
@@ -79,7 +81,7 @@ def load_result(file: Path) -> Result:
         # Older files lack these keys, and stand for the defaults.
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", "node")
-        content.setdefault("dataset", {})
+        content["dataset"] = BUNDLED_DATA | dict(content.get("dataset") or {})
         content.setdefault("asset", {})
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:

@@ -11,7 +11,6 @@ from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.user_file import FileExperiment, experiment_record, recorded_experiment_file
-from gauge_envs.references.imported import DriverSource
 from gauge_envs.runs.result import Result
 from gauge_envs.scene import Scene
 from gauge_envs.scene.usd.reader import from_usd
@@ -23,17 +22,17 @@ __all__ = [
 ]
 
 
-def asset_record(resolved: Experiment) -> dict[str, Any]:
+def asset_record(experiment: Experiment) -> dict[str, Any]:
     """What a result keeps of the asset that an experiment was built from; empty where there was none."""
-    asset = resolved.asset
+    asset = experiment.asset
     if asset is None:
         return {}
     record = asset.to_dict()
     # A model file stands for a scene that the package has; the engine alone could read it back.
     if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
-        record["scene"] = _scene_text(resolved.scene)
-    if isinstance(resolved, FileExperiment):
-        record["experiment"] = experiment_record(resolved)
+        record["scene"] = _scene_text(experiment.scene)
+    if isinstance(experiment, FileExperiment):
+        record["experiment"] = experiment_record(experiment)
     return record
 
 
@@ -47,9 +46,9 @@ def recorded_experiment(result: Result) -> Experiment:
     """
     record = result.asset
     if not record or "scene" not in record:
-        drivers = result.dataset.get("drivers")
-        source = drivers if drivers in tuple(DriverSource) else None
-        return load_experiment(result.id, result.parameters, drivers=source)
+        return load_experiment(
+            result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
+        )
     try:
         scene = _scene_of_text(record["scene"])
         asset = Asset(
@@ -65,8 +64,8 @@ def recorded_experiment(result: Result) -> Experiment:
         if isinstance(error, GaugeError):
             raise
         raise ResultFileError(f"{result.id}: the asset in the result is damaged: {error}") from error
-    resolved = load_experiment(result.id, drivers=DriverSource.BUNDLED)
-    return replace(resolved, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
+    experiment = load_experiment(result.id, reference=result.dataset["reference"])
+    return replace(experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
 
 
 def _scene_text(scene: Scene) -> str:

@@ -9,12 +9,11 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.evaluation.trajectory_file import read_trajectory, recorded_id
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.task_files import find_variant
-from gauge_envs.references.imported import dataset_record
-from gauge_envs.runs.episodes import recorded_parameters, recorded_trajectory, run_subject
-from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.references.imported import DataSource, dataset_record
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result, parameters_record
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.scene_record import asset_record, recorded_experiment
 
@@ -24,7 +23,12 @@ __all__ = [
 
 
 def score_file(
-    file: Path, *, variant: str | None = None, parameters: Parameters | None = None, use_withheld: bool = False
+    file: Path,
+    *,
+    variant: str | None = None,
+    parameters: Parameters | None = None,
+    reference: DataSource | str = DataSource.BUNDLED,
+    use_withheld: bool = False,
 ) -> tuple[Result, int]:
     """Score a trajectory that a user brought from their own simulator (formats: `gauge_envs.evaluation.trajectory_file`).
 
@@ -33,6 +37,7 @@ def score_file(
         variant: Name or id of the experiment, or an experiment file; None takes what a JSON file states.
         parameters: Parameters of the scene, for bands that follow from it; None takes what the file states, else
             `calibrated`.
+        reference: `bundled` scores against what the package has, `imported` against the imported trials.
         use_withheld: Score on a band too that is withheld by default.
 
     Returns:
@@ -43,27 +48,29 @@ def score_file(
         UnknownNameError: No such variant.
         ParameterError: No such parameters.
     """
-    resolved = _experiment_of_file(file, variant, parameters)
-    trajectory = read_trajectory(file, resolved)
-    band = reference_band(resolved, use_withheld=use_withheld)
-    score = score_trajectory(resolved, band, times_s=trajectory.times_s, values=trajectory.values)
+    experiment = _experiment_of_file(file, variant, parameters, reference)
+    trajectory = read_trajectory(file, experiment)
+    band = reference_band(experiment, use_withheld=use_withheld)
+    score = score_trajectory(experiment, band, times_s=trajectory.times_s, values=trajectory.values)
     result = Result(
-        id=resolved.id,
+        id=experiment.id,
         outcome=Outcome.FINISHED,
-        parameters=recorded_parameters(resolved),
+        parameters=parameters_record(experiment),
         score=score,
-        task_sha256=resolved.file_sha256,
-        frames=resolved.frame_count,
+        task_sha256=experiment.file_sha256,
+        frames=experiment.frame_count,
         sim_s=float(trajectory.times_s[-1]),
-        driver_provenance=resolved.driver_provenance,
-        dataset=dataset_record(resolved.name, resolved.drivers),
-        asset=asset_record(resolved),
-        trajectory=recorded_trajectory(resolved, trajectory.times_s, trajectory.values),
+        driver_provenance=experiment.driver_provenance,
+        dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),
+        asset=asset_record(experiment),
+        trajectory=RecordedTrajectory.of(experiment, trajectory.times_s, trajectory.values),
     )
     return result, trajectory.interpolated_frames
 
 
-def _experiment_of_file(file: Path, variant: str | None, parameters: Parameters | None) -> Experiment:
+def _experiment_of_file(
+    file: Path, variant: str | None, parameters: Parameters | None, reference: DataSource | str
+) -> Experiment:
     """The experiment that a trajectory is of: as asked for, else as the file states."""
     stated_id, stated_parameters, has_asset = recorded_id(file)
     if has_asset and variant is None and parameters is None:
@@ -71,12 +78,11 @@ def _experiment_of_file(file: Path, variant: str | None, parameters: Parameters 
     name = variant or stated_id
     if name is None:
         raise TrajectoryFileError(f"{file}: states no id, expected one with --id, as --id GAUGE/SlopeSlider-2-wood")
-    subject = run_subject(name)
     if parameters is None:
         known = isinstance(stated_parameters, str | dict) and not has_asset
         parameters = stated_parameters if known else "calibrated"
-    resolved = load_experiment(subject, parameters)
+    experiment = resolve_experiment(name, parameters, reference=reference)
     stated = stated_id if stated_id is None or has_asset else find_variant(stated_id).id
-    if stated is not None and stated != resolved.id:
-        raise TrajectoryFileError(f"{file}: id is {stated_id!r}, but {resolved.id} was asked for")
-    return resolved
+    if stated is not None and stated != experiment.id:
+        raise TrajectoryFileError(f"{file}: id is {stated_id!r}, but {experiment.id} was asked for")
+    return experiment

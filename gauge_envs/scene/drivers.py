@@ -256,6 +256,3 @@ def mean_velocity(start: Pose, end: Pose, interval_s: float) -> NDArray[np.float
     linear = (np.asarray(end.position_m) - np.asarray(start.position_m)) / interval_s
     angular = (end.rotation * start.rotation.inv()).as_rotvec() / interval_s
     return np.concatenate([linear, angular])
-
-
-# --- motions from poses ----------------------------------------------------------------------------------------------

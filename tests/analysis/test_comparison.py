@@ -22,6 +22,7 @@ from gauge_envs.report.figures.experiment import draw_experiment
 from gauge_envs.report.figures.overview import draw_overview, save_comparison
 from gauge_envs.report.figures.style import OURS
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import result_file_name, write_result
 
@@ -428,8 +429,8 @@ def write(folder, *results):
 
 
 def test_two_settings_of_a_real_engine(gauge, tmp_path):
-    fine, coarse = (run_episode(SLIDER, settings=given) for given in (None, {"timestep_s": 1 / 900}))
-    write(tmp_path, fine, coarse, run_episode("Turntable-2-wood"), replace(fine, backend="newton", seed=4))
+    fine, coarse = (run_episode(RunRequest(SLIDER, settings=given)) for given in (None, {"timestep_s": 1 / 900}))
+    write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-2-wood")), replace(fine, backend="newton", seed=4))
     result = gauge("compare", "--out", "plots")
     assert result.exit_code == 0
     for text in ("timestep_s", "0.41", "Isaac Sim", "Summary", "wall s/sim s"):

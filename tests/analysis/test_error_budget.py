@@ -27,6 +27,7 @@ from gauge_envs.report import diagnosis_rows, diagnosis_view
 from gauge_envs.report.diagnosis import findings
 from gauge_envs.report.figures.budgets import draw_diagnoses
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -113,12 +114,12 @@ def slide(acceleration_mm_s2, *, start_mm=0.0, late_s=0.0):
 )
 @example(late_s=0.03, offset_mm=4.0, ratio=1.05, start_mm=0.0)
 def test_a_slide_gives_back_release_offset_and_acceleration(late_s, offset_mm, ratio, start_mm):
-    resolved = load_experiment(SLIDE)
-    count = resolved.frame_count
+    experiment = load_experiment(SLIDE)
+    count = experiment.frame_count
     # The simulation runs longer, so that nothing is held at its end where reality is let go earlier.
     times, values = samples(count + 6, slide(2600.0, start_mm=start_mm))
     real = slide(2600.0 * ratio, start_mm=start_mm + offset_mm, late_s=late_s)(frames_s(count))
-    diagnosis = diagnose_trajectory(resolved, band(real), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.UNIFORM_ACCELERATION
     found = diagnosis.part(Stage.RATE)
@@ -133,8 +134,8 @@ def test_a_slide_gives_back_release_offset_and_acceleration(late_s, offset_mm, r
 
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"])
 def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
-    resolved = load_experiment(name)
-    real = reference_band(resolved)
+    experiment = load_experiment(name)
+    real = reference_band(experiment)
     count = len(real.mean)
     course = CubicSpline(frames_s(count), real.mean[:, 0])
     times, simulated = samples(count, course)
@@ -142,7 +143,7 @@ def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
     start = simulated[0]
     late = start + offset_mm + ratio * (course(np.maximum(frames_s(count) - late_s, 0.0)) - start)
     planted = replace(real, mean=late[:, None])
-    diagnosis = diagnose_trajectory(resolved, planted, times_s=times, values=simulated[:, None] * real.projection)
+    diagnosis = diagnose_trajectory(experiment, planted, times_s=times, values=simulated[:, None] * real.projection)
     assert_consistent(diagnosis)
     # Samples are joined linearly, which is 0.01 mm off between them.
     assert diagnosis.rest.rmse < 0.02
@@ -175,11 +176,11 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=40
 )
 @example(real=0.737, simulated=0.577, late_s=0.06, raised_mm=-7.0)
 def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
-    resolved = load_experiment(BALL)
-    count = resolved.frame_count
+    experiment = load_experiment(BALL)
+    count = experiment.frame_count
     times, values = samples(count, bounce(simulated))
     mean = bounce(real, late_s=late_s, raised_mm=raised_mm)(frames_s(count))
-    diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.REBOUND
     # Between the samples on either side of the impact, w apart, the height is taken as linear: this cuts the corner, a
@@ -207,14 +208,14 @@ def swing(period_s, *, amplitude_mm=150.0, late_s=0.0, centre):
 @example(period=1.0 / 1.08, amplitude=1.0, late_s=0.0)
 @example(period=1.08, amplitude=1.0, late_s=0.0)
 def test_a_pendulum_gives_back_period_and_amplitude(period, amplitude, late_s):
-    resolved = load_experiment(SWING)
-    joint = resolved.scene.joints[0]
-    arm_m = math.dist(joint.anchor_m, resolved.scene.body(joint.body).pose.position_m)
+    experiment = load_experiment(SWING)
+    joint = experiment.scene.joints[0]
+    arm_m = math.dist(joint.anchor_m, experiment.scene.body(joint.body).pose.position_m)
     centre = 1e3 * (np.array(joint.anchor_m) - [0.0, 0.0, arm_m])
     count = 150
     times, values = samples(count, swing(1.2, centre=centre))
     real = swing(1.2 * period, amplitude_mm=150.0 * amplitude, late_s=late_s, centre=centre)(frames_s(count))
-    diagnosis = diagnose_trajectory(resolved, band(real), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.OSCILLATION
     found = diagnosis.part(Stage.RATE)
@@ -234,13 +235,13 @@ def winding(times):
 @QUICK
 @given(speed=st.floats(0.9, 1.12), larger=st.floats(0.9, 1.1), late_s=st.floats(0.0, 0.1), offset_mm=st.floats(-5, 5))
 def test_any_motion_gives_back_speed_and_displacement(speed, larger, late_s, offset_mm):
-    resolved = load_experiment(DRIVEN)
-    count = resolved.frame_count
+    experiment = load_experiment(DRIVEN)
+    count = experiment.frame_count
     times, values = samples(count, winding)
     played = winding(speed * np.maximum(frames_s(count) - late_s, 0.0))
     start = winding(np.zeros(1))
     real = start + larger * (played - start) + [offset_mm, 0.0, -offset_mm]
-    diagnosis = diagnose_trajectory(resolved, band(real), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.GENERAL
     assert diagnosis.rest.rmse < 0.1
@@ -277,8 +278,8 @@ def wild(draw):
 @given(wild())
 def test_parts_sum_to_the_score_whatever_the_trajectory(drawn):
     mean, times, values = drawn
-    resolved = load_experiment(DRIVEN)
-    diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values)
+    experiment = load_experiment(DRIVEN)
+    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.rmse == pytest.approx(trajectory_rmse(values[::6], mean), rel=1e-12)
 
@@ -287,10 +288,10 @@ def test_parts_sum_to_the_score_whatever_the_trajectory(drawn):
 @given(wild())
 def test_order_changes_the_parts_but_neither_whole_nor_rest(drawn):
     mean, times, values = drawn
-    resolved = load_experiment(DRIVEN)
+    experiment = load_experiment(DRIVEN)
     rests = []
     for order in itertools.permutations(DEFAULT_ORDER):
-        diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values, order=order)
+        diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values, order=order)
         assert_consistent(diagnosis)
         assert tuple(part.stage for part in diagnosis.parts) == order
         rests.append((diagnosis.mean_square, diagnosis.rest.mean_square))
@@ -299,8 +300,8 @@ def test_order_changes_the_parts_but_neither_whole_nor_rest(drawn):
 
 def test_the_search_finds_what_a_dense_grid_finds():
     """Of a motion with many local minima, by an independent brute force over shift and speed with NumPy alone."""
-    resolved = load_experiment(DRIVEN)
-    count = resolved.frame_count
+    experiment = load_experiment(DRIVEN)
+    count = experiment.frame_count
 
     def course(times):
         return np.column_stack([50.0 * np.sin(14.0 * times), 30.0 * np.cos(23.0 * times), 5.0 * times])
@@ -308,7 +309,7 @@ def test_the_search_finds_what_a_dense_grid_finds():
     times, values = samples(2 * count, course)
     mean = course(1.3 * np.maximum(frames_s(count) - 0.11, 0.0))
     diagnosis = diagnose_trajectory(
-        resolved, band(mean), times_s=times, values=values, order=("rate", "release", "offset")
+        experiment, band(mean), times_s=times, values=values, order=("rate", "release", "offset")
     )
     start = values[0]
     least = math.inf
@@ -327,7 +328,7 @@ def test_the_search_finds_what_a_dense_grid_finds():
 
 @pytest.fixture(scope="module")
 def ball():
-    return run_episode(BALL)
+    return run_episode(RunRequest(BALL))
 
 
 def test_the_ball_is_let_go_late_and_rebounds_higher_than_calibrated(ball):
@@ -358,7 +359,7 @@ def test_release_is_the_alignment_of_the_score(ball):
 @pytest.mark.parametrize(("material", "real_m_s2"), [("wood", 2.719), ("plastic", 2.898), ("metal", 2.603)])
 def test_slides_accelerate_as_the_trials_do(material, real_m_s2):
     """Against the mean acceleration of the trials, fitted to each (scoring/facts/slope_slider_30deg_summary.toml)."""
-    diagnosis = diagnose(run_episode(f"SlopeSlider-2-{material}"))
+    diagnosis = diagnose(run_episode(RunRequest(f"SlopeSlider-2-{material}")))
     assert diagnosis.rest.rmse_normalized < 0.02
     assert change(diagnosis.part(Stage.RATE), "acceleration").fitted == pytest.approx(real_m_s2, rel=0.01)
 
@@ -388,12 +389,12 @@ def test_published_engines_have_no_split(ball):
 
 
 def test_a_law_has_no_release_and_what_rests_has_no_rate():
-    resolved = load_experiment(HELD)
-    count = resolved.frame_count
+    experiment = load_experiment(HELD)
+    count = experiment.frame_count
     place = np.tile([17.0, 397.0, 211.0], (count, 1))
     times, values = samples(count, lambda times: np.tile([18.0, 397.0, 209.0], (len(times), 1)))
     law = carried_band(variant=HELD, positions_mm=place)
-    diagnosis = diagnose_trajectory(resolved, law, times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, law, times_s=times, values=values)
     assert_consistent(diagnosis)
     assert "law" in diagnosis.part(Stage.RELEASE).missing
     assert "does not move" in diagnosis.part(Stage.RATE).missing
@@ -403,11 +404,11 @@ def test_a_law_has_no_release_and_what_rests_has_no_rate():
 
 
 def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
-    resolved = load_experiment(SLIDE)
-    count = resolved.frame_count
+    experiment = load_experiment(SLIDE)
+    count = experiment.frame_count
     times, values = samples(count, lambda times: np.tile([97.0, 407.0, 359.0], (len(times), 1)))
     mean = slide(2600.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.part(Stage.RATE).missing == "the simulation does not move, so it has no rate"
     assert change(diagnosis.part(Stage.RELEASE), "release_time").fitted == 0.0
@@ -415,20 +416,20 @@ def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
 
 
 def test_no_error_is_no_budget():
-    resolved = load_experiment(SLIDE)
-    count = resolved.frame_count
+    experiment = load_experiment(SLIDE)
+    count = experiment.frame_count
     times, values = samples(count, slide(2600.0))
-    diagnosis = diagnose_trajectory(resolved, band(values[::6]), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(values[::6]), times_s=times, values=values)
     assert (diagnosis.rmse, diagnosis.rest.share) == (0.0, 0.0)
     assert findings(diagnosis) == ("The simulation is on the mean of the band: there is no error to explain.",)
 
 
 def test_limits_are_told():
-    resolved = load_experiment(SLIDE)
-    count = resolved.frame_count
+    experiment = load_experiment(SLIDE)
+    count = experiment.frame_count
     times, values = samples(count, slide(800.0))
     mean = slide(2600.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     rate = change(diagnosis.part(Stage.RATE), "acceleration")
     assert rate.at_bound
     assert rate.fitted == pytest.approx(2.0 * rate.simulated, rel=0.01)
@@ -437,11 +438,11 @@ def test_limits_are_told():
 
 def test_a_part_that_another_stands_in_for_is_told():
     """Let go at the right time and too slow: a shift hides most of it, the acceleration is all of it."""
-    resolved = load_experiment(SLIDE)
-    count = resolved.frame_count
+    experiment = load_experiment(SLIDE)
+    count = experiment.frame_count
     times, values = samples(count, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert diagnosis.part(Stage.RELEASE).share > 0.5
     assert diagnosis.part(Stage.RELEASE).last_share < 1e-3
     assert diagnosis.part(Stage.RATE).alone_share > 0.999
@@ -452,11 +453,11 @@ def test_a_part_that_another_stands_in_for_is_told():
 
 
 def test_speed_and_displacement_that_cannot_be_told_apart_are_noted():
-    resolved = load_experiment(DRIVEN)
-    count = resolved.frame_count
+    experiment = load_experiment(DRIVEN)
+    count = experiment.frame_count
     times, values = samples(count, slide(100.0))
     mean = slide(140.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(resolved, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert diagnosis.rest.share < 1e-4
     assert any("how they share it is not" in note for note in diagnosis.notes)
 
@@ -495,7 +496,7 @@ def gauge(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def unscored():
-    return run_episode("SlopeContact-plastic")
+    return run_episode(RunRequest("SlopeContact-plastic"))
 
 
 def test_what_is_missing_is_told(ball, unscored):
@@ -504,8 +505,8 @@ def test_what_is_missing_is_told(ball, unscored):
     with pytest.raises(DiagnosisError, match="diverged, so that there is no score"):
         diagnose(replace(ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"))
     with pytest.raises(DiagnosisError, match="withheld"):
-        resolved = load_experiment("SlopeContact-wood")
-        diagnose_trajectory(resolved, reference_band(resolved), times_s=np.zeros(1), values=np.zeros((1, 3)))
+        experiment = load_experiment("SlopeContact-wood")
+        diagnose_trajectory(experiment, reference_band(experiment), times_s=np.zeros(1), values=np.zeros((1, 3)))
     other = replace(
         ball, trajectory=replace(ball.trajectory, coordinates=["z"], samples=[[0.0]] * len(ball.trajectory.samples))
     )
@@ -520,8 +521,8 @@ def test_an_order_is_each_stage_once(order):
 
 
 def test_trajectories_that_do_not_fit_are_refused():
-    resolved = load_experiment(SLIDE)
-    times, values = samples(resolved.frame_count, slide(2600.0))
+    experiment = load_experiment(SLIDE)
+    times, values = samples(experiment.frame_count, slide(2600.0))
     mean = band(values[::6])
     for wrong in (
         {"times_s": times[:-1]},
@@ -532,10 +533,10 @@ def test_trajectories_that_do_not_fit_are_refused():
         {"values": values[:, :2]},
     ):
         with pytest.raises(ShapeError):
-            diagnose_trajectory(resolved, mean, **({"times_s": times, "values": values} | wrong))
+            diagnose_trajectory(experiment, mean, **({"times_s": times, "values": values} | wrong))
     with pytest.raises(DiagnosisError, match="no measured frame"):
         diagnose_trajectory(
-            resolved,
+            experiment,
             band(mean.mean, measured=np.zeros(len(mean.mean), bool)),
             times_s=times,
             values=values,

@@ -29,6 +29,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import gauge_envs
+from gauge_envs import load_experiment
 from gauge_envs.analysis.comparison import compare
 from gauge_envs.cli.app import app
 from gauge_envs.dataset.importer import ImportedTrials, import_trials
@@ -37,12 +38,10 @@ from gauge_envs.dataset.observation import driver_tracks
 from gauge_envs.dataset.trial import parse_trial
 from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, UnknownNameError
 from gauge_envs.evaluation.reference import band_grade, load_band
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import BandGrade, bundled_band
 from gauge_envs.references.imported import (
-    DriverSource,
-    choose_drivers,
+    DataSource,
     load_imported,
     recorded_drivers,
     user_data_folder,
@@ -50,7 +49,10 @@ from gauge_envs.references.imported import (
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name
+from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.scene.drivers import DriverMotion, SampledProfile
 
 AMOUNT = np.array(AMOUNTS)
@@ -69,12 +71,15 @@ IRREGULAR = (
 )
 
 
+IMPORTED = {"drivers": "imported", "reference": "imported"}
+
+
 def imported(root: Path, *only: str) -> dict[str, ImportedTrials]:
     return {one.variant.name: one for one in import_trials(find_trials(root, only=only or ("*",)))}
 
 
 def band_of(name: str):
-    band = load_band(name)
+    band = load_band(name, DataSource.IMPORTED)
     assert band is not None
     return band
 
@@ -95,19 +100,19 @@ def assert_spread(spread, values) -> None:
 
 @pytest.mark.parametrize("name", IRREGULAR)
 def test_known_statistics_come_back(name: str, tmp_path: Path) -> None:
-    resolved = write_synthetic(tmp_path, name).resolved
+    experiment = write_synthetic(tmp_path, name).experiment
     one = imported(tmp_path)[name]
     assert (one.used, one.left_out, one.findings) == (len(AMOUNTS), 0, ())
     band = band_of(name)
-    frames = resolved.frame_count
-    if resolved.recorded:  # every body is off by the amount along y, a right angle to where it goes
-        starts = 1e3 * np.concatenate([resolved.scene.body(body).pose.position_m for body in resolved.recorded])
-        steps = np.tile([2.0, 0.0, 0.0], len(resolved.recorded))
+    frames = experiment.frame_count
+    if experiment.recorded:  # every body is off by the amount along y, a right angle to where it goes
+        starts = 1e3 * np.concatenate([experiment.scene.body(body).pose.position_m for body in experiment.recorded])
+        steps = np.tile([2.0, 0.0, 0.0], len(experiment.recorded))
         mean = starts + np.arange(frames)[:, None] * steps
-        sigma = np.tile([0.0, AMOUNT.std(ddof=1), 0.0], (frames, len(resolved.recorded)))
-        distance = np.abs(AMOUNT) * math.sqrt(len(resolved.recorded))
+        sigma = np.tile([0.0, AMOUNT.std(ddof=1), 0.0], (frames, len(experiment.recorded)))
+        distance = np.abs(AMOUNT) * math.sqrt(len(experiment.recorded))
     else:  # faces grow with the square of the scale
-        areas = face_areas(scaled_markers(resolved, 0.0), resolved.scene.markers.faces)
+        areas = face_areas(scaled_markers(experiment, 0.0), experiment.scene.markers.faces)
         growth = (1.0 + 1e-3 * AMOUNT) ** 2
         mean = np.tile(growth.mean() * areas, (frames, 1))
         sigma = np.tile(growth.std(ddof=1) * areas, (frames, 1))
@@ -134,10 +139,10 @@ def face_areas(markers_mm: np.ndarray, faces) -> np.ndarray:
 def with_markers(name: str, shapes: list[np.ndarray]) -> list[dict]:
     """Trials of a variant whose markers keep one shape each [mm], shape [marker_count, 3]."""
     synthetic = synthetic_trials(name, [0.0] * len(shapes))
-    key = synthetic.resolved.scene.markers.bodies[0]
+    key = synthetic.experiment.scene.markers.bodies[0]
     for content, shape in zip(synthetic.contents, shapes, strict=True):
-        count = synthetic.resolved.frame_count
-        driver = synthetic.resolved.scene.drivers[0].body
+        count = synthetic.experiment.frame_count
+        driver = synthetic.experiment.scene.drivers[0].body
         content[driver] = {axis: values[:count] for axis, values in content[driver].items()}
         content[key] = marker_asset(np.repeat(shape[None], count, axis=0), [7 * k for k in range(len(shape))])
     return synthetic.contents
@@ -145,9 +150,9 @@ def with_markers(name: str, shapes: list[np.ndarray]) -> list[dict]:
 
 def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
     name = "TextileStretching-leather"
-    resolved = load_experiment(name)
-    rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
-    markers = resolved.scene.markers
+    experiment = load_experiment(name)
+    rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
+    markers = experiment.scene.markers
     raised = next(k for k in range(len(rest)) if k not in (*markers.edge, *markers.corner))
     normal = np.linalg.svd(rest - rest.mean(axis=0))[2][2]
     shapes, expected = [], []
@@ -156,7 +161,7 @@ def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
         shape[raised] += height * normal
         shapes.append(shape)
         around = 0.0
-        for face in resolved.scene.markers.faces:
+        for face in experiment.scene.markers.faces:
             if raised in face:
                 one, two = (shape[k] - shape[raised] for k in face if k != raised)
                 around += math.acos(one @ two / np.linalg.norm(one) / np.linalg.norm(two))
@@ -171,8 +176,8 @@ def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
 
 def test_curvature_of_a_folded_strip(tmp_path: Path) -> None:
     name = "TextileBending-rayon"
-    resolved = load_experiment(name)
-    rest = 1e3 * np.asarray(resolved.scene.markers.positions_m)
+    experiment = load_experiment(name)
+    rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
     angles = np.array([0.3, 0.4, 0.6])
     fold = rest[6, 0]
     shapes = []
@@ -206,14 +211,14 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path: Path) -> Non
         write_trial(tmp_path, name, number, content)
     assert imported(tmp_path)[name].findings == ()
     band = band_of(name)
-    start = 1e3 * np.asarray(synthetic.resolved.scene.body("cube").pose.position_m)
+    start = 1e3 * np.asarray(synthetic.experiment.scene.body("cube").pose.position_m)
     assert band.mean[3, 1] == pytest.approx(start[1] + AMOUNT[1:].mean(), abs=TOLERANCE)
     assert band.sigma[3, 1] == pytest.approx(AMOUNT[1:].std(ddof=1), abs=TOLERANCE)
     assert band.mean[5, 2] == pytest.approx(start[2], abs=TOLERANCE)
     assert np.isnan(band.sigma[5, 2]) and np.isfinite(band.sigma[5, :2]).all()
     assert np.isnan(band.mean[7]).all() and np.isnan(band.sigma[7]).all()
-    assert band.measured.tolist() == [frame != 7 for frame in range(synthetic.resolved.frame_count)]
-    score = run_episode(name).score
+    assert band.measured.tolist() == [frame != 7 for frame in range(synthetic.experiment.frame_count)]
+    score = run_episode(RunRequest(name, **IMPORTED)).score
     assert score.rmse is not None and score.mean_abs_z is not None
 
 
@@ -285,9 +290,9 @@ def test_all_75_experiments_are_found_in_their_folders(tmp_path: Path) -> None:
 def write_reconstruction(root: Path) -> None:
     """The bundled facts' trials in the dataset's layout: one coordinate was measured, the others are at the start."""
     for name, trials in build_bands.reconstruct(data_folder("scoring")).items():
-        resolved = load_experiment(name)
-        (body,) = resolved.recorded
-        direction, start = np.array(trials.direction), 1e3 * np.asarray(resolved.scene.body(body).pose.position_m)
+        experiment = load_experiment(name)
+        (body,) = experiment.recorded
+        direction, start = np.array(trials.direction), 1e3 * np.asarray(experiment.scene.body(body).pose.position_m)
         across = start - (start @ direction) * direction
         for number, along in enumerate(trials.positions_mm):
             content = trial_content({body: body_asset(across + along[:, None] * direction)})
@@ -318,7 +323,7 @@ def test_published_baselines_come_out_of_the_importer(tmp_path: Path) -> None:
 # --- what uses an import ---------------------------------------------------------------------------------------------
 
 
-def test_an_import_is_preferred_and_shown(tmp_path: Path, gauge) -> None:
+def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> None:
     name = "SlopeSlider-3-wood"
     assert band_grade(name) is BandGrade.NONE
     synthetic = write_synthetic(tmp_path, name)
@@ -326,18 +331,22 @@ def test_an_import_is_preferred_and_shown(tmp_path: Path, gauge) -> None:
     result = gauge("data", "import", tmp_path)
     assert result.exit_code == 0
     assert "1.00" in result.stdout or "1 (0.456) mm" in result.stdout
-    assert band_grade(name) is BandGrade.TRIALS
+    assert "gauge run ID --drivers imported --reference imported" in result.stderr.replace("\n", " ")
+    assert (band_grade(name), band_grade(name, DataSource.IMPORTED)) == (BandGrade.NONE, BandGrade.TRIALS)
     row = json.loads(gauge("list", name, "--json").stdout)
-    assert (row["grade"], row["imported"]) == ("trials", True)
-    assert "trials, imported" in gauge("list", name).stdout
-    shown = json.loads(gauge("show", name, "--json").stdout)
+    assert (row["grade"], row["imported"]) == ("none", True)
+    assert "trials imported" in gauge("list", name).stdout
+    bundled = json.loads(gauge("show", name, "--json").stdout)["reference"]
+    assert (bundled["grade"], bundled["imported"], bundled["is_import_available"]) == ("none", False, True)
+    options = ("--drivers", "imported", "--reference", "imported")
+    shown = json.loads(gauge("show", name, "--json", *options).stdout)
     assert shown["reference"]["imported"] and shown["reference"]["trial_count"] == 4
     assert "imported dataset revision 9e0acb7" in shown["reference"]["source"]
     (driver,) = shown["drivers"]
     assert (driver["provenance"], driver["imported"]) == ("mocap", True)
     values = driver["motions"][0]["profile"][0]["values_deg"]
     np.testing.assert_allclose(np.radians(values), synthetic.coordinates["board"][:, 0], atol=TOLERANCE)
-    assert "Driver of board (mocap)" in gauge("show", name).stdout
+    assert "Driver of board (mocap)" in gauge("show", name, *options).stdout
     status = json.loads(gauge("data", "status", name, "--json").stdout)
     assert (status["grade"], status["imported"], status["trials"], status["is_current"]) == ("trials", True, 4, True)
     assert status["drivers"][0]["provenance"] == "mocap"
@@ -347,12 +356,13 @@ def test_an_import_is_preferred_and_shown(tmp_path: Path, gauge) -> None:
 
 def test_results_are_scored_on_the_import_and_say_so(tmp_path: Path) -> None:
     name = "SlopeSlider-1-wood"
-    before = run_episode(name)
+    before = run_episode(RunRequest(name))
     write_synthetic(tmp_path, name)
     imported(tmp_path)
-    after = run_episode(name)
+    assert run_episode(RunRequest(name)).score == before.score
+    after = run_episode(RunRequest(name, **IMPORTED))
     assert (before.score.grade, after.score.grade) == ("law", "trials")
-    assert before.dataset == {}
+    assert before.dataset == {"drivers": "bundled", "reference": "bundled"}
     assert after.dataset["revision"] == "unknown" and len(after.dataset["sha256"]) == 64
     simulated, mean = np.array(after.trajectory.samples)[::6], band_of(name).mean
     assert after.score.rmse == pytest.approx(math.sqrt(((simulated - mean) ** 2).sum(axis=1).mean()), rel=1e-12)
@@ -360,18 +370,25 @@ def test_results_are_scored_on_the_import_and_say_so(tmp_path: Path) -> None:
 
 def test_resume_runs_again_what_was_scored_on_other_trials(tmp_path: Path) -> None:
     name, notes = "SlopeSlider-1-wood", []
-    (first,) = run_many([name], out=tmp_path / "results", resume=True, notify=notes.append)
-    write_synthetic(tmp_path, name)
-    imported(tmp_path)
-    (second,) = run_many([name], out=tmp_path / "results", resume=True, notify=notes.append)
+
+    def run(**options) -> Result:
+        requests = [RunRequest(name, **options)]
+        return next(run_many(requests, out=tmp_path / "results", resume=True, notify=notes.append))
+
+    first = run()
+    write_synthetic(tmp_path / "a", name)
+    imported(tmp_path / "a")
+    second = run(**IMPORTED)
     assert (first.score.grade, second.score.grade) == ("law", "trials")
-    assert len(notes) == 1 and "dataset differs" in notes[0]
-    file = tmp_path / "results" / result_file_name(second)
-    assert load_result(file).dataset == second.dataset
+    assert load_result(tmp_path / "results" / result_file_name(second)).dataset == second.dataset
     assert any("of different imports, or bundled" in note for note in compare([first, second]).notes)
     assert not any("imports" in note for note in compare([second]).notes)
-    (third,) = run_many([name], out=tmp_path / "results", resume=True, notify=notes.append)
-    assert third.created == second.created and len(notes) == 1
+    assert (run().created, run(**IMPORTED).created, notes) == (first.created, second.created, [])
+    write_synthetic(tmp_path / "b", name, AMOUNTS[:2])
+    imported(tmp_path / "b")
+    third = run(**IMPORTED)
+    assert third.dataset["sha256"] != second.dataset["sha256"]
+    assert len(notes) == 1 and "dataset differs" in notes[0]
 
 
 # --- drivers ---------------------------------------------------------------------------------------------------------
@@ -388,11 +405,11 @@ DRIVEN = (
 @pytest.mark.parametrize("name", DRIVEN)
 def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
     synthetic = write_synthetic(tmp_path, name)
-    bundled = synthetic.resolved
+    bundled = synthetic.experiment
     one = imported(tmp_path)[name]
-    resolved = load_experiment(name)
-    assert (resolved.drivers, resolved.driver_provenance) == (DriverSource.IMPORTED, "mocap")
-    for driver, stated, record in zip(resolved.scene.drivers, bundled.scene.drivers, one.record.drivers, strict=True):
+    experiment = load_experiment(name, **IMPORTED)
+    assert (experiment.drivers, experiment.driver_provenance) == (DataSource.IMPORTED, "mocap")
+    for driver, stated, record in zip(experiment.scene.drivers, bundled.scene.drivers, one.record.drivers, strict=True):
         wanted = synthetic.coordinates[driver.body]
         for number, motion in enumerate(driver.motions):
             (profile,) = motion.profiles
@@ -402,7 +419,7 @@ def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
             assert motion.residual_rate == stated.motions[number].residual_rate
         assert record.trial_count == len(AMOUNTS)
         assert max(record.residual_mm, record.residual_deg, record.start_offset_mm) < 1e-6
-    assert load_experiment(name, drivers="bundled").scene.drivers == bundled.scene.drivers
+    assert load_experiment(name).scene.drivers == bundled.scene.drivers
     assert load_experiment(name).parameters == "calibrated" and load_experiment(name).overrides == {}
 
 
@@ -427,14 +444,14 @@ def test_any_driver_with_one_turn_is_inverted(kinds: tuple[str, ...], seed: int)
         )
         for kind, axis, values in zip(kinds, axes, wanted.T, strict=False)
     )
-    resolved = load_experiment("Turntable-2-wood", drivers="bundled")
-    driver = replace(resolved.scene.drivers[0], motions=motions)
-    resolved = replace(resolved, scene=replace(resolved.scene, drivers=(driver,)), frame_count=frames)
-    poses = [driver.pose(resolved.scene.body("plate").pose, time_s) for time_s in times]
+    experiment = load_experiment("Turntable-2-wood")
+    driver = replace(experiment.scene.drivers[0], motions=motions)
+    experiment = replace(experiment, scene=replace(experiment.scene, drivers=(driver,)), frame_count=frames)
+    poses = [driver.pose(experiment.scene.body("plate").pose, time_s) for time_s in times]
     positions = 1e3 * np.array([pose.position_m for pose in poses])
     plate = body_asset(positions, Rotation.concatenate([pose.rotation for pose in poses]))
     trial = parse_trial(json.dumps(trial_content({"plate": plate})).encode())
-    (track,) = driver_tracks(trial, resolved)
+    (track,) = driver_tracks(trial, experiment)
     np.testing.assert_allclose(track.coordinates, wanted, atol=1e-9)
     assert track.residual_mm.max() < 1e-9 and track.residual_rad.max() < 1e-7
 
@@ -442,14 +459,14 @@ def test_any_driver_with_one_turn_is_inverted(kinds: tuple[str, ...], seed: int)
 def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) -> None:
     """A plate at 12 rad/s, in trials that start 1 mm apart, wobble by 0.5 mm and tilt by 1 degree."""
     name = "Turntable-3-metal"
-    resolved = load_experiment(name)
-    count = resolved.frame_count
+    experiment = load_experiment(name)
+    count = experiment.frame_count
     angles = 12.0 * np.arange(count) / 30.0
     later = (np.arange(count) > 0)[:, None]
     tilt = Rotation.from_rotvec(later * [1.0, 0.0, 0.0], degrees=True)
     for number, offset in enumerate((-1.0, 1.0)):
         content = synthetic_trials(name, AMOUNTS[:2], frames_after=0).contents[number]
-        start = 1e3 * np.asarray(resolved.scene.body("plate").pose.position_m) + [offset, 0.0, 0.0]
+        start = 1e3 * np.asarray(experiment.scene.body("plate").pose.position_m) + [offset, 0.0, 0.0]
         turn = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0])
         content["plate"] = body_asset(start + later * [0.0, 0.0, 0.5], tilt * turn)
         write_trial(tmp_path, name, number, content)
@@ -459,7 +476,7 @@ def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) 
     assert record.residual_deg == pytest.approx(1.0 * share, rel=1e-6)
     assert record.start_offset_mm == pytest.approx(1.0, rel=1e-6)
     assert (record.scatter_mm, record.scatter_deg) == (None, pytest.approx(0.0, abs=1e-5))
-    (profile,) = load_experiment(name).scene.drivers[0].motions[0].profiles
+    (profile,) = load_experiment(name, drivers="imported").scene.drivers[0].motions[0].profiles
     np.testing.assert_allclose(profile.values, angles, atol=1e-3)
 
 
@@ -476,20 +493,34 @@ def test_an_environment_drives_as_recorded_or_as_bundled(tmp_path: Path, gauge) 
         w, _, y, _ = observation["driver"][0, 3:7]
         return 2 * math.atan2(y, w)
 
-    assert tilt() == pytest.approx(0.010, abs=1e-6)
-    bundled = tilt(drivers="bundled")
-    assert abs(bundled) > 0.02
-    assert gauge("data", "use", "--drivers", "bundled").exit_code == 0
-    assert tilt() == bundled and tilt(drivers="imported") == pytest.approx(0.010, abs=1e-6)
-    result = run_episode(name)
-    assert (result.driver_provenance, result.dataset["drivers"]) == ("nominal", "bundled")
-    assert "not in use is the imported one" in gauge("show", name).stdout.replace("\n", " ")
-    assert band_grade(name) is BandGrade.TRIALS
-    choose_drivers(DriverSource.IMPORTED)
-    result = run_episode(name)
+    bundled = tilt()
+    assert abs(bundled) > 0.02 and tilt(drivers="bundled") == bundled
+    assert tilt(drivers="imported") == pytest.approx(0.010, abs=1e-6)
+    result = run_episode(RunRequest(name))
+    assert (result.driver_provenance, result.dataset) == ("nominal", {"drivers": "bundled", "reference": "bundled"})
+    assert "imported trials exist" in gauge("show", name).stdout.replace("\n", " ")
+    result = run_episode(RunRequest(name, drivers="imported"))
     assert (result.driver_provenance, result.dataset["drivers"]) == ("mocap", "imported")
-    with pytest.raises(ParameterError, match="'imported' or 'bundled'"):
+    assert (result.dataset["reference"], result.score.grade) == ("bundled", "none")
+    assert recorded_experiment(result).scene.drivers == load_experiment(name, drivers="imported").scene.drivers
+    with pytest.raises(ParameterError, match="'bundled' or 'imported'"):
         gymnasium.make(f"GAUGE/{name}", drivers="recorded")
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-3-wood", "SlopeSlider-2-wood"])
+@pytest.mark.parametrize("argument", ["drivers", "reference"])
+def test_what_was_not_imported_is_an_error_that_names_the_command(name: str, argument: str) -> None:
+    with pytest.raises(ParameterError, match=f"{name}: {argument}='imported'.*gauge data import DIR"):
+        load_experiment(name, **{argument: "imported"})
+
+
+def test_info_states_where_drivers_and_reference_are_from(tmp_path: Path) -> None:
+    name = "SlopeSlider-3-wood"
+    write_synthetic(tmp_path, name)
+    imported(tmp_path)
+    for options, expected in (({}, ("bundled", "bundled", "none")), (IMPORTED, ("imported", "imported", "trials"))):
+        _, info = gymnasium.make(f"GAUGE/{name}", **options).reset(seed=0)
+        assert (info["drivers"], info["reference_source"], info["reference"]) == expected
 
 
 def test_trials_without_a_driver_still_make_a_band(tmp_path: Path) -> None:
@@ -622,17 +653,18 @@ def test_a_damaged_store_is_named(suffix: str, content: bytes | None, tmp_path: 
     else:
         file.unlink()
     with pytest.raises(ReferenceFileError) as caught:
-        load_band(name)
+        load_band(name, DataSource.IMPORTED)
     assert str(file) in str(caught.value)
     assert "gauge data import renews it" in str(caught.value)
-    assert gauge("show", name).exit_code == 2
+    assert gauge("show", name, "--reference", "imported").exit_code == 2
+    assert gauge("show", name).exit_code == 0
     imported(tmp_path)
-    assert band_grade(name) is BandGrade.TRIALS
+    assert band_grade(name, DataSource.IMPORTED) is BandGrade.TRIALS
 
 
 def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:
     name = "FoamShearing-soft"
-    (driver,) = write_synthetic(tmp_path, name).resolved.scene.drivers
+    (driver,) = write_synthetic(tmp_path, name).experiment.scene.drivers
     imported(tmp_path)
     shorter = replace(driver, motions=driver.motions[:1])
     with pytest.raises(ReferenceFileError, match="has 1 motions, imported were 2"):

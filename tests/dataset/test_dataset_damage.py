@@ -26,14 +26,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from gauge_envs import load_experiment
 from gauge_envs.cli.app import app
 from gauge_envs.dataset.importer import import_trials
 from gauge_envs.dataset.layout import find_trials
 from gauge_envs.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.dataset.trial import Trial, TrialError, parse_trial
 from gauge_envs.evaluation.reference import load_band
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.imported import load_imported
+from gauge_envs.references.imported import DataSource, load_imported
 
 SLIDER, FOAM, PLATE = "SlopeSlider-1-wood", "FoamBending-soft", "Turntable-2-wood"
 NUMBER = 99
@@ -148,7 +148,7 @@ def test_a_damaged_file_is_named_and_the_others_are_used(damage: str, tmp_path: 
     name, change, key, what, right = DAMAGES[damage]
     write_synthetic(tmp_path, name)
     list(import_trials(find_trials(tmp_path)))
-    undamaged = load_band(name)
+    undamaged = load_band(name, DataSource.IMPORTED)
     (content,) = synthetic_trials(name, [0.3]).contents
     file = write_trial(tmp_path, name, NUMBER, change(content))
     (one,) = import_trials(find_trials(tmp_path))
@@ -158,7 +158,7 @@ def test_a_damaged_file_is_named_and_the_others_are_used(damage: str, tmp_path: 
     assert what in finding.what
     assert right in finding.right
     assert (one.used, one.left_out, one.record.left_out) == (len(AMOUNTS), 1, 1)
-    band = load_band(name)
+    band = load_band(name, DataSource.IMPORTED)
     np.testing.assert_array_equal(band.mean, undamaged.mean)
     np.testing.assert_array_equal(band.sigma, undamaged.sigma)
 
@@ -209,7 +209,7 @@ def test_marker_sets_of_several_bodies_are_joined(tmp_path: Path) -> None:
     assert (one.used, one.left_out) == (3, 1)
     assert (one.findings[0].key, one.findings[0].what) == ("cube-3", "it has 94 frames")
     start = scaled_markers(load_experiment(name), float(np.mean(AMOUNTS[:3])))
-    np.testing.assert_allclose(load_band(name).mean[5], start.ravel(), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(load_band(name, DataSource.IMPORTED).mean[5], start.ravel(), rtol=0, atol=1e-9)
 
 
 def test_a_copy_counts_once(tmp_path: Path) -> None:
@@ -259,17 +259,17 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path: Path) -> None:
 
 def read_all(content: bytes, name: str) -> Trial | None:
     """What an import does with a file; the trial, where it can be used. Any other error than a named one is a bug."""
-    resolved = load_experiment(name)
+    experiment = load_experiment(name)
     try:
         trial = parse_trial(content)
-        trajectory = trial_trajectory(trial, resolved)
-        assert trajectory.shape[0] == resolved.frame_count and not np.isinf(trajectory).any()
+        trajectory = trial_trajectory(trial, experiment)
+        assert trajectory.shape[0] == experiment.frame_count and not np.isinf(trajectory).any()
     except TrialError as error:
         assert error.key and error.what and error.right
         assert all(part.isprintable() for part in (error.key, error.what, error.right))
         return None
     with contextlib.suppress(TrialError):
-        driver_tracks(trial, resolved)
+        driver_tracks(trial, experiment)
     return trial
 
 

@@ -28,7 +28,7 @@ from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant, load_experi
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.references.imported import DriverSource
+from gauge_envs.references.imported import DataSource
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)
@@ -176,10 +176,10 @@ def test_newton_environments_pickle(name: str) -> None:
 def test_what_the_package_returns_pickles() -> None:
     env = gymnasium.make(f"GAUGE/{RIGID}")
     _, info = run_to_end(env)
-    resolved = load_experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
-    for value in (info["score"], resolved, resolved.scene, find_variant(RIGID), Jitter()):
+    experiment = load_experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
+    for value in (info["score"], experiment, experiment.scene, find_variant(RIGID), Jitter()):
         assert pickle.loads(pickle.dumps(value)) == value
-    band = reference_band(resolved)
+    band = reference_band(experiment)
     assert np.array_equal(pickle.loads(pickle.dumps(band)).mean, band.mean, equal_nan=True)
     trajectory = env.unwrapped.trajectory()
     assert np.array_equal(pickle.loads(pickle.dumps(trajectory)).samples, trajectory.samples)
@@ -194,7 +194,7 @@ def test_a_spec_rebuilds_the_run_with_all_its_arguments() -> None:
         parameters=MappingProxyType({"foam.young_modulus_pa": np.float32(50000.0)}),
         settings={"timestep_s": 1 / 3600},
         marker_proxy=MarkerProxy.MATERIAL,
-        drivers=DriverSource.BUNDLED,
+        drivers=DataSource.BUNDLED,
         use_withheld=True,
         render_mode="rgb_array",
         width=np.int64(80),

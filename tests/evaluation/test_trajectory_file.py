@@ -205,9 +205,9 @@ def test_the_id_is_needed_and_must_not_contradict_the_file(tmp_path):
     ],
 )
 def test_coordinates_of_every_observable_have_names(name, first, unit):
-    resolved = load_experiment(name)
-    assert resolved.coordinates[: len(first)] == first
-    assert resolved.spec.score.observable.unit == unit
+    experiment = load_experiment(name)
+    assert experiment.coordinates[: len(first)] == first
+    assert experiment.spec.score.observable.unit == unit
 
 
 def valid_npz():

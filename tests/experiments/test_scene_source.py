@@ -16,17 +16,19 @@ from places import RIGID
 from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from typer.testing import CliRunner
 
+from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.analysis.comparison import compare
 from gauge_envs.cli.app import app
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.export.assets import assets_folder
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.report import comparison_rows
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.runs.scene_record import recorded_experiment
@@ -80,8 +82,8 @@ def setting(**values: Any) -> Edit:
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
-    found = load_experiment(name, asset=shipped(name))
-    assert found.scene == load_experiment(name, drivers="bundled").scene
+    found = load_experiment_from_asset(name, shipped(name))
+    assert found.scene == load_experiment(name).scene
     assert found.asset is not None
     assert (found.asset.edited, found.asset.changes) == (False, ())
     assert found.asset.sha256 == hashlib.sha256(shipped(name).read_bytes()).hexdigest()
@@ -160,7 +162,7 @@ def test_an_edited_mesh_changes_the_shape(edited: Callable[[str, Edit], Path]) -
         points.Set(Vt.Vec3fArray([Gf.Vec3f(x, y, 1.25 * z) for x, y, z in points.Get()]))
 
     before = load_experiment(name).scene.body("pyramid").shape
-    found = load_experiment(name, asset=edited(name, taller))
+    found = load_experiment_from_asset(name, edited(name, taller))
     after = found.scene.body("pyramid").shape
     assert after.volume_m3 > 1.001 * before.volume_m3
     assert found.asset is not None
@@ -198,7 +200,7 @@ def test_actions_still_add_to_the_motion_of_a_layer(rollout: Rollout) -> None:
 def test_newton_takes_an_edited_layer(edited: Callable[[str, Edit], Path]) -> None:
     pytest.importorskip("newton")
     path = edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
-    plain, changed = (run_episode(SLIDE, backend="newton", asset=asset) for asset in (None, path))
+    plain, changed = (run_episode(RunRequest(SLIDE, backend="newton", asset=asset)) for asset in (None, path))
     assert changed.score.edited
     assert changed.trajectory is not None
     assert plain.trajectory is not None
@@ -207,7 +209,7 @@ def test_newton_takes_an_edited_layer(edited: Callable[[str, Edit], Path]) -> No
 
 def test_jitter_and_repeats_start_from_the_layer(edited: Callable[[str, Edit], Path]) -> None:
     path = edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
-    results = run_repeats(SLIDE, repeats=2, asset=path)
+    results = run_repeats(RunRequest(SLIDE, repeats=2, asset=path))
     assert all(result.is_edited for result in results)
     starts = [result.trajectory.samples[0] for result in results if result.trajectory is not None]
     assert 0.0 < np.abs(np.subtract(*starts)).max() < 10.0
@@ -217,7 +219,7 @@ def test_the_reference_stays_that_of_the_calibrated_scene(edited: Callable[[str,
     name = "SlopeSlider-1-wood"
     start = load_experiment(name).scene.body("cube").pose.position_m
     moved = Gf.Vec3d(start[0] + 0.01, start[1], start[2])
-    found = load_experiment(name, asset=edited(name, setting(cube__xformOp__translate=moved)))
+    found = load_experiment_from_asset(name, edited(name, setting(cube__xformOp__translate=moved)))
     bands = [reference_band(one) for one in (found, load_experiment(name))]
     assert bands[0] is not None
     assert bands[1] is not None
@@ -264,7 +266,7 @@ def slippery(edited: Callable[[str, Edit], Path]) -> Path:
 
 
 def test_a_result_says_what_it_ran_and_reads_back(slippery: Path, tmp_path: Path) -> None:
-    result = run_episode(SLIDE, asset=slippery)
+    result = run_episode(RunRequest(SLIDE, asset=slippery))
     file = tmp_path / result_file_name(result)
     assert f".asset-{result.asset['sha256'][:8]}." in file.name
     write_result(result, file)
@@ -272,7 +274,7 @@ def test_a_result_says_what_it_ran_and_reads_back(slippery: Path, tmp_path: Path
     assert again == result
     assert str(tmp_path) not in file.read_text()
     found = recorded_experiment(again)
-    assert found.scene == load_experiment(SLIDE, asset=slippery).scene
+    assert found.scene == load_experiment_from_asset(SLIDE, slippery).scene
     assert found.edited
     scored = score_file(file)[0].score
     assert (scored.rmse, scored.edited) == (result.score.rmse, True)
@@ -295,7 +297,7 @@ def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path: Path
     )
 
     def digest(path: Path) -> str:
-        asset = load_experiment(SLIDE, asset=path).asset
+        asset = load_experiment_from_asset(SLIDE, path).asset
         assert asset is not None
         assert not asset.changes
         return asset.sha256
@@ -319,19 +321,19 @@ def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path: Path
 def test_the_hash_of_a_package_is_that_of_its_bytes(tmp_path: Path) -> None:
     path = tmp_path / "slide.usdz"
     assert UsdUtils.CreateNewUsdzPackage(str(shipped(SLIDE)), str(path))
-    found = load_experiment(SLIDE, asset=path)
+    found = load_experiment_from_asset(SLIDE, path)
     assert found.asset is not None
     assert found.asset.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_a_layer_without_changes_is_filed_as_the_task_files(tmp_path: Path) -> None:
-    results = [run_episode(SLIDE, asset=asset) for asset in (None, shipped(SLIDE))]
+    results = [run_episode(RunRequest(SLIDE, asset=asset)) for asset in (None, shipped(SLIDE))]
     assert len({result_file_name(result) for result in results}) == 1
     assert len(compare(results).configurations) == 1
 
 
 def test_results_of_before_have_no_asset(tmp_path: Path) -> None:
-    result = run_episode(SLIDE)
+    result = run_episode(RunRequest(SLIDE))
     values = result.to_dict()
     del values["asset"], values["score"]["edited"]
     file = tmp_path / "old.json"
@@ -340,7 +342,7 @@ def test_results_of_before_have_no_asset(tmp_path: Path) -> None:
 
 
 def test_compare_keeps_edited_scenes_apart(slippery: Path) -> None:
-    comparison = compare([run_episode(SLIDE), run_episode(SLIDE, asset=slippery)])
+    comparison = compare([run_episode(RunRequest(SLIDE)), run_episode(RunRequest(SLIDE, asset=slippery))])
     assert [bool(one.asset) for one in comparison.configurations] == [False, True]
     told = json.dumps(comparison_rows(comparison, ("rmse",)))
     assert f"edited scene {slippery.name}" in told
@@ -348,7 +350,7 @@ def test_compare_keeps_edited_scenes_apart(slippery: Path) -> None:
 
 def test_resume_takes_only_a_result_of_the_same_file(slippery: Path, tmp_path: Path) -> None:
     def run(asset: Path, notes: list[str]) -> Result:
-        return next(run_many([SLIDE], asset=asset, out=tmp_path / "out", resume=True, notify=notes.append))
+        return next(run_many([RunRequest(SLIDE, asset=asset)], out=tmp_path / "out", resume=True, notify=notes.append))
 
     first, notes = run(slippery, []), []
     assert run(slippery, notes).created == first.created
@@ -410,7 +412,7 @@ def fixed(stage: Usd.Stage) -> None:
 )
 def test_what_does_not_fit_the_id_is_told(change: Edit, told: str, edited: Callable[[str, Edit], Path]) -> None:
     with pytest.raises(AssetError) as caught:
-        load_experiment(SLIDE, asset=edited(SLIDE, change))
+        load_experiment_from_asset(SLIDE, edited(SLIDE, change))
     assert told in str(caught.value)
     assert f"{SLIDE}.usda" in str(caught.value)
 
@@ -419,8 +421,8 @@ def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited: Ca
     path = edited("SlopeSlider-2-plastic", unnamed(""))
     # Metal has as many frames as wood, plastic two fewer: a layer also says how long it lasts.
     with pytest.raises(AssetError, match="it lasts"):
-        load_experiment(SLIDE, asset=path)
-    found = load_experiment(SLIDE, asset=edited("SlopeSlider-2-metal", unnamed("")))
+        load_experiment_from_asset(SLIDE, path)
+    found = load_experiment_from_asset(SLIDE, edited("SlopeSlider-2-metal", unnamed("")))
     assert found.asset is not None
     assert "cube: mass_kg 0.0903 -> 0.3397" in found.asset.changes
 
@@ -428,7 +430,7 @@ def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited: Ca
 def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) -> None:
     name = "TextileStretching-rayon"
     with pytest.raises(AssetError, match="no markers, which TextileStretching-rayon records"):
-        load_experiment(name, asset=edited(name, lambda stage: stage.RemovePrim("/World/Markers")))
+        load_experiment_from_asset(name, edited(name, lambda stage: stage.RemovePrim("/World/Markers")))
 
 
 @pytest.mark.parametrize(
@@ -462,7 +464,7 @@ def test_a_body_without_mass_is_an_error(edited: Callable[[str, Edit], Path]) ->
             prim.RemoveProperty(name)
 
     with pytest.raises(AssetError, match=r"/World/cube.*mass"):
-        load_experiment(SLIDE, asset=edited(SLIDE, massless))
+        load_experiment_from_asset(SLIDE, edited(SLIDE, massless))
 
 
 def test_a_joint_that_scenes_do_not_have_is_an_error(edited: Callable[[str, Edit], Path]) -> None:
@@ -471,14 +473,14 @@ def test_a_joint_that_scenes_do_not_have_is_an_error(edited: Callable[[str, Edit
         joint.CreateRelationship("physics:body1").SetTargets([Sdf.Path("/World/cube")])
 
     with pytest.raises(AssetError, match="/World/slider"):
-        load_experiment(SLIDE, asset=edited(SLIDE, slider))
+        load_experiment_from_asset(SLIDE, edited(SLIDE, slider))
 
 
 @pytest.mark.parametrize("options", [{"parameters": {"cube.friction": 0.1}}, {"drivers": "imported"}])
 def test_what_the_file_states_cannot_be_given_too(options: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)
-    assert load_experiment(SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)).asset is not None
+    assert resolve_experiment(SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)).asset is not None
 
 
 def test_an_asset_alone_is_no_experiment() -> None:

@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 from places import RIGID
 
+from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends import backend, backend_for, backend_of_suffix
 from gauge_envs.backends.mujoco.model_diff import model_changes
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.export.assets import assets_folder
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.scene_record import recorded_experiment
 
 ALL = tuple(variant.name for variant in variants())
@@ -57,10 +58,10 @@ def edited(tmp_path: Path) -> Callable[..., Path]:
     "name", [pytest.param(name, marks=() if name in RIGID or "-rayon" in name else pytest.mark.slow) for name in ALL]
 )
 def test_the_shipped_file_is_the_scenes(name: str) -> None:
-    found = load_experiment(name, asset=shipped(name))
+    found = load_experiment_from_asset(name, shipped(name))
     assert found.asset is not None
     assert found.asset.changes == ()
-    assert found.scene == load_experiment(name, drivers="bundled").scene
+    assert found.scene == load_experiment(name).scene
 
 
 def test_the_shipped_file_states_the_settings_in_force() -> None:
@@ -146,7 +147,7 @@ def test_an_edited_mass_and_pose_reach_scene_and_model(edited: Callable[..., Pat
 
 def test_a_longer_step_is_the_files(edited: Callable[..., Path]) -> None:
     path = edited(SLIDE, ('timestep="0.00011111111111111112"', f'timestep="{1 / 1800!r}"'))
-    result = run_episode(SLIDE, asset=path)
+    result = run_episode(RunRequest(SLIDE, asset=path))
     assert result.settings["timestep_s"] == 1 / 1800
     assert result.asset["changes"] == ["option: timestep 0.0001111111111 -> 0.0005555555556"]
     assert recorded_experiment(result).scene == load_experiment(SLIDE).scene
@@ -158,7 +159,7 @@ def test_an_edited_table_is_a_change(edited: Callable[..., Path]) -> None:
     assert numbers is not None
     old = numbers.group(0)
     path = edited("TextileStretching-rayon", (old, f"{old[: -len(numbers.group(1))]}7"))
-    changes = load_experiment("TextileStretching-rayon", asset=path).asset.changes  # type: ignore[union-attr]
+    changes = load_experiment_from_asset("TextileStretching-rayon", path).asset.changes  # type: ignore[union-attr]
     assert len(changes) == 1
     assert changes[0].startswith("flex_bending: ")
 
@@ -224,7 +225,7 @@ def test_what_a_file_lacks_is_told(
     name: str, replacement: tuple[str, str], told: str, edited: Callable[..., Path]
 ) -> None:
     with pytest.raises(AssetError, match=told) as caught:
-        load_experiment(name, asset=edited(name, replacement))
+        load_experiment_from_asset(name, edited(name, replacement))
     assert str(caught.value).startswith(f"{caught.value.file}: ")
 
 
@@ -233,7 +234,7 @@ def test_velocities_without_poses_are_refused(edited: Callable[..., Path]) -> No
         rows[:, 7:13] *= 2.0
 
     with pytest.raises(AssetError, match="velocities or forces differ and poses do not"):
-        load_experiment(TILTED, asset=edited(TILTED, rows_text(faster)))
+        load_experiment_from_asset(TILTED, edited(TILTED, rows_text(faster)))
 
 
 def test_rows_that_start_elsewhere_are_refused(edited: Callable[..., Path]) -> None:
@@ -241,7 +242,7 @@ def test_rows_that_start_elsewhere_are_refused(edited: Callable[..., Path]) -> N
         rows[:, 0] += 0.01
 
     with pytest.raises(AssetError, match="its rows start at"):
-        load_experiment(TILTED, asset=edited(TILTED, rows_text(shift)))
+        load_experiment_from_asset(TILTED, edited(TILTED, rows_text(shift)))
 
 
 def test_nodes_of_cloth_stay_where_they_are(edited: Callable[..., Path]) -> None:
@@ -249,21 +250,21 @@ def test_nodes_of_cloth_stay_where_they_are(edited: Callable[..., Path]) -> None
     node = re.search(r'<body name="textile/\d+" pos="', text)
     assert node is not None
     with pytest.raises(AssetError, match="nodes of a deformable body cannot be moved in MJCF"):
-        load_experiment(
-            "TextileStretching-rayon", asset=edited("TextileStretching-rayon", (node.group(0), f"{node.group(0)}1"))
+        load_experiment_from_asset(
+            "TextileStretching-rayon", edited("TextileStretching-rayon", (node.group(0), f"{node.group(0)}1"))
         )
 
 
 def test_a_file_of_another_experiment_is_refused() -> None:
     with pytest.raises(AssetError, match="cube: no body of that name; the file has: ball, ground"):
-        load_experiment(SLIDE, asset=shipped("Pendulum-metal"))
+        load_experiment_from_asset(SLIDE, shipped("Pendulum-metal"))
 
 
 def test_settings_and_jitter_need_a_scene() -> None:
     with pytest.raises(ParameterError, match="an MJCF file states its settings itself"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800})
     with pytest.raises(AssetError, match="another start, as of a jitter, needs USD"):
-        run_repeats(SLIDE, repeats=2, asset=shipped(SLIDE))
+        run_repeats(RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)))
 
 
 # --- the hook --------------------------------------------------------------------------------------------------------

@@ -38,11 +38,11 @@ MATERIALS = {
 NAMES = tuple(f"{family}-{material}" for family, materials in MATERIALS.items() for material in materials)
 TOLERANCE_M = 1e-3
 
-resolved = cache(load_experiment)
+experiment = cache(load_experiment)
 
 
 def of_family(family: str) -> Experiment:
-    return resolved(f"{family}-{MATERIALS[family][0]}")
+    return experiment(f"{family}-{MATERIALS[family][0]}")
 
 
 def half_size_m(body: Deformable) -> NDArray[np.float64]:
@@ -101,7 +101,7 @@ def test_counts_and_names():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_scene_resolves(name):
-    scene = resolved(name).scene
+    scene = experiment(name).scene
     names = [body.name for body in (*scene.bodies, *scene.deformables)]
     assert len(set(names)) == len(names)
     assert scene.deformables
@@ -117,7 +117,7 @@ def test_scene_resolves(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_masses_agree_with_density(name):
-    found = resolved(name)
+    found = experiment(name)
     for body in found.scene.deformables:
         if isinstance(body, Cloth):
             area = body.size_m[0] * body.size_m[1]
@@ -136,7 +136,7 @@ def test_masses_agree_with_density(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_glued_ends_touch_what_they_are_glued_to(name):
-    scene = resolved(name).scene
+    scene = experiment(name).scene
     bodies = {body.name: body for body in (*scene.bodies, *scene.deformables)}
     for attachment in scene.attachments:
         points = region_points_m(bodies[attachment.deformable], attachment.region)
@@ -253,7 +253,7 @@ def test_billiard_sweeps_through_both_balls():
 
 
 def test_soft_rod_keeps_its_calibrated_poisson_ratio_on_record():
-    found = resolved("StickStack-soft")
+    found = experiment("StickStack-soft")
     assert found.scene.deformables[0].poisson_ratio == 0.49
     assert found.spec.constants["rod"]["soft"]["poisson_ratio"].calibrated == 0.62
     assert found.spec.provenance_of("constants.rod.soft.poisson_ratio.used").startswith("nominal")
@@ -275,5 +275,5 @@ def test_driver_provenance():
     video = {f for f in MATERIALS if of_family(f).driver_provenance == "video"}
     assert video == {"TextileFlinging", "StickStack", *(f for f in MATERIALS if f.startswith("Foam"))}
     assert of_family("CantileverBeam").driver_provenance is None
-    assert resolved("TableclothPulling-metal").driver_provenance == "video"
-    assert resolved("TableclothPulling-wood").driver_provenance == "nominal"
+    assert experiment("TableclothPulling-metal").driver_provenance == "video"
+    assert experiment("TableclothPulling-wood").driver_provenance == "nominal"

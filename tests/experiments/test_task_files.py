@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gauge_envs import load_experiment
 from gauge_envs.errors import TaskFileError
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import load_task, task_files, task_path, task_spec, variants
 from gauge_envs.experiments.task_format import TaskSpec
 from gauge_envs.scene import Scene

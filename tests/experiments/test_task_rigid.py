@@ -14,8 +14,8 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 from scipy.special import ellipk
 
+from gauge_envs import load_experiment
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_spec, variants
 from gauge_envs.files import data_folder
 from gauge_envs.scene import GRAVITY_M_PER_S2, ConvexUnion, Cylinder, Plane, RigidBody, Sphere
@@ -52,7 +52,7 @@ RESTING: dict[str, tuple[Resting, ...]] = {
 
 
 @cache
-def resolved(name: str, parameters: str = "calibrated") -> Experiment:
+def experiment(name: str, parameters: str = "calibrated") -> Experiment:
     return load_experiment(name, parameters)
 
 
@@ -123,8 +123,8 @@ def test_every_rigid_experiment_is_there() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_variant_resolves_with_every_parameter_set(name: str) -> None:
-    for parameters in ("calibrated", *resolved(name).spec.parameters):
-        found = resolved(name, parameters)
+    for parameters in ("calibrated", *experiment(name).spec.parameters):
+        found = experiment(name, parameters)
         assert found.recorded
         assert found.frame_count >= 8
         for body in found.scene.dynamic_bodies:
@@ -144,13 +144,13 @@ def test_volume_times_density_is_the_mass(family: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_bodies_start_outside_each_other(name: str) -> None:
-    for first, second in close_pairs(resolved(name)):
+    for first, second in close_pairs(experiment(name)):
         assert depth(first, second) < TOLERANCE_M, (first.name, second.name)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_resting_bodies_touch_what_they_rest_on(name: str) -> None:
-    found = resolved(name)
+    found = experiment(name)
     family, subtask = found.variant.family, found.variant.subtask
     for first, second in RESTING.get(f"{family}-{subtask}", RESTING.get(family, ())):
         assert abs(depth(found.scene.body(first), found.scene.body(second))) < TOLERANCE_M, (first, second)
@@ -170,7 +170,7 @@ def test_pieces_of_a_shape_do_not_overlap(family: str) -> None:
 
 @pytest.mark.parametrize("material", ["wood", "plastic"])
 def test_slope_contact_parts_make_one_block(material: str) -> None:
-    scene = resolved(f"SlopeContact-{material}").scene
+    scene = experiment(f"SlopeContact-{material}").scene
     corners = np.concatenate(
         [scene.body(name).pose.to_world(scene.body(name).shape.corners_m) for name in ("teh", "base")]
     )
@@ -181,7 +181,7 @@ def test_slope_contact_parts_make_one_block(material: str) -> None:
 
 @pytest.mark.parametrize("name", ["SlopeContact-wood", *(n for n in NAMES if n.startswith("NonsmoothContact"))])
 def test_origin_of_a_falling_polyhedron_is_its_centroid(name: str) -> None:
-    found = resolved(name)
+    found = experiment(name)
     shape = found.scene.body(found.recorded[0]).shape
     assert isinstance(shape, ConvexUnion)
     (piece,) = shape.pieces_m
@@ -196,7 +196,7 @@ def test_origin_of_a_falling_polyhedron_is_its_centroid(name: str) -> None:
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("NonsmoothContact")])
 def test_nonsmooth_body_falls_into_the_groove(name: str) -> None:
-    found = resolved(name)
+    found = experiment(name)
     falling, base = (found.scene.body(n) for n in found.spec.subtasks[found.variant.subtask or ""].bodies[:2])
     vertices = falling.pose.to_world(falling.shape.corners_m)
     tip = vertices[vertices[:, 2].argmin()] - base.pose.position_m
@@ -207,7 +207,7 @@ def test_nonsmooth_body_falls_into_the_groove(name: str) -> None:
 
 def required_friction(name: str, time_s: float) -> float:
     """Friction coefficient without which the cube would not be carried along at a time."""
-    found = resolved(name)
+    found = experiment(name)
     (driver,) = found.scene.drivers
     (motion,) = driver.motions
     cube = np.asarray(found.scene.body("cube").pose.position_m)
@@ -220,7 +220,7 @@ def required_friction(name: str, time_s: float) -> float:
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_turntable_speeds_are_on_the_stated_side_of_slipping(material: str) -> None:
-    friction = resolved(f"Turntable-1-{material}").scene.contacts[0].friction
+    friction = experiment(f"Turntable-1-{material}").scene.contacts[0].friction
     slow = [required_friction(f"Turntable-1-{material}", t) for t in np.linspace(0.01, 94 / 30 - 0.01, 50)]
     assert max(slow) < 0.1 * friction
     assert required_friction(f"Turntable-2-{material}", 0.4) > 1.9 * friction
@@ -230,7 +230,7 @@ def test_turntable_speeds_are_on_the_stated_side_of_slipping(material: str) -> N
 
 
 def test_turntable_three_repeats_the_recorded_strokes() -> None:
-    (motion,) = resolved("Turntable-3-metal").scene.drivers[0].motions
+    (motion,) = experiment("Turntable-3-metal").scene.drivers[0].motions
     degrees = [np.degrees(motion.value(t)) for t in (0.0, 1.75, 3.70, 6.0)]
     assert degrees == pytest.approx([0.0, 366.52, -30.59, 386.0], abs=0.05)
     for start, end, rate in [(0.6, 1.6, 4.0), (2.5, 3.6, -4.0), (4.3, 5.6, 4.0)]:
@@ -239,19 +239,19 @@ def test_turntable_three_repeats_the_recorded_strokes() -> None:
 
 def test_ball_parameter_sets_are_the_recorded_means() -> None:
     facts = tomllib.loads((data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(encoding="utf-8"))
-    recorded = resolved("BouncingBall-rubber", "recorded")
+    recorded = experiment("BouncingBall-rubber", "recorded")
     ball, ground = recorded.scene.body("ball"), recorded.scene.body("ground")
     assert isinstance(ball.shape, Sphere)
     assert ball.pose.position_m[2] == facts["start_height_m"]["mean"]
     contact_height = facts["contact_height_m"]["mean"]
     assert ground.pose.position_m[2] == pytest.approx(contact_height - ball.shape.radius_m, abs=1e-12)
     for parameters in ("effective", "recorded"):
-        (contact,) = resolved("BouncingBall-rubber", parameters).scene.contacts
+        (contact,) = experiment("BouncingBall-rubber", parameters).scene.contacts
         assert contact.restitution == facts["rebound_ratio"]["mean"]
 
 
 def test_cradle_starts_level_and_its_effective_restitution_transfers_the_recorded_share() -> None:
-    scene = resolved("NewtonsCradle-metal", "effective").scene
+    scene = experiment("NewtonsCradle-metal", "effective").scene
     assert ((1.0 + scene.contacts[0].restitution) / 2.0) ** 4 == pytest.approx(0.9302, abs=1e-12)
     first, hinge = scene.body("ball-1"), scene.joints[0]
     assert np.subtract(first.pose.position_m, hinge.anchor_m) == pytest.approx([0.0, -0.138251, 0.0], abs=1e-12)
@@ -261,7 +261,7 @@ def test_cradle_starts_level_and_its_effective_restitution_transfers_the_recorde
 
 
 def test_pendulum_is_level_and_has_the_recorded_period() -> None:
-    scene = resolved("Pendulum-metal").scene
+    scene = experiment("Pendulum-metal").scene
     arm = np.subtract(scene.body("ball").pose.position_m, scene.joints[0].anchor_m)
     assert arm[1:] == pytest.approx([0.0, 0.0], abs=1e-12)
     # A solid ball that turns with its rod swings like a point at l + 2/5 r^2 / l.
@@ -273,7 +273,7 @@ def test_pendulum_is_level_and_has_the_recorded_period() -> None:
 
 
 def test_wall_is_hit_by_the_swinging_ball() -> None:
-    found = resolved("WallBreaking-wood")
+    found = experiment("WallBreaking-wood")
     bricks = np.array([found.scene.body(name).pose.position_m for name in found.recorded])
     assert len(bricks) == 118
     assert sorted(np.unique(bricks[:, 2].round(6), return_counts=True)[1].tolist()) == [8] + [10] * 5 + [12] * 5

@@ -22,17 +22,19 @@ from places import ROOT
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from typer.testing import CliRunner
 
+from gauge_envs import load_experiment, load_experiment_file
 from gauge_envs.analysis.comparison import compare
 from gauge_envs.analysis.error_budget import diagnose
 from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, ReferenceFileError, ShapeError, TaskFileError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.export.assets import assets_folder
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.report.figures.experiment import save_figures
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.runs.score_file import score_file
@@ -69,7 +71,7 @@ def changed(tmp_path: Path) -> Callable[..., Path]:
 
 
 def test_the_band_of_the_example_is_the_closed_form() -> None:
-    band = reference_band(load_experiment(str(CRATE)))
+    band = reference_band(load_experiment_file(str(CRATE)))
     assert band is not None
     times_s = np.arange(31) / 30.0
     start = np.array([np.cos(TILT), -np.sin(TILT)]) @ crate_start_m()
@@ -87,7 +89,7 @@ def crate_start_m() -> np.ndarray:
 
 
 def test_the_example_is_read_into_si_units_and_z_up() -> None:
-    found = load_experiment(str(CRATE))
+    found = load_experiment_file(str(CRATE))
     assert found.id == "GAUGE/Asset-crate"
     assert found.recorded == ("Crate",)
     crate = found.scene.body("Crate")
@@ -99,7 +101,7 @@ def test_the_example_is_read_into_si_units_and_z_up() -> None:
 
 
 def test_the_crate_slides_as_the_law_says() -> None:
-    result = run_episode(str(CRATE))
+    result = run_episode(RunRequest(str(CRATE)))
     assert result.trajectory is not None
     times_s, samples = result.trajectory.arrays()
     way = 1e-3 * samples @ [np.cos(TILT), 0.0, -np.sin(TILT)]
@@ -118,13 +120,13 @@ def test_gymnasium_makes_it_as_an_id() -> None:
     assert info["reference"] == "law"
     assert -0.1 < reward < 0.0
     with pytest.raises(ParameterError, match="names its own USD layer"):
-        load_experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
+        resolve_experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
     with pytest.raises(ParameterError, match=r"with crate\.toml: it states the constants"):
-        load_experiment(str(CRATE), {"Crate.friction": 0.1})
+        resolve_experiment(str(CRATE), {"Crate.friction": 0.1})
 
 
 def test_repeats_scatter() -> None:
-    results = run_repeats(str(CRATE), repeats=3)
+    results = run_repeats(RunRequest(str(CRATE), repeats=3))
     assert len({result.score.rmse for result in results}) == 3
 
 
@@ -133,11 +135,11 @@ def test_repeats_scatter() -> None:
 
 def test_a_result_needs_no_other_file(changed: Callable[..., Path], tmp_path: Path) -> None:
     path = changed()
-    result = run_episode(str(path))
+    result = run_episode(RunRequest(str(path)))
     file = tmp_path / result_file_name(result)
     assert file.name == "Asset-crate.mujoco.calibrated.json"
     write_result(result, file)
-    original = load_experiment(str(path))
+    original = load_experiment_file(str(path))
     shutil.rmtree(path.parent)
     again = load_result(file)
     assert again == result
@@ -167,7 +169,7 @@ def test_a_band_survives_json() -> None:
 
 
 def test_a_damaged_record_is_an_error(tmp_path: Path) -> None:
-    values = run_episode(str(CRATE)).to_dict()
+    values = run_episode(RunRequest(str(CRATE))).to_dict()
     del values["asset"]["experiment"]["definition"]
     file = tmp_path / "a.json"
     file.write_text(json.dumps(values))
@@ -176,18 +178,18 @@ def test_a_damaged_record_is_an_error(tmp_path: Path) -> None:
 
 
 def test_compare_tells_versions_of_an_experiment_file_apart(changed: Callable[..., Path]) -> None:
-    first = run_episode(str(changed()))
-    second = run_episode(str(changed(("-1122.618262", "-1122.618263"), file="crate.csv")), seed=1)
+    first = run_episode(RunRequest(str(changed())))
+    second = run_episode(RunRequest(str(changed(("-1122.618262", "-1122.618263"), file="crate.csv")), seed=1))
     assert first.task_sha256 != second.task_sha256
-    notes = compare([first, second, run_episode("SlopeSlider-2-wood")]).notes
+    notes = compare([first, second, run_episode(RunRequest("SlopeSlider-2-wood"))]).notes
     assert notes == ("Asset-crate: made from different versions of its experiment file",)
 
 
 def test_a_mixed_run_goes_on(tmp_path: Path) -> None:
-    subjects = ["SlopeSlider-2-wood", str(CRATE)]
-    ran = [result.id for result in run_many(subjects, out=tmp_path)]
+    requests = [RunRequest("SlopeSlider-2-wood"), RunRequest(str(CRATE))]
+    ran = [result.id for result in run_many(requests, out=tmp_path)]
     assert ran == ["GAUGE/SlopeSlider-2-wood", "GAUGE/Asset-crate"]
-    created = [result.created for result in run_many(subjects, out=tmp_path, resume=True)]
+    created = [result.created for result in run_many(requests, out=tmp_path, resume=True)]
     assert created == [load_result(file).created for file in sorted(tmp_path.glob("*.json"), reverse=True)]
 
 
@@ -197,13 +199,13 @@ def test_a_mixed_run_goes_on(tmp_path: Path) -> None:
 def test_a_pair_is_overridden_by_path_or_name(changed: Callable[..., Path]) -> None:
     constants = 'friction = 0.1\nrestitution = 0.5\nmode = "impact"\n'
     path = changed(("[score]", f'[[contacts]]\nbodies = ["/Yard/Incline/Crate", "Deck"]\n{constants}[score]'))
-    (contact,) = load_experiment(str(path)).scene.contacts
+    (contact,) = load_experiment_file(str(path)).scene.contacts
     assert (contact.friction, contact.restitution, contact.mode) == (0.1, 0.5, ContactMode.IMPACT)
 
 
 def test_scores_are_normalized_by_the_files_baseline(changed: Callable[..., Path]) -> None:
     path = changed(("[provenance]", "[baseline.rmse]\nmean = 2.0\n[provenance]"))
-    score = run_episode(str(path)).score
+    score = run_episode(RunRequest(str(path))).score
     assert score.rmse is not None
     assert score.rmse_normalized == score.rmse / 2.0
     assert score.dtw_normalized is None
@@ -241,11 +243,11 @@ def test_our_own_layers_with_markers_can_be_experiments(tmp_path: Path) -> None:
     shutil.copy(assets_folder() / "usd" / f"{name}.usda", tmp_path)
     text = f'name = "cloth"\ntitle = "Cloth"\nusd = "{name}.usda"\nframes = 4\n[score]\nobservable = "curvature"\n'
     (tmp_path / "cloth.toml").write_text(f'{text}[provenance]\nscene = "metadata"\n')
-    result = run_episode(str(tmp_path / "cloth.toml"))
+    result = run_episode(RunRequest(str(tmp_path / "cloth.toml")))
     assert result.trajectory is not None
     assert result.trajectory.unit == "rad"
     assert result.score.grade == "none"
-    short, full = load_experiment(str(tmp_path / "cloth.toml")), load_experiment(name, drivers="bundled")
+    short, full = load_experiment_file(str(tmp_path / "cloth.toml")), load_experiment(name)
     assert short.scene.bodies == full.scene.bodies
     assert short.scene.duration_s == 0.1
 
@@ -290,9 +292,9 @@ def fewer(stage: Usd.Stage) -> None:
 
 
 def test_a_prim_of_the_layer_has_the_markers(flung: Callable[..., Path], tmp_path: Path) -> None:
-    every = run_episode(str(flung()))
+    every = run_episode(RunRequest(str(flung())))
     path = flung(fewer, 'prim = "/World/Shelf/Dots"\nfaces = [[0, 1, 4]]')
-    some, scene = run_episode(str(path)), load_experiment(str(path)).scene
+    some, scene = run_episode(RunRequest(str(path))), load_experiment_file(str(path)).scene
     full = load_experiment(FLUNG).scene.markers
     assert scene.markers is not None
     assert full is not None
@@ -314,8 +316,8 @@ def test_the_named_one_of_two_sets_of_markers_counts(flung: Callable[..., Path])
         UsdGeom.Xformable(stage.GetPrimAtPath("/World/Spare")).AddTranslateOp().Set(Gf.Vec3d(0.0, 0.0, 1e-3))
 
     with pytest.raises(AssetError, match="/World/Spare: is a second set of markers"):
-        load_experiment(str(flung(twice)))
-    found = load_experiment(str(flung(twice, 'prim = "/World/Spare"'))).scene.markers
+        load_experiment_file(str(flung(twice)))
+    found = load_experiment_file(str(flung(twice, 'prim = "/World/Spare"'))).scene.markers
     first = load_experiment(FLUNG).scene.markers
     assert found is not None
     assert first is not None
@@ -384,7 +386,7 @@ def test_what_is_wrong_with_markers_is_told(
     flung: Callable[..., Path],
 ) -> None:
     with pytest.raises(error) as caught:
-        load_experiment(str(flung(change, markers)))
+        load_experiment_file(str(flung(change, markers)))
     assert told in str(caught.value)
 
 
@@ -402,7 +404,7 @@ def test_rigid_bodies_carry_no_markers(changed: Callable[..., Path]) -> None:
     text = path.read_text()
     path.write_text(f"{text[: text.index('[band]')]}{table}{text[text.index('[provenance]') :]}")
     with pytest.raises(AssetError, match=r"Crate: no deformable body of that name .*rigid bodies have none"):
-        load_experiment(str(path))
+        load_experiment_file(str(path))
 
 
 # --- what the hash covers --------------------------------------------------------------------------------------------
@@ -410,14 +412,14 @@ def test_rigid_bodies_carry_no_markers(changed: Callable[..., Path]) -> None:
 
 def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Callable[..., Path]) -> None:
     path = changed()
-    first = load_experiment(str(path))
+    first = load_experiment_file(str(path))
     files = [path.parent / name for name in ("crate.toml", "crate.usda", "materials.usda", "crate.csv")]
     digests = b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)
     assert first.asset is not None
     assert first.asset.sha256 == first.file_sha256 == hashlib.sha256(digests).hexdigest()
     changed(("dynamicFriction = 0.3", "dynamicFriction = 0.31"), file="materials.usda")
     changed(("staticFriction = 0.3", "staticFriction = 0.31"), file="materials.usda")
-    second = load_experiment(str(path))
+    second = load_experiment_file(str(path))
     assert second.file_sha256 != first.file_sha256
     assert second.scene != first.scene
 
@@ -471,7 +473,7 @@ def test_what_is_wrong_in_a_file_is_told(
 ) -> None:
     path = changed(replacement)
     with pytest.raises(error) as caught:
-        load_experiment(str(path))
+        load_experiment_file(str(path))
     assert told in str(caught.value)
 
 
@@ -491,7 +493,7 @@ def test_what_is_wrong_in_the_layer_is_told(
 ) -> None:
     path = changed(*replacements, file="crate.usda")
     with pytest.raises(AssetError) as caught:
-        load_experiment(str(path))
+        load_experiment_file(str(path))
     assert told in str(caught.value)
 
 
@@ -565,7 +567,7 @@ def test_the_guide_names_markers_as_they_are_read(flung: Callable[..., Path]) ->
     path = flung(fewer)
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("[score]", f"{TABLES[1]}[score]"), encoding="utf-8")
-    markers = load_experiment(str(path)).scene.markers
+    markers = load_experiment_file(str(path)).scene.markers
     assert markers is not None
     assert (len(markers.positions_m), markers.faces) == (9, ((0, 1, 4),))
 

@@ -151,15 +151,15 @@ def test_an_uncertain_time_counts_with_the_speed() -> None:
 @pytest.mark.parametrize("variant", [*SCORED, *WITHHELD])
 def test_a_band_reads_as_it_was_built(variant: str) -> None:
     band = band_of(variant)
-    resolved = load_experiment(variant)
+    experiment = load_experiment(variant)
     name, recording, layout = next(
         found for found in build_recordings.supported(facts_folder()) if variant in found[1]["variants"]
     )
     built = build_recordings.recorded_band(variant, recording, layout, table(name))
     assert band.grade is BandGrade.RECORDING
-    assert band.unit == resolved.spec.score.observable.unit
-    assert band.mean.shape == (resolved.frame_count, len(band.coordinates))
-    assert band.projection.shape == (len(band.coordinates), len(resolved.coordinates))
+    assert band.unit == experiment.spec.score.observable.unit
+    assert band.mean.shape == (experiment.frame_count, len(band.coordinates))
+    assert band.projection.shape == (len(band.coordinates), len(experiment.coordinates))
     # The tables have two digits.
     np.testing.assert_allclose(band.mean, built.mean, rtol=0, atol=0.0051)
     np.testing.assert_allclose(band.uncertainty, built.uncertainty, rtol=0, atol=0.0051)
@@ -202,20 +202,20 @@ def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
 @pytest.mark.parametrize("variant", [*SCORED, "SlopeContact-wood", "TableclothPulling-metal", "CantileverBeam-soft"])
 def test_bands_start_where_the_experiment_does(variant: str) -> None:
     """In millimetres, in the world frame, on the right coordinate: within the 5 mm by which a real start is off."""
-    band, resolved = band_of(variant), load_experiment(variant)
-    if resolved.recorded:
-        start = 1e3 * np.array([resolved.scene.body(name).pose.position_m for name in resolved.recorded]).ravel()
+    band, experiment = band_of(variant), load_experiment(variant)
+    if experiment.recorded:
+        start = 1e3 * np.array([experiment.scene.body(name).pose.position_m for name in experiment.recorded]).ravel()
     else:
-        assert resolved.scene.markers is not None
-        start = 1e3 * np.asarray(resolved.scene.markers.positions_m).ravel()
+        assert experiment.scene.markers is not None
+        start = 1e3 * np.asarray(experiment.scene.markers.positions_m).ravel()
     np.testing.assert_allclose(band.mean[0], band.projection @ start, rtol=0, atol=5.0)
 
 
 @pytest.mark.parametrize("variant", [name for name in WITHHELD if name.startswith("Foam")])
 def test_areas_start_near_the_published_places_of_the_markers(variant: str) -> None:
-    band, resolved = band_of(variant), load_experiment(variant)
-    assert resolved.scene.markers is not None
-    corners = 1e3 * np.asarray(resolved.scene.markers.positions_m)[np.asarray(resolved.scene.markers.faces)]
+    band, experiment = band_of(variant), load_experiment(variant)
+    assert experiment.scene.markers is not None
+    corners = 1e3 * np.asarray(experiment.scene.markers.positions_m)[np.asarray(experiment.scene.markers.faces)]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     assert areas == pytest.approx(625 / 3, rel=1e-3)
     np.testing.assert_allclose(band.mean[0], areas, rtol=0.15)
@@ -245,10 +245,10 @@ def test_a_band_is_withheld_unless_material_and_scatter_are_known() -> None:
 
 @pytest.mark.parametrize("variant", WITHHELD)
 def test_a_withheld_band_is_used_only_when_asked_for(variant: str) -> None:
-    resolved = load_experiment(variant)
+    experiment = load_experiment(variant)
     assert band_grade(variant) is BandGrade.NONE
-    assert reference_band(resolved) is None
-    band = reference_band(resolved, use_withheld=True)
+    assert reference_band(experiment) is None
+    band = reference_band(experiment, use_withheld=True)
     assert band is not None and band.withheld
 
 
@@ -288,10 +288,10 @@ def test_show_and_score_name_what_is_withheld(tmp_path: Path) -> None:
 
 def test_what_lies_on_a_recording_scores_zero_however_it_goes_on() -> None:
     """Frames that the recording does not show take part in neither RMSE nor DTW."""
-    resolved = load_experiment("SlopeSlider-3-metal")
+    experiment = load_experiment("SlopeSlider-3-metal")
     band = band_of("SlopeSlider-3-metal")
     g = np.where(np.isfinite(band.mean), band.mean, 1e4)
-    score = score_trajectory(resolved, band, times_s=np.arange(60) / 30, values=g)
+    score = score_trajectory(experiment, band, times_s=np.arange(60) / 30, values=g)
     assert (score.rmse, score.dtw, score.mean_abs_z, score.inside_1sigma) == (0.0, 0.0, 0.0, 1.0)
 
 
@@ -415,16 +415,16 @@ def test_the_slope_holds_every_cube(material: str) -> None:
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_the_slow_plate_carries_every_cube(material: str) -> None:
     """The largest force that carrying takes, from the driver's own motion, is less than friction gives."""
-    resolved = load_experiment(f"Turntable-1-{material}", drivers="bundled")
-    scene, driver = resolved.scene, resolved.scene.drivers[0]
+    experiment = load_experiment(f"Turntable-1-{material}", drivers="bundled")
+    scene, driver = experiment.scene, experiment.scene.drivers[0]
     start = scene.body("plate").pose
     arm = np.subtract(scene.body("cube").pose.position_m, start.position_m)[:2]
     times = np.arange(0, scene.duration_s, 5e-3)
     needed = float(np.linalg.norm(arm)) * max(_turning(driver, start, times))
-    held = friction(resolved.variant.name) * GRAVITY
+    held = friction(experiment.variant.name) * GRAVITY
     assert needed < held / 15
     # The condition of the law, in the numbers that its text gives.
-    law = law_for(resolved.variant.name)
+    law = law_for(experiment.variant.name)
     assert law is not None and f"{np.linalg.norm(arm):.4f} m" in law.condition
 
 

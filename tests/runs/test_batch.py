@@ -8,13 +8,13 @@ import pytest
 from interruption import interrupt_in_episode
 
 import gauge_envs.runs.batch
-import gauge_envs.runs.result
-from gauge_envs import find_variant
+import gauge_envs.runs.result_file
 from gauge_envs.backends.mujoco import backend as mujoco_backend
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.report.figures.experiment import draw_experiment, save_figures
-from gauge_envs.runs.batch import check_request, run_many
+from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
@@ -26,7 +26,7 @@ SOFT = "FoamBending-soft"
 
 @pytest.fixture(scope="module")
 def result():
-    return run_episode(NAME)
+    return run_episode(RunRequest(NAME))
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_a_file_read_back_is_the_same_result_and_scores_the_same(result, tmp_pat
 
 
 def test_driven_and_undriven_experiments_take_zero_actions():
-    driven = run_episode("SlopeSlider-3-metal")
+    driven = run_episode(RunRequest("SlopeSlider-3-metal"))
     assert driven.driver_provenance == "video"
     assert driven.outcome is Outcome.FINISHED
     assert driven.score.grade == "recording"
@@ -99,27 +99,26 @@ def test_file_names_tell_all_requests_apart(result):
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        ({"variant": "SlopeSlider-2-gold"}, UnknownNameError),
+        ({"subject": "SlopeSlider-2-gold"}, UnknownNameError),
         ({"backend": "warp"}, UnknownNameError),
         ({"parameters": "nonsense"}, ParameterError),
         ({"parameters": {"cube.friction": -1}}, ParameterError),
         ({"settings": {"nope": 1}}, ParameterError),
         ({"seed": -1}, ParameterError),
-        ({"variant": SOFT}, UnsupportedSceneError),
+        ({"subject": SOFT}, UnsupportedSceneError),
     ],
 )
 def test_wrong_requests(options, error):
     with pytest.raises(error):
-        run_episode(**({"variant": NAME} | options))
+        run_episode(RunRequest(**({"subject": NAME} | options)))
 
 
 def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
-    three = [find_variant(name) for name in THREE]
     for wrong in ({"parameters": "nonsense"}, {"settings": {"nope": 1}}):
         with pytest.raises(ParameterError):
-            check_request(three, **({"backends": ["mujoco"], "parameters": "calibrated", "settings": None} | wrong))
+            check_requests([RunRequest(name, **wrong) for name in THREE])
     with pytest.raises(UnknownNameError):
-        check_request(three, backends=["warp"], parameters="calibrated", settings=None)
+        check_requests([RunRequest(name, backend="warp") for name in THREE])
     assert run_count == []
 
 
@@ -133,7 +132,7 @@ def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
         reset(self, seed)
 
     monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", fails_for_plastic)
-    results = list(run_many([SOFT, *THREE], out=tmp_path))
+    results = list(run_many([RunRequest(name) for name in (SOFT, *THREE)], out=tmp_path))
     assert [r.outcome.value for r in results] == ["declined", "finished", "failed", "finished"]
     assert "deformable" in results[0].error
     assert results[2].error == "RuntimeError: the engine gave up"
@@ -142,7 +141,9 @@ def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
 
 
 def test_a_missing_parameter_set_declines():
-    declined, finished = run_many(["SlopeSlider-2-wood", "BouncingBall-rubber"], parameters="effective")
+    declined, finished = run_many(
+        [RunRequest(name, parameters="effective") for name in ("SlopeSlider-2-wood", "BouncingBall-rubber")]
+    )
     assert (declined.outcome, finished.outcome) == (Outcome.DECLINED, Outcome.FINISHED)
     assert "effective" in declined.error
 
@@ -158,7 +159,7 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
         return values
 
     monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "body_states", exploding)
-    (result,) = run_many([NAME], out=tmp_path)
+    (result,) = run_many([RunRequest(NAME)], out=tmp_path)
     assert (result.outcome, result.diverged, result.frames < 19) == (Outcome.DIVERGED, True, True)
     assert "not finite" in result.diverged_reason
     assert result.score.rmse is None
@@ -171,7 +172,7 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
 @pytest.mark.parametrize("out", ["/proc/nowhere", __file__, f"{__file__}/below"])
 def test_an_unwritable_folder_is_refused_before_anything_runs(out, run_count):
     with pytest.raises(ResultFileError, match="cannot be written"):
-        run_many([NAME], out=Path(out))
+        run_many([RunRequest(NAME)], out=Path(out))
     assert run_count == []
 
 
@@ -181,13 +182,13 @@ def test_an_unwritable_folder_is_refused_before_anything_runs(out, run_count):
 def test_resume_goes_on_after_an_interrupt(tmp_path, monkeypatch, run_count):
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
         interrupt_in_episode(patched, 2)
-        list(run_many(THREE, out=tmp_path))
+        list(run_many([RunRequest(name) for name in THREE], out=tmp_path))
     assert [f.name for f in tmp_path.iterdir()] == ["SlopeSlider-2-wood.mujoco.calibrated.json"]
     run_count.clear()
-    results = list(run_many(THREE, out=tmp_path, resume=True))
+    results = list(run_many([RunRequest(name) for name in THREE], out=tmp_path, resume=True))
     assert [r.outcome for r in results] == [Outcome.FINISHED] * 3
     assert len(run_count) == 2
-    assert results == list(run_many(THREE, out=tmp_path, resume=True))
+    assert results == list(run_many([RunRequest(name) for name in THREE], out=tmp_path, resume=True))
     assert len(run_count) == 2
 
 
@@ -195,7 +196,7 @@ def test_a_crash_while_writing_leaves_no_result_file(tmp_path, monkeypatch, resu
     def crash(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(gauge_envs.runs.result.os, "fsync", crash)
+    monkeypatch.setattr(gauge_envs.runs.result_file.os, "fsync", crash)
     with pytest.raises(ResultFileError, match="No space left"):
         write_result(result, tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []
@@ -203,7 +204,7 @@ def test_a_crash_while_writing_leaves_no_result_file(tmp_path, monkeypatch, resu
 
 def test_without_resume_everything_runs_again(tmp_path, run_count):
     for _ in range(2):
-        list(run_many([NAME], out=tmp_path))
+        list(run_many([RunRequest(NAME)], out=tmp_path))
     assert len(run_count) == 2
 
 
@@ -211,9 +212,9 @@ def test_without_resume_everything_runs_again(tmp_path, run_count):
     "request_", [{"seed": 1}, {"settings": {"iterations": 50}}, {"parameters": {"cube.friction": 0.3}}]
 )
 def test_resume_takes_no_result_of_another_request(tmp_path, run_count, request_):
-    list(run_many([NAME], out=tmp_path))
+    list(run_many([RunRequest(NAME)], out=tmp_path))
     for _ in range(2):
-        list(run_many([NAME], out=tmp_path, resume=True, **request_))
+        list(run_many([RunRequest(NAME, **request_)], out=tmp_path, resume=True))
     assert len(run_count) == 2
     assert len(list(tmp_path.iterdir())) == 2
 
@@ -227,11 +228,11 @@ def test_resume_takes_no_result_of_another_request(tmp_path, run_count, request_
     ],
 )
 def test_resume_runs_stale_results_again_and_says_so(tmp_path, run_count, key, value, note):
-    (result,) = run_many([NAME], out=tmp_path)
+    (result,) = run_many([RunRequest(NAME)], out=tmp_path)
     (file,) = tmp_path.iterdir()
     file.write_text(json.dumps(result.to_dict() | {key: value}))
     notes = []
-    list(run_many([NAME], out=tmp_path, resume=True, notify=notes.append))
+    list(run_many([RunRequest(NAME)], out=tmp_path, resume=True, notify=notes.append))
     assert len(run_count) == 2
     assert note in notes[0]
     assert file.name in notes[0]
@@ -254,7 +255,7 @@ def damage(text, kind):
 
 @pytest.mark.parametrize("kind", ["cut", "empty", "list", "no score", "uneven", "type", "id"])
 def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
-    (result,) = run_many([NAME], out=tmp_path)
+    (result,) = run_many([RunRequest(NAME)], out=tmp_path)
     (file,) = tmp_path.iterdir()
     for count in (1, 2):
         damaged = damage(json.dumps(result.to_dict()), kind)
@@ -262,7 +263,7 @@ def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
         with pytest.raises(ResultFileError, match="not a result file"):
             load_result(file)
         notes = []
-        (again,) = run_many([NAME], out=tmp_path, resume=True, notify=notes.append)
+        (again,) = run_many([RunRequest(NAME)], out=tmp_path, resume=True, notify=notes.append)
         assert again.score == result.score
         assert load_result(file).score == result.score
         aside = tmp_path / (file.name + (".damaged" if count == 1 else ".damaged-2"))
@@ -275,8 +276,8 @@ def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
 
 
 def test_pictures_of_bands_laws_and_nothing(tmp_path, result):
-    others = [run_episode(n) for n in ("SlopeSlider-1-wood", "SlopeSlider-3-metal")]
-    varied = run_episode(NAME, parameters={"cube.friction": 0.25})
+    others = [run_episode(RunRequest(n)) for n in ("SlopeSlider-1-wood", "SlopeSlider-3-metal")]
+    varied = run_episode(RunRequest(NAME, parameters={"cube.friction": 0.25}))
     paths = list(save_figures([result, varied, *others], tmp_path / "plots"))
     assert [p.name for p in paths] == ["SlopeSlider-2-wood.png", "SlopeSlider-1-wood.png", "SlopeSlider-3-metal.png"]
     assert all(p.stat().st_size > 10_000 for p in paths)
@@ -286,4 +287,4 @@ def test_a_picture_needs_one_experiment(result):
     with pytest.raises(ValueError, match="one experiment"):
         draw_experiment([])
     with pytest.raises(ValueError, match="one experiment"):
-        draw_experiment([result, run_episode("SlopeSlider-1-wood")])
+        draw_experiment([result, run_episode(RunRequest("SlopeSlider-1-wood"))])

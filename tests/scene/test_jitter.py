@@ -16,6 +16,7 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats, run_together
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.jitter import jittered
 
@@ -92,50 +93,50 @@ def test_impossible_scatter_is_refused(values: dict[str, float]) -> None:
 
 
 def test_repeats_without_scatter_are_the_single_run() -> None:
-    single = run_episode("Turntable-2-metal")
-    for result in run_repeats("Turntable-2-metal", repeats=3, jitter=STILL):
+    single = run_episode(RunRequest("Turntable-2-metal"))
+    for result in run_repeats(RunRequest("Turntable-2-metal", repeats=3, jitter=STILL)):
         assert result.trajectory == single.trajectory
         assert result.score == single.score
 
 
 def test_repeats_scatter_about_the_single_run_and_keep_its_reference() -> None:
-    single = run_episode("SlopeSlider-2-metal").score.rmse
-    results = run_repeats("SlopeSlider-2-metal", repeats=8, seed=10)
+    single = run_episode(RunRequest("SlopeSlider-2-metal")).score.rmse
+    results = run_repeats(RunRequest("SlopeSlider-2-metal", repeats=8, seed=10))
     assert [result.seed for result in results] == list(range(10, 18))
     assert results[0].jitter == {"position_m": 1e-3, "angle_rad": math.radians(0.5)}
     errors = np.array([result.score.rmse for result in results])
     # A start 1 mm further downhill is at most 1 mm in E_RMSE.
     assert 0.05 < errors.std() < 2.0
     assert abs(errors.mean() - single) < 2.0
-    assert run_repeats("SlopeSlider-2-metal", repeats=1, seed=12)[0].trajectory == results[2].trajectory
+    assert run_repeats(RunRequest("SlopeSlider-2-metal", repeats=1, seed=12))[0].trajectory == results[2].trajectory
 
 
 def test_one_world_that_diverges_leaves_the_others() -> None:
-    resolved = load_experiment("SlopeSlider-2-wood")
-    worlds = backend("mujoco").build_worlds([resolved.scene] * 2)
+    experiment = load_experiment("SlopeSlider-2-wood")
+    worlds = backend("mujoco").build_worlds([experiment.scene] * 2)
     worlds.reset(0)
     worlds.worlds[0].data.qvel[0] = 900.0
     episodes = [
-        Episode(resolved, world, band=reference_band(resolved), marker_proxy=MarkerProxy.NODE)
+        Episode(experiment, world, band=reference_band(experiment), marker_proxy=MarkerProxy.NODE)
         for world in worlds.worlds
     ]
     faults = run_together(episodes, worlds)
     assert "m/s" in faults[0] and faults[1] is None
-    assert [episode.frame for episode in episodes] == [1, resolved.frame_count - 1]
+    assert [episode.frame for episode in episodes] == [1, experiment.frame_count - 1]
 
 
 def test_repeats_are_files_of_their_own_and_resume(tmp_path) -> None:
-    request = {"repeats": 3, "out": tmp_path}
-    first = list(run_many(["SlopeSlider-1-wood"], **request))
+    requests = [RunRequest("SlopeSlider-1-wood", repeats=3)]
+    first = list(run_many(requests, out=tmp_path))
     assert len(list(tmp_path.glob("*.json"))) == 3
-    again = list(run_many(["SlopeSlider-1-wood"], resume=True, **request))
+    again = list(run_many(requests, out=tmp_path, resume=True))
     assert [one.created for one in again] == [one.created for one in first]
-    assert next(iter(run_many(["SlopeSlider-1-wood"], resume=True, out=tmp_path))).jitter == {}
+    assert next(iter(run_many([RunRequest("SlopeSlider-1-wood")], resume=True, out=tmp_path))).jitter == {}
     assert len(list(tmp_path.glob("*.json"))) == 4
 
 
 def test_repeats_of_what_cannot_scatter_are_declined_with_the_reason() -> None:
-    results = list(run_many(["FoamStretching-soft"], repeats=2))
+    results = list(run_many([RunRequest("FoamStretching-soft", repeats=2)]))
     assert [result.outcome for result in results] == ["declined"] * 2
     assert "nothing to jitter" in results[0].error
 

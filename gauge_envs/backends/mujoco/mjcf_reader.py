@@ -2,7 +2,7 @@
 
 The file counts: its step and solver, masses, friction, poses, compiled tables and driven motion. It must have the rigid
 bodies of the scene under their names, a free joint of that name where a body is driven, and the nodes of deformable
-bodies where the backend puts them. `gauge_envs.backends.mujoco.mjcf_writer` writes such files, and what a model file cannot say stands in
+bodies where the backend puts them. `mjcf_writer` writes such files, and what a model file cannot say stands in
 them as custom numbers, which are read here:
 
 - `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. Rows as the scene's
@@ -356,6 +356,3 @@ def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
 def _same_rows(rows: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:
     size = np.abs(expected).max(axis=0, initial=0.0)
     return bool((np.abs(rows - expected) <= SAME_MOTION * np.maximum(size, 1e-3)).all())
-
-
-# --- what differs ----------------------------------------------------------------------------------------------------

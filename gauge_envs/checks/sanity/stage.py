@@ -64,8 +64,8 @@ class Stage:
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene, driven as the task file states, whatever trials are imported."""
-        return self.change(load_experiment(self.variant, self.parameters, drivers="bundled").scene)
+        """The scene, driven as the task file states."""
+        return self.change(load_experiment(self.variant, self.parameters).scene)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -92,9 +92,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self._pictures = Pictures(render_mode, width=width, height=height)
         self.render_mode = render_mode
         chosen = find_variant(variant)
-        resolved = load_experiment(chosen, self._placed(chosen, parameters), drivers="bundled")
-        scene = replace(resolved.scene, drivers=self._drivers(resolved.scene), duration_s=self.DURATION_S)
-        self.experiment = replace(resolved, scene=scene, frame_count=self.frame_count)
+        experiment = load_experiment(chosen, self._placed(chosen, parameters))
+        scene = replace(experiment.scene, drivers=self._drivers(experiment.scene), duration_s=self.DURATION_S)
+        self.experiment = replace(experiment, scene=scene, frame_count=self.frame_count)
         self.backend_name = backend
         self._settings = settings
         check_support(self.experiment, backend)

@@ -1,7 +1,7 @@
 """Generated assets: every variant as USD and as MJCF, every solid as OBJ; built, and checked for currency.
 
 The files in `assets/` are built from the task files and are checked in. Each opens in other tools without gauge-envs;
-an edited copy of a USD layer or of an MJCF file can be the scene of an experiment again (`gauge_envs.experiments.scene_source`).
+an edited copy of a USD layer or of an MJCF file can be the scene of an experiment again (`experiments.scene_source`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from gauge_envs.experiments.export.usd_layer import usd_layer_text
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.files import data_folder
-from gauge_envs.references.imported import DriverSource
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.meshes import hull_faces
 
@@ -62,12 +61,12 @@ def assets_folder() -> Path:
 
 def asset_texts() -> Iterator[tuple[str, str]]:
     """Path below the assets folder and text of every generated file, in alphabetical order of folders."""
-    resolved = [load_experiment(variant, drivers=DriverSource.BUNDLED) for variant in variants()]
-    for one in resolved:
+    experiment = [load_experiment(variant) for variant in variants()]
+    for one in experiment:
         yield f"mjcf/{one.variant.name}.xml", mjcf_text(one)
     for name, solid in solid_shapes().items():
         yield f"obj/{name}.obj", shape_to_obj(solid.shape, name)
-    for one in resolved:
+    for one in experiment:
         yield f"usd/{one.variant.name}.usda", usd_layer_text(one)
 
 
@@ -151,8 +150,8 @@ def solid_shapes() -> dict[str, Solid]:
     """Every distinct solid of the scenes, by name: primitives by their dimensions, polyhedra by their body's name."""
     users: dict[Shape, dict[str, str]] = {}
     for variant in variants():
-        resolved = load_experiment(variant, drivers=DriverSource.BUNDLED)
-        scene, listed = resolved.scene, resolved.spec.names
+        experiment = load_experiment(variant)
+        scene, listed = experiment.scene, experiment.spec.names
         for name, shape in [
             *((body.name, body.shape) for body in scene.bodies if not isinstance(body.shape, Plane)),
             *((body.name, body.shape) for body in scene.deformables if isinstance(body, SoftBody)),

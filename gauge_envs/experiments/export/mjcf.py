@@ -21,7 +21,7 @@ __all__ = [
 ]
 
 
-def write_mjcf(resolved: TaskExperiment, path: Path) -> None:
+def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file, in full precision.
 
     Where a body is driven, the file carries its motion as custom numbers `driver/<body>`; where compiled tables of a
@@ -31,33 +31,33 @@ def write_mjcf(resolved: TaskExperiment, path: Path) -> None:
     Raises:
         ResultFileError: The file cannot be written.
     """
-    text = mjcf_text(resolved)
+    text = mjcf_text(experiment)
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def mjcf_text(resolved: TaskExperiment) -> str:
+def mjcf_text(experiment: TaskExperiment) -> str:
     """The text that `write_mjcf` writes."""
-    scene = resolved.scene
+    scene = experiment.scene
     simulation = BackendMuJoCo().build(scene)
     notes = [
-        f"{resolved.spec.title}: {resolved.id}, parameters: {resolved.parameters}.",
-        f"Task file: tasks/{task_path(resolved.variant.family).name}, sha256 {resolved.file_sha256}.",
+        f"{experiment.spec.title}: {experiment.id}, parameters: {experiment.parameters}.",
+        f"Task file: tasks/{task_path(experiment.variant.family).name}, sha256 {experiment.file_sha256}.",
         SOURCE,
     ]
     if scene.deformables:
         notes += add_stiffness_tables(simulation)
     for driver in scene.drivers:
-        path = DriverPath(driver, scene, resolved.frame_count)
+        path = DriverPath(driver, scene, experiment.frame_count)
         rows = driver_rows(simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S))
         moving = without_rest(rows)
         name = f"{DRIVER_PREFIX}{driver.body}"
         simulation.spec.add_numeric(name=name, size=moving.size, data=moving.ravel().tolist())
         notes.append(replay_note(driver.body, driver.provenance, simulation, moving, len(rows)))
     root = exact_xml(simulation)
-    root.set("model", resolved.name)
+    root.set("model", experiment.name)
     comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")
     comment.tail = "\n\n  "
     root.insert(0, comment)

@@ -25,39 +25,39 @@ SOURCE = (
 )
 
 
-def write_usd_layer(resolved: TaskExperiment, path: Path) -> None:
+def write_usd_layer(experiment: TaskExperiment, path: Path) -> None:
     """Write one variant's scene as a self-contained USD layer that names the variant, its parameters and its source.
 
     Args:
-        resolved: Variant with its parameters.
+        experiment: Variant with its parameters.
         path: File to write; the suffix chooses text (`.usda`) or binary (`.usdc`, `.usd`).
 
     Raises:
         ParameterError: The suffix is none of USD's.
         ResultFileError: The file cannot be written.
     """
-    export_stage(_experiment_stage(resolved), path)
+    export_stage(_experiment_stage(experiment), path)
 
 
-def usd_layer_text(resolved: TaskExperiment) -> str:
+def usd_layer_text(experiment: TaskExperiment) -> str:
     """One variant's scene as the text of a `.usda` layer; the same scene gives the same text."""
-    stage = _experiment_stage(resolved)
+    stage = _experiment_stage(experiment)
     return stage.GetRootLayer().ExportToString()
 
 
-def _experiment_stage(resolved: TaskExperiment) -> Usd.Stage:
-    stage = scene_stage(resolved.scene)
-    variant = resolved.variant
+def _experiment_stage(experiment: TaskExperiment) -> Usd.Stage:
+    stage = scene_stage(experiment.scene)
+    variant = experiment.variant
     layer = stage.GetRootLayer()
-    layer.documentation = f"{resolved.spec.title}: {variant.id}"
+    layer.documentation = f"{experiment.spec.title}: {variant.id}"
     layer.customLayerData = {
         "gauge": {
             "variant": variant.name,
             "task_file": f"tasks/{task_path(variant.family).name}",
             "task_sha256": task_sha256(variant.family),
-            "parameters": resolved.parameters,
-            "overrides": json.dumps(dict(resolved.overrides), sort_keys=True),
-            "driver_provenance": resolved.driver_provenance or "",
+            "parameters": experiment.parameters,
+            "overrides": json.dumps(dict(experiment.overrides), sort_keys=True),
+            "driver_provenance": experiment.driver_provenance or "",
             "source": SOURCE,
         }
     }

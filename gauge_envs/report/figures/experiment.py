@@ -119,8 +119,8 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
     if len(ids) != 1:
         raise ShapeError(f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}")
     series = _series(results, among or results)
-    resolved = recorded_experiment(series[0].results[0])
-    band = reference_band(resolved, use_withheld=any(result.score.withheld for result in results))
+    experiment = recorded_experiment(series[0].results[0])
+    band = reference_band(experiment, use_withheld=any(result.score.withheld for result in results))
     bars = _bar_groups(results[0].id, series)
     names = band.coordinates if band is not None else _axis_names(results[0])
     # Without a reference, how far the engines are apart is all there is to see.
@@ -146,8 +146,8 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
     axes[-1].set_xlabel("time [s]")
     if bars:
         _draw_bars(figure.add_subplot(grid[:, 1]), bars, depth=5.0 * rows)
-    figure.suptitle(_title(resolved, results, band), x=0.01, ha="left", fontsize=12, fontweight="bold")
-    notes = wrap(_subtitle(resolved, band, has_bars=bool(bars)), 195)
+    figure.suptitle(_title(experiment, results, band), x=0.01, ha="left", fontsize=12, fontweight="bold")
+    notes = wrap(_subtitle(experiment, band, has_bars=bool(bars)), 195)
     figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=8, color="#505050")
     return figure
 
@@ -394,24 +394,18 @@ def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> No
     axis.tick_params(axis="y", length=0)
 
 
-# --- overview --------------------------------------------------------------------------------------------------------
-
-
-# --- error budgets ---------------------------------------------------------------------------------------------------
-
-
 # --- words -----------------------------------------------------------------------------------------------------------
 
 
-def _title(resolved: Experiment, results: Sequence[Result], band: Band | None) -> str:
+def _title(experiment: Experiment, results: Sequence[Result], band: Band | None) -> str:
     reference = "" if band is not None else " (no reference trajectory)"
-    return f"{results[0].id}: {resolved.title}{reference}"
+    return f"{results[0].id}: {experiment.title}{reference}"
 
 
-def _subtitle(resolved: Experiment, band: Band | None, *, has_bars: bool) -> str:
+def _subtitle(experiment: Experiment, band: Band | None, *, has_bars: bool) -> str:
     grade = BandGrade.NONE if band is None else band.grade
     parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
     parts += [f"{band.source}."] if band is not None else []
-    parts += [f"Driver: {resolved.driver_provenance}."] if resolved.driver_provenance else []
+    parts += [f"Driver: {experiment.driver_provenance}."] if experiment.driver_provenance else []
     parts += ["Engines: as published (GAUGE, Table 5)."] if has_bars else []
     return " ".join(parts)

@@ -151,11 +151,11 @@ def ledger(
         settings: What differs from the preset.
         clock_s: Time of the driver at the start [s].
     """
-    resolved = load_experiment(name, parameters or {})
-    simulation = BackendMuJoCo().build(resolved.scene, settings)
+    experiment = load_experiment(name, parameters or {})
+    simulation = BackendMuJoCo().build(experiment.scene, settings)
     simulation.reset(0)
-    (driver,) = resolved.scene.drivers
-    path = DriverPath(driver, resolved.scene, resolved.frame_count)
+    (driver,) = experiment.scene.drivers
+    path = DriverPath(driver, experiment.scene, experiment.frame_count)
     energies = Energies(simulation, driver.body)
     mass, timestep = simulation.settings["kinematic_mass_kg"], simulation.settings["timestep_s"]
     first = round(clock_s / SAMPLE_INTERVAL_S)

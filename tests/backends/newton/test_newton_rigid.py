@@ -12,6 +12,7 @@ from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -55,7 +56,7 @@ def test_laws_of_contact() -> None:
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_slide_has_coulombs_acceleration(material: str) -> None:
-    result = run_episode(f"SlopeSlider-2-{material}", backend="newton")
+    result = run_episode(RunRequest(f"SlopeSlider-2-{material}", backend="newton"))
     times, samples = result.trajectory.arrays()
     friction = load_experiment(result.id).scene.contacts[0].friction
     downhill = 1e-3 * (samples[:60] - samples[0]) @ [np.cos(np.pi / 6), 0.0, -0.5]
@@ -65,22 +66,25 @@ def test_slide_has_coulombs_acceleration(material: str) -> None:
 
 def test_the_same_scene_in_two_engines_moves_alike() -> None:
     for name in ("Turntable-2-metal", "NonsmoothContact-1-wood", "Pendulum-metal"):
-        courses = [run_episode(name, backend=engine).trajectory.arrays()[1][:400] for engine in ("mujoco", "newton")]
+        courses = [
+            run_episode(RunRequest(name, backend=engine)).trajectory.arrays()[1][:400]
+            for engine in ("mujoco", "newton")
+        ]
         moved = np.linalg.norm(np.ptp(courses[0], axis=0))
         assert np.sqrt(np.square(courses[0] - courses[1]).sum(axis=1).mean()) < 0.03 * moved
 
 
 def test_worlds_are_the_single_simulation_bit_for_bit() -> None:
     still = Jitter(position_m=0.0, angle_rad=0.0)
-    single = run_episode("Turntable-2-wood", backend="newton").trajectory
-    assert [r.trajectory for r in run_repeats("Turntable-2-wood", repeats=3, backend="newton", jitter=still)] == [
-        single
-    ] * 3
+    single = run_episode(RunRequest("Turntable-2-wood", backend="newton")).trajectory
+    assert [
+        r.trajectory for r in run_repeats(RunRequest("Turntable-2-wood", repeats=3, backend="newton", jitter=still))
+    ] == [single] * 3
 
 
 def test_worlds_start_apart_and_do_not_meet() -> None:
-    results = run_repeats("SlopeSlider-2-wood", repeats=6, backend="newton", seed=1)
-    singles = run_repeats("SlopeSlider-2-wood", repeats=1, backend="newton", seed=4)
+    results = run_repeats(RunRequest("SlopeSlider-2-wood", repeats=6, backend="newton", seed=1))
+    singles = run_repeats(RunRequest("SlopeSlider-2-wood", repeats=1, backend="newton", seed=4))
     assert len({result.score.rmse for result in results}) == 6
     assert results[3].trajectory == singles[0].trajectory
 
@@ -166,17 +170,19 @@ def test_settings_are_checked_and_named() -> None:
 
 def test_what_newton_cannot_do_is_declined_with_the_reason() -> None:
     with pytest.raises(UnsupportedSceneError, match="string"):
-        run_episode("WallBreaking-wood", backend="newton")
+        run_episode(RunRequest("WallBreaking-wood", backend="newton"))
 
 
 def test_out_of_the_box_restitution_has_no_effect_as_published() -> None:
     """The published Newton scores 22.71 (GAUGE, Table 5): its solver ignores the ball's coefficient of restitution."""
     scores = {
         e: run_episode(
-            "BouncingBall-rubber",
-            backend="newton",
-            settings={"preset": "out_of_box"},
-            parameters={"ball.restitution": e},
+            RunRequest(
+                "BouncingBall-rubber",
+                backend="newton",
+                settings={"preset": "out_of_box"},
+                parameters={"ball.restitution": e},
+            )
         ).score.rmse_normalized
         for e in (0.0, 0.9)
     }

@@ -18,6 +18,7 @@ from gauge_envs.backends.base import Simulation, World
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene, SoftBody
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.jitter import jittered
@@ -111,11 +112,11 @@ def test_stretched_foam_goes_as_in_mujoco() -> None:
 
 @pytest.mark.slow
 def test_a_result_says_what_it_was_made_with() -> None:
-    result = run_episode("FoamStretching-soft", backend="newton")
+    result = run_episode(RunRequest("FoamStretching-soft", backend="newton"))
     assert result.outcome == "finished"
     assert (result.settings["preset"], result.settings["solver"]) == ("soft", "SolverVBD")
     assert result.versions["newton"] and result.versions["warp-lang"]
-    nylon = run_episode("TextileBending-nylon", backend="newton")
+    nylon = run_episode(RunRequest("TextileBending-nylon", backend="newton"))
     assert nylon.outcome == "finished"
     assert nylon.settings["timestep_s"] == 1 / 2880
     assert nylon.settings_given == {}

@@ -18,6 +18,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError
@@ -26,7 +27,6 @@ from gauge_envs.experiments.export import assets
 from gauge_envs.experiments.export.assets import asset_texts, assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.experiments.export.mjcf import mjcf_text, write_mjcf
 from gauge_envs.experiments.export.usd_layer import usd_layer_text, write_usd_layer
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_path, variants
 from gauge_envs.scene import (
     Box,
@@ -176,29 +176,29 @@ def quaternion(value: Gf.Quatd) -> tuple[float, ...]:
 
 
 def test_layer_says_units_times_and_source(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     assert UsdPhysics.GetStageKilogramsPerUnit(stage) == 1.0
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     assert stage.GetTimeCodesPerSecond() == FRAME_RATE_HZ
-    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, resolved.frame_count - 1)
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, experiment.frame_count - 1)
     assert stage.GetDefaultPrim().GetPath() == "/World"
     data = stage.GetRootLayer().customLayerData["gauge"]
-    assert data["variant"] == resolved.variant.name
+    assert data["variant"] == experiment.variant.name
     assert data["parameters"] == "calibrated"
-    assert data["task_sha256"] == hashlib.sha256(task_path(resolved.variant.family).read_bytes()).hexdigest()
+    assert data["task_sha256"] == hashlib.sha256(task_path(experiment.variant.family).read_bytes()).hexdigest()
     assert "MIT" in data["source"]
     physics = stage.GetPrimAtPath("/World/PhysicsScene")
-    assert value(physics, "gauge:gravity_m_per_s2") == resolved.scene.gravity_m_per_s2
+    assert value(physics, "gauge:gravity_m_per_s2") == experiment.scene.gravity_m_per_s2
     assert value(physics, "physics:gravityMagnitude") == np.float32(9.80665)
     assert tuple(value(physics, "physics:gravityDirection")) == (0.0, 0.0, -1.0)
 
 
 def test_rigid_bodies_are_the_scenes(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     prims = by_name(stage)
-    assert list(prims) == [body.name for body in (*resolved.scene.bodies, *resolved.scene.deformables)]
-    for body in resolved.scene.bodies:
+    assert list(prims) == [body.name for body in (*experiment.scene.bodies, *experiment.scene.deformables)]
+    for body in experiment.scene.bodies:
         prim = prims[body.name]
         assert tuple(value(prim, "xformOp:translate")) == body.pose.position_m
         assert quaternion(value(prim, "xformOp:orient")) == body.pose.quaternion
@@ -213,9 +213,9 @@ def test_rigid_bodies_are_the_scenes(pair: tuple) -> None:
 
 
 def test_pieces_are_closed_and_turned_outward(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     prims = by_name(stage)
-    for body in resolved.scene.bodies:
+    for body in experiment.scene.bodies:
         if isinstance(body.shape, ConvexUnion):
             volume = 0.0
             for piece in colliders(prims[body.name]):
@@ -234,32 +234,32 @@ def polygons(prim: Usd.Prim) -> trimesh.Trimesh:
 
 
 def test_driven_bodies_move_as_their_drivers(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     prims = by_name(stage)
-    driven = {driver.body: driver for driver in resolved.scene.drivers}
-    for body in resolved.scene.bodies:
+    driven = {driver.body: driver for driver in experiment.scene.drivers}
+    for body in experiment.scene.bodies:
         prim = prims[body.name]
         moves = any(op.MightBeTimeVarying() for op in UsdGeom.Xformable(prim).GetOrderedXformOps())
         assert moves is (body.name in driven)
         if not moves:
             continue
         assert value(prim, "gauge:driver_provenance") == driven[body.name].provenance
-        for frame in range(resolved.frame_count):
+        for frame in range(experiment.frame_count):
             pose = driven[body.name].pose(body.pose, frame / FRAME_RATE_HZ)
             assert tuple(prim.GetAttribute("xformOp:translate").Get(frame)) == pose.position_m
             turned = np.array(quaternion(prim.GetAttribute("xformOp:orient").Get(frame)))
             assert abs(turned @ pose.quaternion) == pytest.approx(1.0, abs=1e-12)
-        orients = [quaternion(prim.GetAttribute("xformOp:orient").Get(k)) for k in range(resolved.frame_count)]
+        orients = [quaternion(prim.GetAttribute("xformOp:orient").Get(k)) for k in range(experiment.frame_count)]
         assert all(np.dot(a, b) > 0.0 for a, b in pairwise(orients))
 
 
 def test_contacts_are_the_scenes(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     names = {prim.GetPath(): name for name, prim in by_name(stage).items()}
     scope = stage.GetPrimAtPath("/World/Contacts")
     found = scope.GetChildren() if scope else []
-    assert len(found) == len(resolved.scene.contacts)
-    for prim, contact in zip(found, resolved.scene.contacts, strict=True):
+    assert len(found) == len(experiment.scene.contacts)
+    for prim, contact in zip(found, experiment.scene.contacts, strict=True):
         for side in ("first", "second"):
             targets = prim.GetRelationship(f"gauge:{side}").GetTargets()
             assert tuple(names[target] for target in targets) == getattr(contact, side)
@@ -269,9 +269,9 @@ def test_contacts_are_the_scenes(pair: tuple) -> None:
 
 
 def test_bodies_have_the_material_of_their_first_contact(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     for name, prim in by_name(stage).items():
-        own = next((c for c in resolved.scene.contacts if name in (*c.first, *c.second)), None)
+        own = next((c for c in experiment.scene.contacts if name in (*c.first, *c.second)), None)
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if own is None:
             assert not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI)
@@ -285,8 +285,8 @@ def test_bodies_have_the_material_of_their_first_contact(pair: tuple) -> None:
 
 
 def test_only_pairs_of_a_contact_collide(pair: tuple) -> None:
-    stage, resolved = pair
-    scene, prims = resolved.scene, by_name(stage)
+    stage, experiment = pair
+    scene, prims = experiment.scene, by_name(stage)
     allowed = {frozenset((a, b)) for c in scene.contacts for a in c.first for b in c.second}
     movers = {body.name for body in (*scene.dynamic_bodies, *scene.deformables)}
     filtered = {
@@ -310,11 +310,11 @@ def test_only_pairs_of_a_contact_collide(pair: tuple) -> None:
 
 
 def test_joints_hold_bodies_where_the_scene_does(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     joints = [prim for prim in stage.Traverse() if prim.IsA(UsdPhysics.Joint)]
-    assert len(joints) == len(resolved.scene.joints)
-    for prim, joint in zip(joints, resolved.scene.joints, strict=True):
-        body = resolved.scene.body(joint.body)
+    assert len(joints) == len(experiment.scene.joints)
+    for prim, joint in zip(joints, experiment.scene.joints, strict=True):
+        body = experiment.scene.body(joint.body)
         assert not prim.GetRelationship("physics:body0").GetTargets()
         assert prim.GetRelationship("physics:body1").GetTargets() == [by_name(stage)[joint.body].GetPath()]
         assert tuple(value(prim, "gauge:anchor_m")) == joint.anchor_m
@@ -340,9 +340,9 @@ def test_joints_hold_bodies_where_the_scene_does(pair: tuple) -> None:
 
 
 def test_deformable_bodies_are_the_scenes(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     prims = by_name(stage)
-    for body in resolved.scene.deformables:
+    for body in experiment.scene.deformables:
         prim = prims[body.name]
         assert tuple(value(prim, "xformOp:translate")) == body.pose.position_m
         assert quaternion(value(prim, "xformOp:orient")) == body.pose.quaternion
@@ -373,8 +373,8 @@ def test_deformable_bodies_are_the_scenes(pair: tuple) -> None:
 
 
 def test_fabrics_carry_the_constants_for_isaac(pair: tuple) -> None:
-    stage, resolved = pair
-    for body in resolved.scene.deformables:
+    stage, experiment = pair
+    for body in experiment.scene.deformables:
         if not isinstance(body, Cloth):
             continue
         mapped = isaac_surface(Fabric.of(body))
@@ -391,12 +391,12 @@ def test_fabrics_carry_the_constants_for_isaac(pair: tuple) -> None:
 
 
 def test_attachments_are_the_scenes(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     prims = by_name(stage)
     scope = stage.GetPrimAtPath("/World/Attachments")
     found = scope.GetChildren() if scope else []
-    assert len(found) == len(resolved.scene.attachments)
-    for prim, attachment in zip(found, resolved.scene.attachments, strict=True):
+    assert len(found) == len(experiment.scene.attachments)
+    for prim, attachment in zip(found, experiment.scene.attachments, strict=True):
         region = Region(
             axis=value(prim, "gauge:region_axis"),
             side=value(prim, "gauge:region_side"),
@@ -426,8 +426,8 @@ def test_attachments_are_the_scenes(pair: tuple) -> None:
 
 
 def test_markers_are_the_scenes(pair: tuple) -> None:
-    stage, resolved = pair
-    markers, prim = resolved.scene.markers, stage.GetPrimAtPath("/World/Markers")
+    stage, experiment = pair
+    markers, prim = experiment.scene.markers, stage.GetPrimAtPath("/World/Markers")
     assert bool(prim) is (markers is not None)
     if markers is None:
         return
@@ -468,34 +468,34 @@ def test_validators_would_find_a_fault() -> None:
 
 
 def test_usd_physics_reads_bodies_shapes_and_joints(pair: tuple) -> None:
-    stage, resolved = pair
+    stage, experiment = pair
     # Renamed in usd-core 26.
     load = getattr(UsdPhysics, "UsdPhysicsLoadStageFromPrimRange", None) or UsdPhysics.LoadUsdPhysicsFromRange
     read = load(stage, ["/World"])
     kinds = UsdPhysics.ObjectType
     assert all(one.isValid for _, group in read.values() for one in group)
     paths, bodies = read.get(kinds.RigidBody, ([], []))
-    moving = [body for body in resolved.scene.bodies if body.motion is not Motion.FIXED]
+    moving = [body for body in experiment.scene.bodies if body.motion is not Motion.FIXED]
     assert {str(path) for path in paths} == {str(by_name(stage)[body.name].GetPath()) for body in moving}
-    assert sum(one.kinematicBody for one in bodies) == len(resolved.scene.drivers)
+    assert sum(one.kinematicBody for one in bodies) == len(experiment.scene.drivers)
     joints = sum(len(read.get(kind, ([], []))[0]) for kind in (kinds.RevoluteJoint, kinds.DistanceJoint))
-    assert joints == len(resolved.scene.joints)
-    boxes = sum(isinstance(body.shape, Box) for body in resolved.scene.bodies)
+    assert joints == len(experiment.scene.joints)
+    boxes = sum(isinstance(body.shape, Box) for body in experiment.scene.bodies)
     assert len(read.get(kinds.CubeShape, ([], []))[0]) == boxes
 
 
 def test_binary_layers_say_the_same(tmp_path: Path) -> None:
-    resolved = load_experiment("Pendulum-metal")
-    write_usd_layer(resolved, tmp_path / "a.usda")
-    assert (tmp_path / "a.usda").read_text() == usd_layer_text(resolved)
-    write_usd_layer(resolved, tmp_path / "a.usdc")
+    experiment = load_experiment("Pendulum-metal")
+    write_usd_layer(experiment, tmp_path / "a.usda")
+    assert (tmp_path / "a.usda").read_text() == usd_layer_text(experiment)
+    write_usd_layer(experiment, tmp_path / "a.usdc")
     binary = Usd.Stage.Open(str(tmp_path / "a.usdc"))
-    assert binary.GetRootLayer().ExportToString() == usd_layer_text(resolved)
+    assert binary.GetRootLayer().ExportToString() == usd_layer_text(experiment)
 
 
 def test_overrides_reach_the_layer(tmp_path: Path) -> None:
-    resolved = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012})
-    write_usd_layer(resolved, tmp_path / "a.usda")
+    experiment = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012})
+    write_usd_layer(experiment, tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
     assert value(stage.GetPrimAtPath("/World/cube"), "gauge:mass_kg") == 0.123456789012
     data = stage.GetRootLayer().customLayerData["gauge"]
@@ -504,28 +504,28 @@ def test_overrides_reach_the_layer(tmp_path: Path) -> None:
 
 
 def test_bodies_may_be_named_as_a_group_or_alike() -> None:
-    resolved = load_experiment("SlopeSlider-2-wood")
+    experiment = load_experiment("SlopeSlider-2-wood")
     new = {"cube": "Contacts", "board": "a-1", "ground": "a_1"}
     scene = replace(
-        resolved.scene,
-        bodies=tuple(replace(body, name=new[body.name]) for body in resolved.scene.bodies),
+        experiment.scene,
+        bodies=tuple(replace(body, name=new[body.name]) for body in experiment.scene.bodies),
         contacts=tuple(
             replace(c, first=tuple(map(new.get, c.first)), second=tuple(map(new.get, c.second)))
-            for c in resolved.scene.contacts
+            for c in experiment.scene.contacts
         ),
     )
     stage = Usd.Stage.CreateInMemory()
-    stage.GetRootLayer().ImportFromString(usd_layer_text(replace(resolved, scene=scene)))
+    stage.GetRootLayer().ImportFromString(usd_layer_text(replace(experiment, scene=scene)))
     assert list(by_name(stage)) == list(new.values())
 
 
 def test_a_layer_needs_a_suffix_and_a_place(tmp_path: Path) -> None:
-    resolved = load_experiment("Pendulum-metal")
+    experiment = load_experiment("Pendulum-metal")
     with pytest.raises(ParameterError, match=r"\.usda"):
-        write_usd_layer(resolved, tmp_path / "a.txt")
+        write_usd_layer(experiment, tmp_path / "a.txt")
     (tmp_path / "file").touch()
     with pytest.raises(ResultFileError, match="cannot be written"):
-        write_usd_layer(resolved, tmp_path / "file" / "a.usda")
+        write_usd_layer(experiment, tmp_path / "file" / "a.usda")
 
 
 # --- MJCF ------------------------------------------------------------------------------------------------------------
@@ -576,16 +576,16 @@ def test_compiled_mjcf_equals_the_model_that_runs(name: str) -> None:
         np.testing.assert_allclose(file[key], expected, rtol=1e-12, atol=atol, err_msg=key)
 
 
-def replayed(resolved: Experiment, text: str, frames: int) -> tuple[mujoco.MjData, mujoco.MjData]:
+def replayed(experiment: Experiment, text: str, frames: int) -> tuple[mujoco.MjData, mujoco.MjData]:
     """State after some frames: of a file in plain MuJoCo, and of the backend."""
     model = loaded(text)
     data = mujoco.MjData(model)
-    simulation = BackendMuJoCo().build(resolved.scene)
+    simulation = BackendMuJoCo().build(experiment.scene)
     simulation.reset(0)
-    paths = [DriverPath(driver, resolved.scene, resolved.frame_count) for driver in resolved.scene.drivers]
+    paths = [DriverPath(driver, experiment.scene, experiment.frame_count) for driver in experiment.scene.drivers]
     motions = {path.body: model.numeric(f"driver/{path.body}").data.reshape(-1, 19) for path in paths}
     steps = round(1 / 180 / model.opt.timestep)
-    for sample in range(6 * min(resolved.frame_count - 1, frames)):
+    for sample in range(6 * min(experiment.frame_count - 1, frames)):
         for path in paths:
             simulation.drive(path.body, *path.interval(sample, np.zeros(path.motion_count)))
             rows, joint = motions[path.body], model.joint(path.body)
@@ -600,8 +600,8 @@ def replayed(resolved: Experiment, text: str, frames: int) -> tuple[mujoco.MjDat
 
 @pytest.mark.parametrize("name", ["BouncingBall-rubber", "NewtonsCradle-metal", "SlopeContact-wood", *DRIVEN])
 def test_mjcf_replays_the_trajectory_without_this_project(name: str) -> None:
-    resolved = load_experiment(name)
-    file, backend = replayed(resolved, mjcf_text(resolved), 30)
+    experiment = load_experiment(name)
+    file, backend = replayed(experiment, mjcf_text(experiment), 30)
     np.testing.assert_array_equal(file.qpos, backend.qpos)
     np.testing.assert_array_equal(file.qvel, backend.qvel)
 
@@ -625,13 +625,13 @@ def test_mjcf_says_what_to_write_into_compiled_tables(name: str) -> None:
 
 @pytest.mark.parametrize("name", [*DRIVEN, "TextileStretching-rayon"])
 def test_mjcf_holds_the_whole_motion_and_says_how_to_replay_it(name: str) -> None:
-    resolved = load_experiment(name)
-    (driver,) = resolved.scene.drivers
+    experiment = load_experiment(name)
+    (driver,) = experiment.scene.drivers
     text = checked_in_text(name)
     rows = loaded(text).numeric(f"driver/{driver.body}").data.reshape(-1, 19)
-    intervals = 6 * (resolved.frame_count - 1)
-    for frame in range(resolved.frame_count - 1):
-        pose = driver.pose(resolved.scene.body(driver.body).pose, frame / FRAME_RATE_HZ)
+    intervals = 6 * (experiment.frame_count - 1)
+    for frame in range(experiment.frame_count - 1):
+        pose = driver.pose(experiment.scene.body(driver.body).pose, frame / FRAME_RATE_HZ)
         row = rows[min(6 * frame, len(rows) - 1)]
         np.testing.assert_allclose(row[:7], [*pose.position_m, *pose.quaternion], atol=1e-12)
     assert f"numeric 'driver/{driver.body}' holds {len(rows)} rows" in text

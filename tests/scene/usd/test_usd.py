@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.experiments.export.usd_layer import write_usd_layer
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import variants
 from gauge_envs.scene import (
     Attachment,
@@ -49,22 +49,22 @@ from gauge_envs.scene.usd.writer import to_usd
 @pytest.mark.parametrize("name", [variant.name for variant in variants()])
 def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
     file = assets_folder() / "usd" / f"{name}.usda"
-    assert from_usd(file) == load_experiment(name, drivers="bundled").scene
+    assert from_usd(file) == load_experiment(name).scene
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
 @pytest.mark.parametrize("name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"])
 def test_every_kind_of_file_keeps_every_double(name: str, suffix: str, tmp_path: Path) -> None:
-    resolved = load_experiment(name, drivers="bundled")
-    write_usd_layer(resolved, tmp_path / f"a{suffix}")
-    assert from_usd(tmp_path / f"a{suffix}") == resolved.scene
+    experiment = load_experiment(name)
+    write_usd_layer(experiment, tmp_path / f"a{suffix}")
+    assert from_usd(tmp_path / f"a{suffix}") == experiment.scene
 
 
 def test_overrides_come_back() -> None:
-    resolved = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
+    experiment = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
     with tempfile.TemporaryDirectory() as folder:
-        write_usd_layer(resolved, Path(folder) / "a.usda")
-        assert from_usd(Path(folder) / "a.usda") == resolved.scene
+        write_usd_layer(experiment, Path(folder) / "a.usda")
+        assert from_usd(Path(folder) / "a.usda") == experiment.scene
 
 
 def test_a_layer_says_where_its_bodies_are_and_whose_they_are() -> None:
@@ -252,7 +252,7 @@ def test_very_many_scenes_come_back_to_the_bit(scene: Scene) -> None:
 
 
 def test_what_is_named_or_driven_twice_is_not_written(tmp_path: Path) -> None:
-    scene = load_experiment("Turntable-1-wood", drivers="bundled").scene
+    scene = load_experiment("Turntable-1-wood").scene
     with pytest.raises(ParameterError, match="'cube' has more than one name"):
         to_usd(replace(scene, bodies=(*scene.bodies, scene.body("cube"))), tmp_path / "a.usda")
     with pytest.raises(ParameterError, match="'plate' has more than one driver"):

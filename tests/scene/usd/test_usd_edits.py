@@ -12,9 +12,9 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 from scipy.spatial.transform import Rotation
 
+from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.export.assets import assets_folder
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Pose, RigidBody, Scene, Sphere, Tether
 from gauge_envs.scene.drivers import SampledProfile
 from gauge_envs.scene.geometry import pose_distance
@@ -37,7 +37,7 @@ def edited(name: str, tmp_path: Path, edit: Edit) -> Scene:
 
 
 def original(name: str) -> Scene:
-    return load_experiment(name, drivers="bundled").scene
+    return load_experiment(name).scene
 
 
 def setting(path: str, attribute: str, value: Any) -> Edit:
