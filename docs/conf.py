@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from importlib.metadata import version as installed_version
 from typing import Any
 
+from pydantic import BaseModel
 from sphinx.application import Sphinx
 
 project = "gauge-envs"
@@ -26,7 +28,7 @@ highlight_language = "none"
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_default_options = {"members": True}
 autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
@@ -45,6 +47,9 @@ nitpick_ignore_regex = [
     (r"py:class", r"gauge_envs\.backends\.settings\.Settings"),
     (r"py:class", r"gauge_envs\.checks\.conformance\.lab\.T"),
     (r"py:class", r"gauge_envs\.backends\.mujoco\.flex\.FlexPart"),
+    # Annotations of models are texts; a second `Motion` would take the links of the one of scenes.
+    (r"py:class", r"gauge_envs\.analysis\.motion_kinds\.Motion"),
+    (r"py:class", r"gauge_envs\.experiments\.export\.assets\.Solid"),
 ]
 
 PAGES_OF_FILES = {
@@ -80,6 +85,9 @@ def escape_bars(line: str) -> str:
 
 def read_markdown(app: Sphinx, what: str, name: str, described: Any, options: Any, lines: list[str]) -> None:
     """Rewrite the Markdown of a docstring, in place, for reStructuredText: tables, bars and indented code."""
+    if what in ("attribute", "property") and lines:
+        # Napoleon takes what is before a colon for the type.
+        lines[0] = re.sub(r"^(`[^`]+`): ", r"\1 - ", lines[0])
     result: list[str] = []
     table: list[str] = []
     for number, line in enumerate([*lines, ""]):
@@ -95,7 +103,22 @@ def read_markdown(app: Sphinx, what: str, name: str, described: Any, options: An
     lines[:] = result
 
 
+def escape_patterns(app: Sphinx, what: str, name: str, described: Any, options: Any, lines: list[str]) -> None:
+    """Escape underscores at the end of words in types, in place: reStructuredText takes `a_` for a reference."""
+    lines[:] = [re.sub(r"(?<=\w)_(?!\w)", r"\\_", line) if ":vartype" in line else line for line in lines]
+
+
+def leave_out_signature(
+    app: Sphinx, what: str, name: str, described: Any, options: Any, signature: str | None, returned: str | None
+) -> tuple[str, str | None] | None:
+    """Leave out the signature of a pydantic model: it repeats every attribute."""
+    is_model = inspect.isclass(described) and issubclass(described, BaseModel)
+    return ("", None) if is_model else None
+
+
 def setup(app: Sphinx) -> None:
     """Connect the hooks; docstrings are rewritten before napoleon reads their sections."""
     app.connect("source-read", link_pages)
     app.connect("autodoc-process-docstring", read_markdown, priority=100)
+    app.connect("autodoc-process-docstring", escape_patterns, priority=900)
+    app.connect("autodoc-process-signature", leave_out_signature)
