@@ -47,9 +47,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"gauge_envs\.backends\.settings\.Settings"),
     (r"py:class", r"gauge_envs\.checks\.conformance\.lab\.T"),
     (r"py:class", r"gauge_envs\.backends\.mujoco\.flex\.FlexPart"),
-    # Annotations of models are texts; a second `Motion` would take the links of the one of scenes.
-    (r"py:class", r"gauge_envs\.analysis\.motion_kinds\.Motion"),
-    (r"py:class", r"gauge_envs\.experiments\.export\.assets\.Solid"),
+    (r"py:class", r"gauge_envs\.experiments\.export\.assets\.SharedSolid"),
 ]
 
 PAGES_OF_FILES = {

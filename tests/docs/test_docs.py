@@ -224,6 +224,11 @@ def is_described(value: Any) -> bool:
     return inspect.isclass(value) or inspect.isfunction(value)
 
 
+@pytest.mark.parametrize("module", documented_modules())
+def test_every_module_of_the_reference_has_public_names(module: str) -> None:
+    assert importlib.import_module(module).__all__
+
+
 def test_every_public_class_and_function_has_a_docstring() -> None:
     names = list(documented_names())
     assert len(names) > 200
