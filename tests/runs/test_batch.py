@@ -80,7 +80,7 @@ def test_driven_and_undriven_experiments_take_zero_actions():
     assert driven.score.grade == "recording"
 
 
-def test_file_names_tell_all_requests_apart(result):
+def test_file_names_differ_between_requests(result):
     from dataclasses import replace
 
     others = [
