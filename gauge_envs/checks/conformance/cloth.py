@@ -7,7 +7,7 @@ laws of large strain, in which engines differ, do not matter. Equilibrium displa
 with the clamp's place (and slope, in bending) left free: depending on the mesh, a clamp acts up to a cell away from
 where it should. In tension, nodes within one width of it are left out, as it hinders contraction.
 
-K_s / K_sh is 2.7 throughout (`parts.STRETCH_OVER_SHEAR`), so that every engine can represent the fabric.
+K_s / K_sh is 2.7 throughout (`scene_parts.STRETCH_OVER_SHEAR`), so that every engine can represent the fabric.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gauge_envs.checks.conformance.attachments import pinned_reading
-from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
+from gauge_envs.checks.conformance.driver_error import attachment_error
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, hann_mean
-from gauge_envs.checks.conformance.parts import STRETCH_OVER_SHEAR, fixed_box, sheet, strip_on_rod
-from gauge_envs.checks.rollout import Course
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import STRETCH_OVER_SHEAR, fixed_box, sheet, strip_on_rod
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Cloth, Contact, Pose, Region, Scene
 
 __all__: list[str] = []
@@ -36,15 +37,15 @@ def _clamped(cloth: Cloth, *regions: Region, seconds: float, gravity: float = G)
     return Scene(bodies=(FRAME,), deformables=(cloth,), attachments=glue, duration_s=seconds, gravity_m_per_s2=gravity)
 
 
-def _local(course: Course) -> NDArray[np.float64]:
+def _local(rollout: Rollout) -> NDArray[np.float64]:
     """Nodes in the cloth's frame [m], shape [sample_count, node_count, 3]."""
-    return np.array([course.scene.deformables[0].pose.to_body(nodes) for nodes in course.nodes_m["cloth"]])
+    return np.array([rollout.scene.deformables[0].pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
 
 
-def _equilibrium(course: Course, settled_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _equilibrium(rollout: Rollout, settled_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Nodes at the start and in equilibrium, in the cloth's frame [m], each of shape [node_count, 3]."""
-    local = _local(course)
-    return local[0], hann_mean(local[course.between(settled_s, float(course.times_s[-1]))])
+    local = _local(rollout)
+    return local[0], hann_mean(local[rollout.between(settled_s, float(rollout.times_s[-1]))])
 
 
 def _coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> float:
@@ -59,11 +60,11 @@ HANG_DENSITY, HANG_STRETCH = 0.2, 110.0
 HANG_S, HANG_SETTLED_S = 0.8, 0.2
 
 
-def _hanging(lab: Lab) -> Course:
+def _hanging(lab: Lab) -> Rollout:
     """A strip that hangs from its upper edge: sag 0.8 mm, largest strain 0.5 %, period 51 ms."""
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
     cloth = sheet(pose, (HANG_M, HANG_WIDTH_M), areal_density=HANG_DENSITY, stretch_n_per_m=HANG_STRETCH, bend_n_m=1e-4)
-    return lab.course(_clamped(cloth, Region(axis="x", side="high"), seconds=HANG_S), HANG_S)
+    return lab.rollout(_clamped(cloth, Region(axis="x", side="high"), seconds=HANG_S), HANG_S)
 
 
 @check(
@@ -77,8 +78,8 @@ def _hanging(lab: Lab) -> Course:
     diagnosis="nodes are world positions in metres; the sheet is centred on its pose, warp along x",
 )
 def _cloth_start(lab: Lab) -> Measurement:
-    course = lab.once(_hanging)
-    rest = _local(course)[0]
+    rollout = lab.once(_hanging)
+    rest = _local(rollout)[0]
     half = 0.5 * np.array([HANG_M, HANG_WIDTH_M, 0.0])
     miss = float(np.abs(np.concatenate([rest.min(axis=0) + half, rest.max(axis=0) - half])).max())
     return Measurement(measured=1e3 * miss, expected=0.0, hint="positions are in mm" if miss > 10.0 else "")
@@ -121,7 +122,7 @@ SHEAR_DENSITY, SHEAR_STRETCH = 0.25, 27.5
 SHEAR_S, SHEAR_SETTLED_S = 0.6, 0.15
 
 
-def _sheared(lab: Lab) -> Course:
+def _sheared(lab: Lab) -> Rollout:
     """An upright sheet between two clamped upright edges: sag 0.3 mm, largest shear 1.2 %, period 31 ms.
 
     Far from its upper and lower edge nothing depends on the height: each column is sheared and neither bent nor
@@ -132,7 +133,7 @@ def _sheared(lab: Lab) -> Course:
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (90.0, 0.0, 0.0))
     cloth = sheet(pose, (SPAN_M, HEIGHT_M), areal_density=SHEAR_DENSITY, stretch_n_per_m=SHEAR_STRETCH, bend_n_m=5e-5)
     regions = (Region(axis="x", side="low"), Region(axis="x", side="high"))
-    return lab.course(_clamped(cloth, *regions, seconds=SHEAR_S), SHEAR_S)
+    return lab.rollout(_clamped(cloth, *regions, seconds=SHEAR_S), SHEAR_S)
 
 
 @check(
@@ -167,7 +168,7 @@ BEND_GRAVITY = 0.2 * G
 BEND_S, BEND_SETTLED_S = 1.3, 0.35
 
 
-def _cantilever(lab: Lab) -> Course:
+def _cantilever(lab: Lab) -> Rollout:
     """A horizontal strip clamped at one end, at a fifth of gravity: sag 4 mm on 150 mm, period 0.23 s.
 
     At full gravity it would swing through a slope of 0.5, where the moment of its weight is a fifth less near the tip.
@@ -181,7 +182,7 @@ def _cantilever(lab: Lab) -> Course:
         bend_n_m=BEND_STIFFNESS,
     )
     clamp = Region(axis="x", side="low", depth_m=CLAMP_M)
-    return lab.course(_clamped(cloth, clamp, seconds=BEND_S, gravity=BEND_GRAVITY), BEND_S)
+    return lab.rollout(_clamped(cloth, clamp, seconds=BEND_S, gravity=BEND_GRAVITY), BEND_S)
 
 
 @check(
@@ -230,10 +231,10 @@ def _node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> ND
     diagnosis="the solver makes energy: step too long, iterations capped, or stiffness taken explicitly",
 )
 def _cloth_energy(lab: Lab) -> Measurement:
-    course = lab.once(_cantilever)
-    local = _local(course)
+    rollout = lab.once(_cantilever)
+    local = _local(rollout)
     shares = _node_shares(local[0], (CLAMP_M + FREE_M, STRIP_WIDTH_M))
-    speed = np.gradient(local, course.times_s, axis=0)
+    speed = np.gradient(local, rollout.times_s, axis=0)
     potential = BEND_GRAVITY * (local[:, :, 2] - local[0, :, 2]) @ shares
     total = potential + 0.5 * np.square(speed).sum(axis=2) @ shares
     return Measurement(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
@@ -255,7 +256,7 @@ ROD_S = 0.5
     diagnosis="glued nodes lag or lead by an interval, hang on soft springs, or do not turn with the body",
 )
 def _cloth_pinned_edge(lab: Lab) -> Measurement:
-    return pinned_reading(lab.course(strip_on_rod(), ROD_S), "cloth")
+    return attachment_error(lab.rollout(strip_on_rod(), ROD_S), "cloth")
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------
@@ -265,7 +266,7 @@ SLOPE = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, 30.0, 0.0))
 CONTACT_S = 0.4
 
 
-def _sliding(lab: Lab) -> Course:
+def _sliding(lab: Lab) -> Rollout:
     """A sheet on a slab that is tilted by 30 degrees, its mid-plane half its thickness above the slab."""
     x, y, z = SLOPE.to_world(np.array([-0.3, 0.0, 0.5 * SLAB_M[2] + 0.5e-3]))
     pose = Pose(position_m=(float(x), float(y), float(z)), quaternion=SLOPE.quaternion)
@@ -276,12 +277,12 @@ def _sliding(lab: Lab) -> Course:
         contacts=(Contact(first=("cloth",), second=("slab",), friction=FRICTION, restitution=0.0),),
         duration_s=CONTACT_S,
     )
-    return lab.course(scene, CONTACT_S)
+    return lab.rollout(scene, CONTACT_S)
 
 
-def _on_slab(course: Course) -> NDArray[np.float64]:
+def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
     """Nodes in the slab's frame [m], shape [sample_count, node_count, 3]."""
-    return np.array([SLOPE.to_body(nodes) for nodes in course.nodes_m["cloth"]])
+    return np.array([SLOPE.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
 
 
 @check(
@@ -299,11 +300,11 @@ def _on_slab(course: Course) -> NDArray[np.float64]:
     "combine it otherwise than that of rigid pairs",
 )
 def _cloth_slide(lab: Lab) -> Measurement:
-    course = lab.once(_sliding)
-    window = course.between(0.1, CONTACT_S)
-    way = _on_slab(course)[window, :, 0].mean(axis=1)
+    rollout = lab.once(_sliding)
+    window = rollout.between(0.1, CONTACT_S)
+    way = _on_slab(rollout)[window, :, 0].mean(axis=1)
     sine, cosine = np.sin(np.radians(30.0)), np.cos(np.radians(30.0))
-    measured = float(2.0 * np.polyfit(course.times_s[window], way, 2)[0])
+    measured = float(2.0 * np.polyfit(rollout.times_s[window], way, 2)[0])
     effective = (sine - measured / G) / cosine
     hint = f"it slides as if the friction were {effective:.3g} instead of {FRICTION:g}"
     return Measurement(measured=measured, expected=G * (sine - FRICTION * cosine), hint=hint)
@@ -322,6 +323,6 @@ def _cloth_slide(lab: Lab) -> Measurement:
     diagnosis="it falls through, sinks in, or floats on a collision radius that is larger than the cloth's own",
 )
 def _cloth_rests(lab: Lab) -> Measurement:
-    course = lab.once(_sliding)
-    height = _on_slab(course)[course.between(0.3, CONTACT_S), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
+    rollout = lab.once(_sliding)
+    height = _on_slab(rollout)[rollout.between(0.3, CONTACT_S), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
     return Measurement(measured=1e3 * float(np.abs(height).max()), expected=0.0)

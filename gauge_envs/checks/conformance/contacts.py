@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import box_inertia_kg_m2, world_inertia_kg_m2
-from gauge_envs.checks.conformance.parts import ball, body, box, driver, ground, ramp
-from gauge_envs.checks.rollout import Course
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import ball, body, box, driver, ground, ramp
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, ContactMode, Motion, Pose, Scene
 
 __all__: list[str] = []
@@ -23,7 +24,7 @@ CUBE_M = 0.05
 BOARD_THICKNESS_M = 0.02
 
 
-def _on_slope(slope_deg: float, frictions: dict[str, float], seconds: float, lab: Lab) -> Course:
+def _on_slope(slope_deg: float, frictions: dict[str, float], seconds: float, lab: Lab) -> Rollout:
     """Cubes side by side on a board that is tilted about y, each with its own friction; downhill is the board's x."""
     slope = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, slope_deg, 0.0))
     height = 0.5 * (CUBE_M + BOARD_THICKNESS_M)
@@ -42,27 +43,27 @@ def _on_slope(slope_deg: float, frictions: dict[str, float], seconds: float, lab
         Contact(first=(name,), second=("board",), friction=friction, restitution=0.0)
         for name, friction in frictions.items()
     )
-    return lab.course(Scene(bodies=(*cubes, board), contacts=contacts, duration_s=seconds), seconds)
+    return lab.rollout(Scene(bodies=(*cubes, board), contacts=contacts, duration_s=seconds), seconds)
 
 
-def _along_slope(course: Course, name: str) -> NDArray[np.float64]:
+def _along_slope(rollout: Rollout, name: str) -> NDArray[np.float64]:
     """Positions relative to the start in the board's frame [m], shape [sample_count, 3]."""
-    way = course.position(name) - course.position(name)[0]
-    return np.asarray(course.scene.body("board").pose.rotation.apply(way, inverse=True))
+    board = rollout.scene.body("board").pose.rotation
+    return np.asarray(board.apply(rollout.displacement(name), inverse=True))
 
 
-def _slide(lab: Lab) -> Course:
+def _slide(lab: Lab) -> Rollout:
     return _on_slope(30.0, {"smooth": 0.1, "rough": 0.3}, 0.5, lab)
 
 
-def _hold(lab: Lab) -> Course:
+def _hold(lab: Lab) -> Rollout:
     return _on_slope(10.0, {"cube": 0.25}, 0.3, lab)
 
 
 def _slide_reading(lab: Lab, name: str, friction: float) -> Measurement:
-    course = lab.once(_slide)
+    rollout = lab.once(_slide)
     sine, cosine = np.sin(np.radians(30.0)), np.cos(np.radians(30.0))
-    measured = float(2.0 * np.polyfit(course.times_s, _along_slope(course, name)[:, 0], 2)[0])
+    measured = float(2.0 * np.polyfit(rollout.times_s, _along_slope(rollout, name)[:, 0], 2)[0])
     effective = (sine - measured / G) / cosine
     return Measurement(
         measured=measured,
@@ -136,8 +137,8 @@ def _slide_straight(lab: Lab) -> Measurement:
     diagnosis="static friction creeps: it is regularized, or the contact settles into the board",
 )
 def _hold_check(lab: Lab) -> Measurement:
-    way = np.linalg.norm(_along_slope(lab.once(_hold), "cube"), axis=1)
-    return Measurement(measured=1e3 * float(way.max()), expected=0.0)
+    distance = np.linalg.norm(_along_slope(lab.once(_hold), "cube"), axis=1)
+    return Measurement(measured=1e3 * float(distance.max()), expected=0.0)
 
 
 @check(
@@ -151,8 +152,8 @@ def _hold_check(lab: Lab) -> Measurement:
     diagnosis="a fixed body must be static, without gravity",
 )
 def _fixed_body_stays(lab: Lab) -> Measurement:
-    way = lab.once(_slide).position("board")
-    return Measurement(measured=1e3 * float(np.linalg.norm(way - way[0], axis=1).max()), expected=0.0)
+    displacement = lab.once(_slide).displacement("board")
+    return Measurement(measured=1e3 * float(np.linalg.norm(displacement, axis=1).max()), expected=0.0)
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
@@ -171,8 +172,8 @@ def _rebound(lab: Lab, restitution: float) -> Measurement:
         ),
         duration_s=0.6,
     )
-    course = lab.course(scene, 0.6)
-    height, speed = course.position("ball")[:, 2] - RADIUS_M, course.velocity("ball")[:, 2]
+    rollout = lab.rollout(scene, 0.6)
+    height, speed = rollout.position("ball")[:, 2] - RADIUS_M, rollout.velocity("ball")[:, 2]
     falling = np.flatnonzero(speed < -1.0)
     if not len(falling):
         return Measurement(measured=float("nan"), expected=restitution, hint="the ball does not fall")
@@ -213,7 +214,7 @@ PUSH_M_PER_S = 0.5
 BEFORE_S, AFTER_S = 0.42, 0.75
 
 
-def _collision(lab: Lab) -> Course:
+def _collision(lab: Lab) -> Rollout:
     plate = body(
         "plate", Box(size_m=(0.02, 0.1, 0.1)), Pose(position_m=(-0.03, 0.0, 1.0)), mass_kg=1.0, motion=Motion.KINEMATIC
     )
@@ -231,12 +232,12 @@ def _collision(lab: Lab) -> Course:
         duration_s=1.0,
         gravity_m_per_s2=0.0,
     )
-    return lab.course(scene, 1.0)
+    return lab.rollout(scene, 1.0)
 
 
-def _speeds(course: Course, time_s: float) -> tuple[float, float]:
-    sample = course.between(time_s, time_s).start
-    return float(course.velocity("left")[sample, 0]), float(course.velocity("right")[sample, 0])
+def _speeds(rollout: Rollout, time_s: float) -> tuple[float, float]:
+    sample = rollout.sample_at(time_s)
+    return float(rollout.velocity("left")[sample, 0]), float(rollout.velocity("right")[sample, 0])
 
 
 def _not_pushed(left: float, right: float) -> str:
@@ -271,8 +272,8 @@ def _pushed_ball(lab: Lab) -> Measurement:
     diagnosis="the masses are not the scene's, or the bodies are damped, or one of them feels the contact alone",
 )
 def _collision_momentum(lab: Lab) -> Measurement:
-    course = lab.once(_collision)
-    (before, still), (left, right) = _speeds(course, BEFORE_S), _speeds(course, AFTER_S)
+    rollout = lab.once(_collision)
+    (before, still), (left, right) = _speeds(rollout, BEFORE_S), _speeds(rollout, AFTER_S)
     if hint := _not_pushed(before, still):
         return Measurement(measured=float("nan"), expected=1.0, hint=hint)
     return Measurement(measured=(LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before), expected=1.0)
@@ -289,8 +290,8 @@ def _collision_momentum(lab: Lab) -> Measurement:
     diagnosis="restitution is not that of the pair, or depends on the bodies' masses, as a damped contact's may",
 )
 def _collision_rebound(lab: Lab) -> Measurement:
-    course = lab.once(_collision)
-    (before, still), (left, right) = _speeds(course, BEFORE_S), _speeds(course, AFTER_S)
+    rollout = lab.once(_collision)
+    (before, still), (left, right) = _speeds(rollout, BEFORE_S), _speeds(rollout, AFTER_S)
     if hint := _not_pushed(before, still):
         return Measurement(measured=float("nan"), expected=RESTITUTION, hint=hint)
     return Measurement(measured=(right - left) / before, expected=RESTITUTION)
@@ -299,7 +300,7 @@ def _collision_rebound(lab: Lab) -> Measurement:
 # --- which pairs collide ---------------------------------------------------------------------------------------------
 
 
-def _pairs(lab: Lab) -> Course:
+def _pairs(lab: Lab) -> Rollout:
     """Three balls over a plane: one rests on it, one beside it and one above it are in no contact."""
     scene = Scene(
         bodies=(
@@ -311,7 +312,7 @@ def _pairs(lab: Lab) -> Course:
         contacts=(Contact(first=("listed",), second=("ground",), friction=0.5, restitution=0.0),),
         duration_s=0.5,
     )
-    return lab.course(scene, 0.5)
+    return lab.rollout(scene, 0.5)
 
 
 @check(
@@ -325,8 +326,8 @@ def _pairs(lab: Lab) -> Course:
     diagnosis="the engine's own collision filter lets bodies collide that no contact of the scene pairs",
 )
 def _contact_unlisted(lab: Lab) -> Measurement:
-    course = lab.once(_pairs)
-    fallen = {name: float(course.position(name)[0, 2] - course.position(name)[-1, 2]) for name in ("unlisted", "upper")}
+    rollout = lab.once(_pairs)
+    fallen = {name: -float(rollout.displacement(name)[-1, 2]) for name in ("unlisted", "upper")}
     slow = min(fallen, key=lambda name: fallen[name])
     what = {"unlisted": "the plane", "upper": "the plane or the other ball"}[slow]
     return Measurement(measured=fallen[slow], expected=0.5 * G * 0.5**2, hint=f"ball {slow!r} is held by {what}")
@@ -350,12 +351,12 @@ def _contact_listed(lab: Lab) -> Measurement:
 # --- energy ----------------------------------------------------------------------------------------------------------
 
 
-def _energy_j(course: Course) -> NDArray[np.float64]:
+def _energy_j(rollout: Rollout) -> NDArray[np.float64]:
     """Kinetic and potential energy of the dynamic boxes above z = 0 [J], shape [sample_count]."""
-    total = np.zeros(len(course.times_s))
-    for one in course.scene.dynamic_bodies:
+    total = np.zeros(len(rollout.times_s))
+    for one in rollout.scene.dynamic_bodies:
         assert isinstance(one.shape, Box)
-        states = course.states[one.name]
+        states = rollout.states[one.name]
         turn = Rotation.from_quat(states[:, 3:7], scalar_first=True)
         inertia = world_inertia_kg_m2(box_inertia_kg_m2(one.shape, one.mass_kg), turn)
         total += 0.5 * np.einsum("ti,tij,tj->t", states[:, 10:], inertia, states[:, 10:])
@@ -363,10 +364,10 @@ def _energy_j(course: Course) -> NDArray[np.float64]:
     return total
 
 
-def _largest_gain(course: Course) -> Measurement:
-    energy = _energy_j(course)
+def _largest_gain(rollout: Rollout) -> Measurement:
+    energy = _energy_j(rollout)
     gain = 100.0 * float((energy - energy[0]).max() / energy[0])
-    at = float(course.times_s[int(energy.argmax())])
+    at = float(rollout.times_s[int(energy.argmax())])
     return Measurement(measured=gain, expected=0.0, hint=f"the energy is highest at {at:.3g} s")
 
 
@@ -380,10 +381,10 @@ ENERGY_DIAGNOSIS = (
 )
 
 
-def _tumble(lab: Lab) -> Course:
+def _tumble(lab: Lab) -> Rollout:
     brick = box("brick", (0.0, 0.0, 0.35), (0.1, 0.06, 0.03), euler_deg=(25.0, 35.0, 10.0), mass_kg=0.4)
     contact = Contact(first=("brick",), second=("ground",), friction=0.4, restitution=0.5, mode=ContactMode.IMPACT)
-    return lab.course(Scene(bodies=(brick, ground()), contacts=(contact,), duration_s=1.0), 1.0)
+    return lab.rollout(Scene(bodies=(brick, ground()), contacts=(contact,), duration_s=1.0), 1.0)
 
 
 @check(
@@ -404,7 +405,7 @@ PILE = 6
 PILE_BOX_M = (0.1, 0.1, 0.05)
 
 
-def _pile(lab: Lab) -> Course:
+def _pile(lab: Lab) -> Rollout:
     """Boxes in a slanting stack that falls over."""
     boxes = tuple(
         box(f"box-{index}", (0.025 * index, 0.01 * (index % 2), 0.03 + 0.055 * index), PILE_BOX_M, mass_kg=0.3)
@@ -415,7 +416,7 @@ def _pile(lab: Lab) -> Course:
         Contact(first=names, second=names, friction=0.4, restitution=0.0),
         Contact(first=names, second=("ground",), friction=0.4, restitution=0.0),
     )
-    return lab.course(Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0), 1.0)
+    return lab.rollout(Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0), 1.0)
 
 
 @check(
@@ -443,9 +444,9 @@ def _pile_energy(lab: Lab) -> Measurement:
     diagnosis=ENERGY_DIAGNOSIS,
 )
 def _pile_bounds(lab: Lab) -> Measurement:
-    course = lab.once(_pile)
-    speeds = [np.linalg.norm(course.velocity(one.name), axis=1).max() for one in course.scene.dynamic_bodies]
-    return Measurement(measured=float(max(speeds)) / course.scene.speed_limit_m_per_s, expected=0.0)
+    rollout = lab.once(_pile)
+    speeds = [np.linalg.norm(rollout.velocity(one.name), axis=1).max() for one in rollout.scene.dynamic_bodies]
+    return Measurement(measured=float(max(speeds)) / rollout.scene.speed_limit_m_per_s, expected=0.0)
 
 
 @check(
@@ -463,11 +464,11 @@ def _pile_bounds(lab: Lab) -> Measurement:
     diagnosis="contacts are too soft, or boxes tunnel through the plane",
 )
 def _pile_sinks(lab: Lab) -> Measurement:
-    course = lab.once(_pile)
+    rollout = lab.once(_pile)
     corners = Box(size_m=PILE_BOX_M).corners_m
     deepest = 0.0
-    for one in course.scene.dynamic_bodies:
-        states = course.states[one.name][course.between(0.8, 1.0)]
+    for one in rollout.scene.dynamic_bodies:
+        states = rollout.states[one.name][rollout.between(0.8, 1.0)]
         turn = Rotation.from_quat(states[:, 3:7], scalar_first=True).as_matrix()
         heights = states[:, 2, None] + turn[:, 2] @ corners.T
         deepest = max(deepest, -float(heights.min()))

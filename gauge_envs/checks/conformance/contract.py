@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import Simulation
-from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
-from gauge_envs.checks.conformance.parts import ball, body, box, driver, fixed_box, ground, ramp, strip_on_rod
-from gauge_envs.checks.rollout import Course, PathsOfDrivers, record, states_now
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import ball, body, box, driver, fixed_box, ground, ramp, strip_on_rod
+from gauge_envs.checks.rollout import DriverPaths, Rollout, record, states_now
 from gauge_envs.scene import Box, Contact, ContactMode, Motion, Pose, Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
@@ -165,8 +167,8 @@ def _bounces(lab: Lab) -> Scene:
 BOUNCE_S = 0.5
 
 
-def _bounce(lab: Lab) -> Course:
-    return lab.course(_bounces(lab), BOUNCE_S)
+def _bounce(lab: Lab) -> Rollout:
+    return lab.rollout(_bounces(lab), BOUNCE_S)
 
 
 @check(
@@ -232,15 +234,15 @@ def _sample_positions(lab: Lab) -> Measurement:
 # --- repeatability ---------------------------------------------------------------------------------------------------
 
 
-def _difference(first: Course, second: Course) -> float:
-    """Largest difference of two courses of one scene in any number."""
+def _difference(first: Rollout, second: Rollout) -> float:
+    """Largest difference of two rollouts of one scene in any number."""
     states = [np.abs(first.states[name] - second.states[name]).max() for name in first.states]
     nodes = [np.abs(first.nodes_m[name] - second.nodes_m[name]).max() for name in first.nodes_m]
     return float(max([*states, *nodes]))
 
 
-def _again_after_reset(lab: Lab, scene: Scene, seconds: float) -> tuple[Course, Course]:
-    """Two courses of one simulation; before the second it ran on, with another seed, and was reset.
+def _again_after_reset(lab: Lab, scene: Scene, seconds: float) -> tuple[Rollout, Rollout]:
+    """Two rollouts of one simulation; before the second it ran on, with another seed, and was reset.
 
     The first one starts as built: its first sample is from before the first reset.
     """
@@ -261,24 +263,24 @@ def _again_after_reset(lab: Lab, scene: Scene, seconds: float) -> tuple[Course, 
         simulation.close()
 
 
-def _bounce_again(lab: Lab) -> tuple[Course, Course]:
+def _bounce_again(lab: Lab) -> tuple[Rollout, Rollout]:
     return _again_after_reset(lab, _bounces(lab), BOUNCE_S)
 
 
-def _cloth_again(lab: Lab) -> tuple[Course, Course]:
+def _cloth_again(lab: Lab) -> tuple[Rollout, Rollout]:
     return _again_after_reset(lab, strip_on_rod(), 0.2)
 
 
-def _first_samples(course: Course) -> Course:
-    return Course(
-        scene=course.scene,
-        times_s=course.times_s[:1],
-        states={name: states[:1] for name, states in course.states.items()},
-        nodes_m={name: nodes[:1] for name, nodes in course.nodes_m.items()},
+def _first_sample(rollout: Rollout) -> Rollout:
+    return replace(
+        rollout,
+        times_s=rollout.times_s[:1],
+        states={name: states[:1] for name, states in rollout.states.items()},
+        nodes_m={name: nodes[:1] for name, nodes in rollout.nodes_m.items()},
     )
 
 
-def _start_hint(first: Course, second: Course) -> str:
+def _start_hint(first: Rollout, second: Rollout) -> str:
     moved = max((np.abs(s[0, :7] - second.states[n][0, :7]).max() for n, s in first.states.items()), default=0.0)
     speed = max((np.abs(s[0, 7:] - second.states[n][0, 7:]).max() for n, s in first.states.items()), default=0.0)
     if moved == 0.0 and speed > 0.0:
@@ -299,7 +301,7 @@ def _start_hint(first: Course, second: Course) -> str:
 def _reset_start(lab: Lab) -> Measurement:
     first, second = lab.once(_bounce_again)
     return Measurement(
-        measured=_difference(_first_samples(first), _first_samples(second)),
+        measured=_difference(_first_sample(first), _first_sample(second)),
         expected=0.0,
         hint=_start_hint(first, second),
     )
@@ -307,9 +309,9 @@ def _reset_start(lab: Lab) -> Measurement:
 
 @check(
     "reset-course",
-    title="the same seed gives the same course",
+    title="the same seed gives the same trajectory",
     measures="largest difference of any state in 0.5 s of bouncing after a second reset from those after the first",
-    law="same seed, same course",
+    law="same seed, same trajectory",
     source="contract (Simulation.reset)",
     unit="1",
     tolerance=EXACT,
@@ -321,9 +323,9 @@ def _reset_course(lab: Lab) -> Measurement:
 
 @check(
     "determinism",
-    title="two builds give the same course",
+    title="two builds give the same trajectory",
     measures="largest difference of any state in 0.5 s of bouncing between two simulations of one scene",
-    law="same scene, same course",
+    law="same scene, same trajectory",
     source="contract (Simulation.reset); a benchmark must be repeatable",
     unit="1",
     tolerance=EXACT,
@@ -336,12 +338,11 @@ def _determinism(lab: Lab) -> Measurement:
 def _continued(lab: Lab, scene: Scene, *, in_copy: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """All numbers 0.1 s after a state, and again after going back to it from elsewhere, or in another simulation."""
     names = [one.name for one in scene.bodies if one.motion is Motion.DYNAMIC]
-    paths = PathsOfDrivers(scene, 1.0)
+    paths = DriverPaths(scene, 1.0)
 
     def run_on(simulation: Simulation, first: int, count: int) -> None:
         for sample in range(first, first + count):
-            paths.drive(simulation, sample)
-            simulation.advance(SAMPLE_INTERVAL_S)
+            paths.advance(simulation, sample)
 
     def after(simulation: Simulation) -> NDArray[np.float64]:
         run_on(simulation, 18, 18)
@@ -367,7 +368,7 @@ def _continued(lab: Lab, scene: Scene, *, in_copy: bool = False) -> tuple[NDArra
     "restore",
     title="restore goes on bit for bit",
     measures="largest difference of any state 0.1 s after a restored state from the first time",
-    law="same state, same course",
+    law="same state, same trajectory",
     source="contract (Simulation.state)",
     unit="1",
     tolerance=EXACT,
@@ -382,7 +383,7 @@ def _restore(lab: Lab) -> Measurement:
     "copy",
     title="a copy goes on bit for bit",
     measures="largest difference of any state 0.1 s after a state that another simulation restored from its pickle",
-    law="same state, same course",
+    law="same state, same trajectory",
     source="contract (Simulation.state)",
     unit="1",
     tolerance=EXACT,
@@ -395,9 +396,9 @@ def _copy(lab: Lab) -> Measurement:
 
 @check(
     "cloth-reset",
-    title="cloth: the same seed gives the same course",
+    title="cloth: the same seed gives the same trajectory",
     measures="largest difference of any node [m] or state in 0.2 s of swinging after a second reset",
-    law="same seed, same course",
+    law="same seed, same trajectory",
     source="contract (Simulation.reset)",
     unit="1",
     tolerance=EXACT,
@@ -409,23 +410,23 @@ def _cloth_reset(lab: Lab) -> Measurement:
 
 @check(
     "cloth-determinism",
-    title="cloth: two builds give the same course",
+    title="cloth: two builds give the same trajectory",
     measures="largest difference of any node [m] or state in 0.2 s of swinging between two simulations",
-    law="same scene, same course",
+    law="same scene, same trajectory",
     source="contract (Simulation.reset); a benchmark must be repeatable",
     unit="1",
     tolerance=EXACT,
     diagnosis="unseeded random numbers, or sums in an order that changes, as of atomic additions on a GPU",
 )
 def _cloth_determinism(lab: Lab) -> Measurement:
-    return Measurement(measured=_difference(lab.once(_cloth_again)[0], lab.course(strip_on_rod(), 0.2)), expected=0.0)
+    return Measurement(measured=_difference(lab.once(_cloth_again)[0], lab.rollout(strip_on_rod(), 0.2)), expected=0.0)
 
 
 @check(
     "cloth-restore",
     title="cloth: restore goes on bit for bit",
     measures="largest difference of any node [m] 0.1 s after a restored state from the first time",
-    law="same state, same course",
+    law="same state, same trajectory",
     source="contract (Simulation.state)",
     unit="1",
     tolerance=EXACT,
@@ -440,7 +441,7 @@ def _cloth_restore(lab: Lab) -> Measurement:
     "cloth-copy",
     title="cloth: a copy goes on bit for bit",
     measures="largest difference of any node [m] 0.1 s after a state that another simulation restored from its pickle",
-    law="same state, same course",
+    law="same state, same trajectory",
     source="contract (Simulation.state)",
     unit="1",
     tolerance=EXACT,

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.checks.conformance.attachments import following_reading
-from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
+from gauge_envs.checks.conformance.driver_error import driver_error, driver_poses
 from gauge_envs.checks.conformance.lab import Lab
-from gauge_envs.checks.conformance.parts import body, box, driver, ramp
-from gauge_envs.checks.rollout import Course
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import body, box, driver, ramp
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, Motion, Pose, Scene
 from gauge_envs.scene.drivers import Driver, TrapezoidProfile
 
@@ -23,7 +24,7 @@ WAY_M, TURN_RAD_PER_S = 0.3, 2.0
 PLATE = body("plate", Box(size_m=PLATE_M), Pose(position_m=(0.0, 0.0, 0.5)), mass_kg=1.0, motion=Motion.KINEMATIC)
 
 
-def _on_plate(lab: Lab, motion: Driver, *, friction: float, x_m: float, seconds: float) -> Course:
+def _on_plate(lab: Lab, motion: Driver, *, friction: float, x_m: float, seconds: float) -> Rollout:
     """A cube on a driven plate."""
     cube = box("cube", (x_m, 0.0, 0.5 + 0.5 * (PLATE_M[2] + CUBE_M)), (CUBE_M,) * 3)
     scene = Scene(
@@ -32,16 +33,16 @@ def _on_plate(lab: Lab, motion: Driver, *, friction: float, x_m: float, seconds:
         drivers=(motion,),
         duration_s=seconds,
     )
-    return lab.course(scene, seconds)
+    return lab.rollout(scene, seconds)
 
 
-def _carry(lab: Lab) -> Course:
+def _carry(lab: Lab) -> Rollout:
     """The plate moves by 0.3 m within 1.2 s, speeding up and braking with 0.94 m/s^2; friction holds 3.9."""
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), ramp(WAY_M, start_s=0.0, duration_s=1.2, ramp_s=0.4))
     return _on_plate(lab, motion, friction=0.4, x_m=-0.1, seconds=CARRY_S)
 
 
-def _turntable(lab: Lab) -> Course:
+def _turntable(lab: Lab) -> Rollout:
     """The plate turns with 2 rad/s, which pulls the cube outward with 0.2 m/s^2; friction holds 3.9."""
     turn = TrapezoidProfile(
         start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=TURN_RAD_PER_S * (10.0 - 0.25)
@@ -49,12 +50,10 @@ def _turntable(lab: Lab) -> Course:
     return _on_plate(lab, driver("plate", "rotate", (0.0, 0.0, 1.0), turn), friction=0.4, x_m=0.05, seconds=CARRY_S)
 
 
-def _on_the_plate(course: Course) -> NDArray[np.float64]:
-    """Way of the cube in the frame in which the plate should be [m], shape [sample_count, 3]."""
-    (motion,) = course.scene.drivers
-    places = [
-        course.driven_pose(motion, sample).to_body(position) for sample, position in enumerate(course.position("cube"))
-    ]
+def _on_the_plate(rollout: Rollout) -> NDArray[np.float64]:
+    """Return displacements of the cube in the plate's prescribed frame [m], shape [sample_count, 3]."""
+    poses = driver_poses(rollout)
+    places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
     return np.array(places) - places[0]
 
 
@@ -70,15 +69,11 @@ def _on_the_plate(course: Course) -> NDArray[np.float64]:
     "integrated with the acceleration that drive() gives",
 )
 def _driven_path(lab: Lab) -> Measurement:
-    course = lab.once(_turntable)
+    rollout = lab.once(_turntable)
     corners = Box(size_m=PLATE_M).corners_m
-
-    def corners_now(sample: int) -> NDArray[np.float64]:
-        state = course.states["plate"][sample]
-        turned = Rotation.from_quat(state[3:7], scalar_first=True).apply(corners)
-        return np.asarray(turned + state[:3])
-
-    return following_reading(course, corners_now)
+    rotations = Rotation.from_quat(rollout.states["plate"][:, 3:7], scalar_first=True)
+    turned = np.stack([rotation.apply(corners) for rotation in rotations])
+    return driver_error(rollout, turned + rollout.position("plate")[:, None])
 
 
 @check(
@@ -92,9 +87,10 @@ def _driven_path(lab: Lab) -> Measurement:
     diagnosis="the driven body is teleported: it has no velocity, so that it carries nothing",
 )
 def _driven_velocity(lab: Lab) -> Measurement:
-    course = lab.once(_carry)
-    cruise = course.scene.drivers[0].motions[0].rate(0.6)
-    return Measurement(measured=float(course.velocity("plate")[course.between(0.6, 0.6), 0][0] / cruise), expected=1.0)
+    rollout = lab.once(_carry)
+    cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
+    speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
+    return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
 CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")
@@ -149,6 +145,6 @@ def _carry_turn(lab: Lab) -> Measurement:
 def _carry_slip(lab: Lab) -> Measurement:
     start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
-    course = _on_plate(lab, motion, friction=0.05, x_m=0.0, seconds=0.4)
-    fit = np.polyfit(course.times_s, course.position("cube")[:, 0], 2)
+    rollout = _on_plate(lab, motion, friction=0.05, x_m=0.0, seconds=0.4)
+    fit = np.polyfit(rollout.times_s, rollout.position("cube")[:, 0], 2)
     return Measurement(measured=float(2.0 * fit[0]), expected=0.05 * GRAVITY_M_PER_S2)

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.settings import check_drive_interval
-from gauge_envs.checks.rollout import Course, DeclinedError, record
+from gauge_envs.checks.rollout import DeclinedError, Rollout, record
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.scene import Scene
 
@@ -72,8 +72,8 @@ class Lab:
         """First scene that the backend can build, or else the last: from the richest to the simplest."""
         return next((scene for scene in scenes if self.backend.supports(scene)), scenes[-1])
 
-    def course(self, scene: Scene, seconds: float) -> Course:
-        """Build a scene, reset it, and record its course, drivers included.
+    def rollout(self, scene: Scene, seconds: float) -> Rollout:
+        """Build a scene, reset it, and record its rollout, drivers included.
 
         Args:
             scene: The scene.
@@ -87,7 +87,7 @@ class Lab:
             simulation.close()
 
     def once(self, run: Callable[[Lab], T]) -> T:
-        """What a run returned, run at its first use only: several checks may read one course.
+        """What a run returned, run at its first use only: several checks may read one rollout.
 
         Raises:
             Exception: Whatever the run raised, at each use.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import cantilever_load_over_stiffness, hann_mean
-from gauge_envs.checks.conformance.parts import fixed_box
-from gauge_envs.checks.rollout import Course
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import fixed_box
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Deformable, Pose, Region, Rod, Rope, Scene
 
 __all__: list[str] = []
@@ -33,7 +34,7 @@ def _held(line: Deformable, region: Region, *, seconds: float, gravity: float = 
 ROPE_M, ROPE_S = 0.3, 0.5
 
 
-def _falling_rope(lab: Lab) -> Course:
+def _falling_rope(lab: Lab) -> Rollout:
     """A horizontal rope held at one end and let go: it swings through its lowest place at about 0.25 s."""
     rope = Rope(
         name="rope",
@@ -43,12 +44,12 @@ def _falling_rope(lab: Lab) -> Course:
         mass_kg=0.02,
         young_modulus_pa=1e6,
     )
-    return lab.course(_held(rope, Region(axis="x", side="low"), seconds=ROPE_S), ROPE_S)
+    return lab.rollout(_held(rope, Region(axis="x", side="low"), seconds=ROPE_S), ROPE_S)
 
 
-def _along(course: Course) -> NDArray[np.float64]:
+def _along(rollout: Rollout) -> NDArray[np.float64]:
     """Nodes from one end to the other [m], shape [sample_count, node_count, 3]."""
-    nodes = course.nodes_m["rope"]
+    nodes = rollout.nodes_m["rope"]
     return np.asarray(nodes[:, np.argsort(nodes[0, :, 0])])
 
 
@@ -80,12 +81,12 @@ def _rope_length(lab: Lab) -> Measurement:
     diagnosis="the solver makes energy: step too long, iterations capped, or constraints corrected with speed",
 )
 def _rope_energy(lab: Lab) -> Measurement:
-    course = lab.once(_falling_rope)
-    nodes = _along(course)
+    rollout = lab.once(_falling_rope)
+    nodes = _along(rollout)
     shares = np.gradient(nodes[0, :, 0])
     shares[[0, -1]] *= 0.5
     shares /= shares.sum()
-    speed = np.gradient(nodes, course.times_s, axis=0)
+    speed = np.gradient(nodes, rollout.times_s, axis=0)
     potential = G * (nodes[:, :, 2] - nodes[0, :, 2]) @ shares
     total = potential + 0.5 * np.square(speed).sum(axis=2) @ shares
     return Measurement(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
@@ -100,7 +101,7 @@ ROD_S, SETTLED_S = 1.1, 0.3
 SECTION_M2, INERTIA_M4 = np.pi * RADIUS_M**2, 0.25 * np.pi * RADIUS_M**4
 
 
-def _drooping_rod(lab: Lab) -> Course:
+def _drooping_rod(lab: Lab) -> Rollout:
     """A horizontal rod clamped at one end, at a fifth of gravity: sag 2.5 mm on 150 mm, period 0.18 s."""
     rod = Rod(
         name="rod",
@@ -112,7 +113,7 @@ def _drooping_rod(lab: Lab) -> Course:
         poisson_ratio=0.49,
     )
     grip = Region(axis="z", side="low", depth_m=GRIP_M)
-    return lab.course(_held(rod, grip, seconds=ROD_S, gravity=ROD_GRAVITY), ROD_S)
+    return lab.rollout(_held(rod, grip, seconds=ROD_S, gravity=ROD_GRAVITY), ROD_S)
 
 
 @check(
@@ -126,9 +127,9 @@ def _drooping_rod(lab: Lab) -> Course:
     diagnosis="look at how E and the radius become the engine's bending constant, and whether the grip holds the slope",
 )
 def _rod_bending(lab: Lab) -> Measurement:
-    course = lab.once(_drooping_rod)
-    nodes = course.nodes_m["rod"]
-    droop = (nodes[0] - hann_mean(nodes[course.between(SETTLED_S, ROD_S)]))[:, 2]
+    rollout = lab.once(_drooping_rod)
+    nodes = rollout.nodes_m["rod"]
+    droop = (nodes[0] - hann_mean(nodes[rollout.between(SETTLED_S, ROD_S)]))[:, 2]
     s = nodes[0, :, 0] + 0.5 * (GRIP_M + FREE_M) - GRIP_M
     slope = cantilever_load_over_stiffness(s, droop, length_m=FREE_M, weights=np.ones(len(s)))
     load, expected = ROD_DENSITY * SECTION_M2 * ROD_GRAVITY, YOUNG_PA * INERTIA_M4

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import (
     box_inertia_kg_m2,
@@ -15,8 +14,10 @@ from gauge_envs.checks.conformance.laws import (
     torque_free_orientation,
     world_inertia_kg_m2,
 )
-from gauge_envs.checks.conformance.parts import ball, body, box, driver, ramp
-from gauge_envs.checks.rollout import Course
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import ball, body, box, driver, ramp
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -43,18 +44,18 @@ G = GRAVITY_M_PER_S2
 FALL_S = 0.5
 
 
-def _fall(lab: Lab, gravity: float) -> Course:
+def _fall(lab: Lab, gravity: float) -> Rollout:
     brick = box("brick", (0.3, -0.2, 3.0), (0.1, 0.06, 0.03), euler_deg=(20.0, 30.0, 40.0))
-    return lab.course(Scene(bodies=(brick,), duration_s=FALL_S, gravity_m_per_s2=gravity), FALL_S)
+    return lab.rollout(Scene(bodies=(brick,), duration_s=FALL_S, gravity_m_per_s2=gravity), FALL_S)
 
 
-def _earth_fall(lab: Lab) -> Course:
+def _earth_fall(lab: Lab) -> Rollout:
     return _fall(lab, G)
 
 
-def _fall_acceleration(course: Course) -> float:
+def _fall_acceleration(rollout: Rollout) -> float:
     """Downward acceleration by a quadratic fit, which a semi-implicit step does not bias."""
-    return float(-2.0 * np.polyfit(course.times_s, course.position("brick")[:, 2], 2)[0])
+    return float(-2.0 * np.polyfit(rollout.times_s, rollout.position("brick")[:, 2], 2)[0])
 
 
 def _gravity_hint(measured: float, expected: float) -> str:
@@ -163,9 +164,9 @@ def _all_bodies_move(lab: Lab) -> Measurement:
     bodies = tuple(
         body(name, shape, Pose(position_m=(0.2 * index, 0.0, 2.0))) for index, (name, shape) in enumerate(KINDS.items())
     )
-    course = lab.course(Scene(bodies=bodies, duration_s=0.3), 0.3)
+    rollout = lab.rollout(Scene(bodies=bodies, duration_s=0.3), 0.3)
     expected = 0.5 * G * 0.3**2
-    fallen = {name: float(course.position(name)[0, 2] - course.position(name)[-1, 2]) for name in KINDS}
+    fallen = {name: float(rollout.position(name)[0, 2] - rollout.position(name)[-1, 2]) for name in KINDS}
     wrong = [name for name, way in fallen.items() if not abs(way - expected) < 0.02 * expected]
     hint = "; ".join(f"the {name} fell {fallen[name]:.3g} m instead of {expected:.3g} m" for name in wrong)
     return Measurement(measured=len(KINDS) - len(wrong), expected=len(KINDS), hint=hint)
@@ -178,16 +179,16 @@ PIVOT_M = (0.1, 0.2, 1.0)
 SWING_S = 3.0
 
 
-def _pendulum(lab: Lab) -> Course:
+def _pendulum(lab: Lab) -> Rollout:
     """A sphere that turns with a hinge about y, let go at 60 degrees."""
     x, z = PENDULUM_M * np.sin(AMPLITUDE_RAD), -PENDULUM_M * np.cos(AMPLITUDE_RAD)
     bob = ball("bob", (float(PIVOT_M[0] + x), PIVOT_M[1], float(PIVOT_M[2] + z)), radius_m=BOB_M)
     hinge = Hinge(body="bob", anchor_m=PIVOT_M, axis=(0.0, 1.0, 0.0))
-    return lab.course(Scene(bodies=(bob,), joints=(hinge,), duration_s=SWING_S), SWING_S)
+    return lab.rollout(Scene(bodies=(bob,), joints=(hinge,), duration_s=SWING_S), SWING_S)
 
 
-def _pendulum_angle(course: Course) -> NDArray[np.float64]:
-    arm = course.position("bob") - np.asarray(PIVOT_M)
+def _pendulum_angle(rollout: Rollout) -> NDArray[np.float64]:
+    arm = rollout.position("bob") - np.asarray(PIVOT_M)
     return np.asarray(np.arctan2(arm[:, 0], -arm[:, 2]))
 
 
@@ -212,12 +213,12 @@ def _period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float
     diagnosis="look at the bob's own inertia (2/5 m r^2 is 2.5 % of it), the hinge's place, damping and armature",
 )
 def _pendulum_period(lab: Lab) -> Measurement:
-    course = lab.once(_pendulum)
+    rollout = lab.once(_pendulum)
     gyration = float(np.sqrt(0.4) * BOB_M)
     expected = pendulum_period_s(
         length_m=PENDULUM_M, gyration_m=gyration, amplitude_rad=float(AMPLITUDE_RAD), gravity_m_per_s2=G
     )
-    return Measurement(measured=_period_s(course.times_s, _pendulum_angle(course)), expected=expected)
+    return Measurement(measured=_period_s(rollout.times_s, _pendulum_angle(rollout)), expected=expected)
 
 
 @check(
@@ -233,9 +234,10 @@ def _pendulum_period(lab: Lab) -> Measurement:
     diagnosis="the hinge or the body is damped (joint damping, friction, angular damping), or the integrator is lossy",
 )
 def _pendulum_energy(lab: Lab) -> Measurement:
-    course = lab.once(_pendulum)
-    kinetic = 0.5 * (np.square(course.velocity("bob")) + 0.4 * BOB_M**2 * np.square(course.spin("bob"))).sum(axis=1)
-    energy = kinetic + G * course.position("bob")[:, 2]
+    rollout = lab.once(_pendulum)
+    speed, spin = rollout.velocity("bob"), rollout.angular_velocity("bob")
+    kinetic = 0.5 * (np.square(speed) + 0.4 * BOB_M**2 * np.square(spin)).sum(axis=1)
+    energy = kinetic + G * rollout.position("bob")[:, 2]
     lost = energy[0] - energy
     worst = float(lost[np.abs(lost).argmax()])
     return Measurement(measured=100.0 * worst / (G * PENDULUM_M * (1.0 - np.cos(AMPLITUDE_RAD))), expected=0.0)
@@ -262,11 +264,11 @@ def _hinge_radius(lab: Lab) -> Measurement:
 STRING_M, SLACK_M = 0.3, 0.1
 
 
-def _tether(lab: Lab) -> Course:
+def _tether(lab: Lab) -> Rollout:
     """A ball on a slack string: it falls until the string is taut."""
     bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M + SLACK_M), radius_m=0.01)
     string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
-    return lab.course(Scene(bodies=(bob,), joints=(string,), duration_s=1.0), 1.0)
+    return lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0), 1.0)
 
 
 @check(
@@ -280,9 +282,9 @@ def _tether(lab: Lab) -> Course:
     diagnosis="the string pushes: a rod or a spring stands for it",
 )
 def _tether_slack(lab: Lab) -> Measurement:
-    course = lab.once(_tether)
-    falling = course.between(0.0, 0.13)
-    fit = np.polyfit(course.times_s[falling], course.position("bob")[falling, 2], 2)
+    rollout = lab.once(_tether)
+    falling = rollout.between(0.0, 0.13)
+    fit = np.polyfit(rollout.times_s[falling], rollout.position("bob")[falling, 2], 2)
     return Measurement(measured=float(-2.0 * fit[0]), expected=G)
 
 
@@ -310,8 +312,8 @@ HIT_S, SPIN_END_S = 0.25, 0.75
 HAMMER_RADIUS_M, GAP_M = 0.02, 0.03
 
 
-def _struck(lab: Lab, brick: RigidBody, corner_m: tuple[float, float, float]) -> Course:
-    """Course of a floating body that a driven ball hits at a point of its upper z face, along that face's normal."""
+def _struck(lab: Lab, brick: RigidBody, corner_m: tuple[float, float, float]) -> Rollout:
+    """Rollout of a floating body that a driven ball hits at a point of its upper z face, along that face's normal."""
     inward = brick.pose.rotation.apply([0.0, 0.0, -1.0])
     x, y, z = brick.pose.to_world(np.asarray(corner_m)) - (HAMMER_RADIUS_M + GAP_M) * inward
     hammer = body(
@@ -331,10 +333,10 @@ def _struck(lab: Lab, brick: RigidBody, corner_m: tuple[float, float, float]) ->
         duration_s=SPIN_END_S,
         gravity_m_per_s2=0.0,
     )
-    return lab.course(scene, SPIN_END_S)
+    return lab.rollout(scene, SPIN_END_S)
 
 
-def _spinning_brick(lab: Lab) -> Course:
+def _spinning_brick(lab: Lab) -> Rollout:
     brick = box("brick", (0.2, 0.1, 1.0), BRICK_M, euler_deg=(50.0, -20.0, 70.0), mass_kg=BRICK_KG)
     return _struck(lab, brick, (0.035, 0.018, 0.015))
 
@@ -343,7 +345,7 @@ SOLID_ORIGIN_M = np.array([-0.05, -0.03, -0.015])
 """Body origin of the same brick as a convex solid, in the frame of the brick: one of its corners."""
 
 
-def _spinning_solid(lab: Lab) -> Course:
+def _spinning_solid(lab: Lab) -> Rollout:
     corners = tuple((float(x), float(y), float(z)) for x, y, z in Box(size_m=BRICK_M).corners_m - SOLID_ORIGIN_M)
     solid = body(
         "brick",
@@ -359,9 +361,9 @@ def _rotations(states: NDArray[np.float64]) -> Rotation:
     return Rotation.from_quat(states[:, 3:7], scalar_first=True)
 
 
-def _not_spinning(course: Course) -> Measurement | None:
+def _not_spinning(rollout: Rollout) -> Measurement | None:
     """A failed reading if the hit did not set the body spinning, since nothing can be measured then."""
-    turn = _rotations(course.states["brick"][course.between(HIT_S, SPIN_END_S)])
+    turn = _rotations(rollout.states["brick"][rollout.between(HIT_S, SPIN_END_S)])
     turned = float(np.degrees((turn[1:] * turn[:-1].inv()).magnitude().sum()))
     if turned > 60.0:
         return None
@@ -383,10 +385,10 @@ def _not_spinning(course: Course) -> Measurement | None:
     diagnosis="look at angular damping, the gyroscopic term, the inertia, and the frame of the angular velocity",
 )
 def _spin_momentum(lab: Lab) -> Measurement:
-    course = lab.once(_spinning_brick)
-    if failed := _not_spinning(course):
+    rollout = lab.once(_spinning_brick)
+    if failed := _not_spinning(rollout):
         return failed
-    states = course.states["brick"][course.between(HIT_S, SPIN_END_S)]
+    states = rollout.states["brick"][rollout.between(HIT_S, SPIN_END_S)]
     inertia = world_inertia_kg_m2(box_inertia_kg_m2(Box(size_m=BRICK_M), BRICK_KG), _rotations(states))
     momentum = np.einsum("tij,tj->ti", inertia, states[:, 10:])
     change = np.linalg.norm(momentum - momentum[0], axis=1).max() / np.linalg.norm(momentum[0])
@@ -406,10 +408,10 @@ def _spin_momentum(lab: Lab) -> Measurement:
     diagnosis="the gyroscopic term, the inertia, or the sign or frame of the reported angular velocity is wrong",
 )
 def _spin_orientation(lab: Lab) -> Measurement:
-    course = lab.once(_spinning_brick)
-    if failed := _not_spinning(course):
+    rollout = lab.once(_spinning_brick)
+    if failed := _not_spinning(rollout):
         return failed
-    states = course.states["brick"][course.between(HIT_S, SPIN_END_S)]
+    states = rollout.states["brick"][rollout.between(HIT_S, SPIN_END_S)]
     turn = _rotations(states)
     expected = torque_free_orientation(
         start=turn[0],
@@ -438,10 +440,10 @@ DERIVATIVE_TOLERANCE = Tolerance(
     diagnosis="columns 10 to 12 of body_states are the angular velocity in rad/s in the world frame",
 )
 def _angular_velocity(lab: Lab) -> Measurement:
-    course = lab.once(_spinning_brick)
-    if failed := _not_spinning(course):
+    rollout = lab.once(_spinning_brick)
+    if failed := _not_spinning(rollout):
         return failed
-    states = course.states["brick"][course.between(HIT_S, SPIN_END_S)]
+    states = rollout.states["brick"][rollout.between(HIT_S, SPIN_END_S)]
     turn = _rotations(states)
     actual = spin_from_orientations(turn, SAMPLE_INTERVAL_S)
     reported = states[1:-1, 10:]
@@ -471,10 +473,10 @@ def _angular_velocity(lab: Lab) -> Measurement:
     diagnosis="columns 7 to 9 of body_states are the velocity of the body's origin in m/s in the world frame",
 )
 def _velocity_of_origin(lab: Lab) -> Measurement:
-    course = lab.once(_spinning_solid)
-    if failed := _not_spinning(course):
+    rollout = lab.once(_spinning_solid)
+    if failed := _not_spinning(rollout):
         return failed
-    states = course.states["brick"][course.between(HIT_S, SPIN_END_S)]
+    states = rollout.states["brick"][rollout.between(HIT_S, SPIN_END_S)]
     actual = (states[2:, :3] - states[:-2, :3]) / (2.0 * SAMPLE_INTERVAL_S)
     reported = states[1:-1, 7:10]
     size = np.linalg.norm(actual, axis=1).mean()
@@ -505,11 +507,11 @@ def _velocity_of_origin(lab: Lab) -> Measurement:
     diagnosis="the centre of mass is not that of the solid's volume: the origin of its frame was taken for it",
 )
 def _solid_spin_centre(lab: Lab) -> Measurement:
-    course = lab.once(_spinning_solid)
-    if failed := _not_spinning(course):
+    rollout = lab.once(_spinning_solid)
+    if failed := _not_spinning(rollout):
         return failed
-    window = course.between(HIT_S, SPIN_END_S)
-    states, times = course.states["brick"][window], course.times_s[window]
+    window = rollout.between(HIT_S, SPIN_END_S)
+    states, times = rollout.states["brick"][window], rollout.times_s[window]
     centre = states[:, :3] + _rotations(states).apply(-SOLID_ORIGIN_M)
     line = np.polynomial.polynomial.polyfit(times, centre, 1)
     miss = np.linalg.norm(centre - (line[0] + np.outer(times, line[1])), axis=1).max()

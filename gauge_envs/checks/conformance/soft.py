@@ -9,12 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.checks.conformance.attachments import pinned_reading
-from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
+from gauge_envs.checks.conformance.driver_error import attachment_error
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import PLACE_TOLERANCE_M, hann_mean
-from gauge_envs.checks.conformance.parts import body, driver, fixed_box, ramp
-from gauge_envs.checks.rollout import Course
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import body, driver, fixed_box, ramp
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Motion, Pose, Region, Scene, SoftBody
 
 __all__: list[str] = []
@@ -41,7 +42,7 @@ def _glue(to: str) -> tuple[Attachment]:
     return (Attachment(deformable="foam", region=Region(axis="z", side="high"), to=to),)
 
 
-def _hanging(lab: Lab) -> Course:
+def _hanging(lab: Lab) -> Rollout:
     """A bar that hangs from its upper face: sag 2 mm, largest strain 2 %, period 80 ms."""
     scene = Scene(
         bodies=(fixed_box("frame", (0.0, 0.0, 3.0), (0.1, 0.1, 0.1)),),
@@ -49,13 +50,13 @@ def _hanging(lab: Lab) -> Course:
         attachments=_glue("frame"),
         duration_s=HANG_S,
     )
-    return lab.course(scene, HANG_S)
+    return lab.rollout(scene, HANG_S)
 
 
-def _equilibrium(course: Course) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _equilibrium(rollout: Rollout) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Nodes at the start and their mean displacement, one width below the clamp and further [m], [node_count, 3]."""
-    nodes = course.nodes_m["foam"] - np.asarray(CENTRE.position_m)
-    moved = hann_mean(nodes[course.between(SETTLED_S, HANG_S)]) - nodes[0]
+    nodes = rollout.nodes_m["foam"] - np.asarray(CENTRE.position_m)
+    moved = hann_mean(nodes[rollout.between(SETTLED_S, HANG_S)]) - nodes[0]
     free = nodes[0, :, 2] < 0.5 * LENGTH_M - EDGE_M + PLACE_TOLERANCE_M
     return nodes[0, free], moved[free]
 
@@ -157,4 +158,4 @@ def _foam_pinned_face(lab: Lab) -> Measurement:
         drivers=(driver("plate", "rotate", (0.0, 0.0, 1.0), turn, point_m=(0.02, 0.0, 0.0)),),
         duration_s=0.25,
     )
-    return pinned_reading(lab.course(scene, 0.25), "foam")
+    return attachment_error(lab.rollout(scene, 0.25), "foam")

@@ -7,7 +7,6 @@ Example:
     ['inside']
 """
 
-from gauge_envs.checks.sanity.check import check
 from gauge_envs.checks.sanity.model import (
     Cause,
     ContactGroup,
@@ -19,18 +18,19 @@ from gauge_envs.checks.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
+from gauge_envs.checks.sanity.run import check
 from gauge_envs.checks.sanity.target import Target, configuration
 
 __all__ = [
     "Cause",
-    "TrainingConfiguration",
     "ContactGroup",
     "Curve",
+    "PhenomenonResult",
     "Reality",
     "Report",
-    "PhenomenonResult",
-    "Target",
     "SettingTrial",
+    "Target",
+    "TrainingConfiguration",
     "Verdict",
     "check",
     "configuration",

@@ -31,14 +31,14 @@ NOT_NUMERICAL = ("preset", "drive_interval_s")
 
 
 def differing_settings(
-    measurements: Measurements, stage: Scenario, settings: Mapping[str, Any]
+    measurements: Measurements, scenario: Scenario, settings: Mapping[str, Any]
 ) -> dict[str, tuple[Any, Any]]:
-    """Settings in force on a stage that differ from the backend's default there: theirs, and the default.
+    """Settings in force on a scenario that differ from the backend's default there: theirs, and the default.
 
     Raises:
         DeclinedError: The backend cannot build the scene, or refuses the settings for it.
     """
-    default, configured = measurements.in_force(stage, {}), measurements.in_force(stage, settings)
+    default, configured = measurements.in_force(scenario, {}), measurements.in_force(scenario, settings)
     return {
         name: (value, default[name])
         for name, value in configured.items()
@@ -95,7 +95,7 @@ class _Search:
         self._settings = settings
         self._configured = configured
         self._default = default
-        self._differing = differing_settings(measurements, phenomenon.stage, settings)
+        self._differing = differing_settings(measurements, phenomenon.scenario, settings)
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
         self._alone: dict[str, Measured] = {}

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from gauge_envs.backends import Backend
-from gauge_envs.checks.rollout import DeclinedError, DivergedError
+from gauge_envs.checks.rollout import DeclinedError, DivergedError, Rollout
 from gauge_envs.checks.sanity.model import Reality, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, PhenomenonValue
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario, rollout, settings_in_force
+from gauge_envs.checks.sanity.scenario import Scenario, run_scenario, settings_in_force
 from gauge_envs.files import json_ready
 
 __all__ = [
@@ -41,14 +41,14 @@ class Measured:
         deviation: Distance from reality in standard deviations; infinite where nothing was measured.
         verdict: What that means.
         remark: Why nothing was measured, or what no real trial does; empty otherwise.
-        run: The rollout; None where there is none.
+        rollout: The rollout; None where there is none.
     """
 
     value: float | None
     deviation: float
     verdict: Verdict
     remark: str = ""
-    run: Rollout | None = None
+    rollout: Rollout | None = None
 
 
 class Measurements:
@@ -63,16 +63,16 @@ class Measurements:
         self._in_force: dict[tuple[str, str], dict[str, Any] | DeclinedError] = {}
         self._runs: dict[tuple[str, str], Rollout | DeclinedError | DivergedError] = {}
 
-    def in_force(self, stage: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Every numerical setting that a stage runs with.
+    def in_force(self, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Every numerical setting that a scenario runs with.
 
         Raises:
             DeclinedError: The backend cannot build the scene, or refuses the settings for it.
         """
-        key = _key(stage, settings)
+        key = _key(scenario, settings)
         if key not in self._in_force:
             try:
-                self._in_force[key] = settings_in_force(self._backend, stage, settings)
+                self._in_force[key] = settings_in_force(self._backend, scenario, settings)
             except DeclinedError as declined:
                 self._in_force[key] = declined
         known = self._in_force[key]
@@ -82,38 +82,38 @@ class Measurements:
 
     def measure(self, phenomenon: Phenomenon, settings: Mapping[str, Any]) -> Measured:
         """Measure a phenomenon; a backend that declines and a rollout that diverges are outcomes, too."""
-        run = self._run(phenomenon.stage, settings)
-        if isinstance(run, DeclinedError):
-            return Measured(value=None, deviation=math.inf, verdict=Verdict.DECLINED, remark=str(run))
-        if isinstance(run, DivergedError):
-            return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=f"diverged: {run}")
-        return _judged(phenomenon.read(run), phenomenon.reality, run)
+        rollout = self._run(phenomenon.scenario, settings)
+        if isinstance(rollout, DeclinedError):
+            return Measured(value=None, deviation=math.inf, verdict=Verdict.DECLINED, remark=str(rollout))
+        if isinstance(rollout, DivergedError):
+            return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=f"diverged: {rollout}")
+        return _judged(phenomenon.read(rollout), phenomenon.reality, rollout)
 
-    def _run(self, stage: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
-        key = _key(stage, settings)
+    def _run(self, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
+        key = _key(scenario, settings)
         if key not in self._runs:
             try:
-                # With the step stated, every rollout of the stage is sampled alike.
-                step = {k: v for k, v in self.in_force(stage, settings).items() if k == "timestep_s"}
-                self._runs[key] = rollout(self._backend, stage, {**settings, **step})
+                # With the step stated, every rollout of the scenario is sampled alike.
+                step = {k: v for k, v in self.in_force(scenario, settings).items() if k == "timestep_s"}
+                self._runs[key] = run_scenario(self._backend, scenario, {**settings, **step})
             except (DeclinedError, DivergedError) as outcome:
                 self._runs[key] = outcome
         return self._runs[key]
 
 
-def _key(stage: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
-    return stage.name, json.dumps(json_ready(settings), sort_keys=True)
+def _key(scenario: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
+    return scenario.name, json.dumps(json_ready(settings), sort_keys=True)
 
 
-def _judged(reading: PhenomenonValue, reality: Reality, run: Rollout) -> Measured:
+def _judged(reading: PhenomenonValue, reality: Reality, rollout: Rollout) -> Measured:
     if not math.isfinite(reading.value):
         remark = reading.failure or "it does not happen"
-        return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=remark, run=run)
+        return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=remark, rollout=rollout)
     deviation = abs(reading.value - reality.value) / reality.scatter
     if reading.failure:
         deviation = max(deviation, FAILURE_DEVIATION)
     return Measured(
-        value=reading.value, deviation=deviation, verdict=_verdict(deviation), remark=reading.failure, run=run
+        value=reading.value, deviation=deviation, verdict=_verdict(deviation), remark=reading.failure, rollout=rollout
     )
 
 

@@ -11,13 +11,13 @@ from gauge_envs.files import json_ready
 
 __all__ = [
     "Cause",
-    "TrainingConfiguration",
     "ContactGroup",
     "Curve",
+    "PhenomenonResult",
     "Reality",
     "Report",
-    "PhenomenonResult",
     "SettingTrial",
+    "TrainingConfiguration",
     "Verdict",
 ]
 

@@ -513,7 +513,7 @@ def test_an_exception_is_a_finding_and_the_others_go_on() -> None:
 def test_what_is_not_finite_says_when() -> None:
     (finding,) = run_checks(Faulty(simulation=NotFinite), only=["free-fall"])
     assert finding.status is Status.ERROR
-    assert "'brick' is not finite from 0 s on" in finding.diagnosis
+    assert "after 0 s 'brick' is not finite" in finding.diagnosis
 
 
 def test_findings_are_json() -> None:
@@ -569,7 +569,7 @@ def gauge(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     broken = Declines(with_contacts(friction=lambda mu: 0.8 * mu))
     known = registry.backend
     monkeypatch.setattr(
-        "gauge_envs.checks.conformance.kit.find_backend", lambda name: broken if name == "faulty" else known(name)
+        "gauge_envs.checks.conformance.run.find_backend", lambda name: broken if name == "faulty" else known(name)
     )
     return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(app, ["backend", "check", *arguments])
 

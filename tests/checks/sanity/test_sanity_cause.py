@@ -110,8 +110,8 @@ def test_a_preset_is_taken_apart_into_its_settings() -> None:
     (row,) = report({"preset": "out_of_box"}, only=["rebound"]).rows
     assert row.verdict is Verdict.WRONG
     assert row.cause is not None and row.cause.settings == ("contact_solref",)
-    stage = phenomena(["rebound"])[0].stage
-    names = differing_settings(Measurements(backend("mujoco")), stage, {"preset": "out_of_box"})
+    scenario = phenomena(["rebound"])[0].scenario
+    names = differing_settings(Measurements(backend("mujoco")), scenario, {"preset": "out_of_box"})
     assert set(names) >= {"timestep_s", "cone", "contact_solref"}
     assert not {"preset", "drive_interval_s"} & set(names)
 
@@ -158,7 +158,7 @@ class Made(Measurements):
         super().__init__(backend("mujoco"))
         self._formula = formula
 
-    def in_force(self, stage: object, settings: Mapping[str, Any]) -> dict[str, Any]:
+    def in_force(self, scenario: object, settings: Mapping[str, Any]) -> dict[str, Any]:
         return dict.fromkeys("abcde", 0) | dict(settings)
 
     def measure(self, phenomenon: object, settings: Mapping[str, Any]) -> Measured:

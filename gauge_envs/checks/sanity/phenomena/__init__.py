@@ -17,7 +17,7 @@ from gauge_envs.checks.sanity.phenomena import (
     swing,
     textile,
 )
-from gauge_envs.checks.sanity.phenomena.kit import Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.phenomena.phenomenon import Phenomenon, PhenomenonValue, Trace
 from gauge_envs.errors import UnknownNameError
 
 __all__ = [
@@ -44,7 +44,7 @@ def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) ->
     Raises:
         UnknownNameError: A pattern matches none.
     """
-    known = {name: one for name, one in _all().items() if include_deformables or not one.stage.scene.deformables}
+    known = {name: one for name, one in _all().items() if include_deformables or not one.scenario.scene.deformables}
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in known):
             raise UnknownNameError("phenomenon", pattern, known)

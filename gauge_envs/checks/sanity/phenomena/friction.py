@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import facts, position_scatter_mm
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Box, Scene
@@ -39,18 +40,18 @@ def phenomena() -> Iterator[Phenomenon]:
         yield _slide(material)
 
 
-def _hold_stage(material: str) -> Scenario:
+def _hold_scenario(material: str) -> Scenario:
     return Scenario(name=f"hold-{material}", variant=f"SlopeSlider-1-{material}", seconds=HOLD_S)
 
 
-def _on_board_mm(run: Rollout) -> FloatArray:
+def _on_board_mm(rollout: Rollout) -> FloatArray:
     """Way of the cube in the board's frame [mm], shape [sample_count, 3]: downhill, across, off the board."""
-    way = run.position("cube") - run.position("cube")[0]
-    return np.asarray(1e3 * run.scene.body("board").pose.rotation.apply(way, inverse=True))
+    way = rollout.position("cube") - rollout.position("cube")[0]
+    return np.asarray(1e3 * rollout.scene.body("board").pose.rotation.apply(way, inverse=True))
 
 
-def _downhill_mm(run: Rollout) -> FloatArray:
-    return _on_board_mm(run)[:, 0]
+def _downhill_mm(rollout: Rollout) -> FloatArray:
+    return _on_board_mm(rollout)[:, 0]
 
 
 # --- holding ---------------------------------------------------------------------------------------------------------
@@ -70,13 +71,13 @@ def creep_scatter_mm_per_s(variant: str) -> float:
 
 
 def _creep(material: str) -> Phenomenon:
-    stage = _hold_stage(material)
+    scenario = _hold_scenario(material)
 
-    def read(run: Rollout) -> PhenomenonValue:
-        late = run.between(SETTLED_S, HOLD_S)
-        return PhenomenonValue(value=float(np.polyfit(run.times_s[late], _downhill_mm(run)[late], 1)[0]))
+    def read(rollout: Rollout) -> PhenomenonValue:
+        late = rollout.between(SETTLED_S, HOLD_S)
+        return PhenomenonValue(value=float(np.polyfit(rollout.times_s[late], _downhill_mm(rollout)[late], 1)[0]))
 
-    scatter = creep_scatter_mm_per_s(stage.variant)
+    scatter = creep_scatter_mm_per_s(scenario.variant)
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.zeros_like(times_s), scatter * times_s
@@ -85,7 +86,7 @@ def _creep(material: str) -> Phenomenon:
         id=f"creep-{material}",
         title=f"static friction, {material}: creep on 10 degrees",
         quantity="creep",
-        stage=stage,
+        scenario=scenario,
         unit="mm/s",
         reality=Reality(
             value=0.0,
@@ -99,25 +100,25 @@ def _creep(material: str) -> Phenomenon:
 
 
 def _rest(material: str) -> Phenomenon:
-    stage = _hold_stage(material)
+    scenario = _hold_scenario(material)
 
-    def heights_mm(run: Rollout) -> FloatArray:
-        return _gap_mm(run.scene) + _on_board_mm(run)[:, 2]
+    def heights_mm(rollout: Rollout) -> FloatArray:
+        return _gap_mm(rollout.scene) + _on_board_mm(rollout)[:, 2]
 
-    def read(run: Rollout) -> PhenomenonValue:
-        return PhenomenonValue(value=float(heights_mm(run)[run.between(SETTLED_S, HOLD_S)].mean()))
+    def read(rollout: Rollout) -> PhenomenonValue:
+        return PhenomenonValue(value=float(heights_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean()))
 
-    scatter = position_scatter_mm(stage.variant)
+    scatter = position_scatter_mm(scenario.variant)
     return Phenomenon(
         id="rest-height",
         title="resting height: gap between cube and board",
         quantity="gap",
-        stage=stage,
+        scenario=scenario,
         unit="mm",
         reality=Reality(
             value=0.0,
             scatter=scatter,
-            source=f"rigid bodies touch; scatter: of a position of {stage.variant} along one axis (paper, Table 5)",
+            source=f"rigid bodies touch; scatter: of a position of {scenario.variant} along one axis (paper, Table 5)",
         ),
         read=read,
         trace=Trace(label="gap [mm]", values=heights_mm, is_level=True),
@@ -136,18 +137,18 @@ def _gap_mm(scene: Scene) -> float:
 
 
 def _slide(material: str) -> Phenomenon:
-    stage = Scenario(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S)
-    scene = stage.scene
+    scenario = Scenario(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S)
+    scene = scenario.scene
     friction = next(c.friction for c in scene.contacts if "board" in c.second)
     downhill = scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     law = scene.gravity_m_per_s2 * float(-downhill[2] - friction * np.hypot(*downhill[:2]))
     trials = facts("slope_slider_30deg_summary")[material]
     seen, scatter = trials["acceleration_m_s2"]["mean"], trials["acceleration_m_s2"]["std"]
 
-    def read(run: Rollout) -> PhenomenonValue:
+    def read(rollout: Rollout) -> PhenomenonValue:
         # As the paper fits real slides, from rest: what a cube gains while it sinks into soft ground counts, since a
         # camera would see it.
-        return PhenomenonValue(value=1e-3 * fitted_acceleration(run.times_s, _downhill_mm(run)))
+        return PhenomenonValue(value=1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)))
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return 500.0 * law * times_s**2, 500.0 * scatter * times_s**2
@@ -156,7 +157,7 @@ def _slide(material: str) -> Phenomenon:
         id=f"slide-{material}",
         title=f"kinetic friction, {material}: acceleration on 30 degrees",
         quantity="acceleration",
-        stage=stage,
+        scenario=scenario,
         unit="m/s^2",
         reality=Reality(
             value=law,

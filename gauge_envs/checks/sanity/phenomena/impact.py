@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import facts
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.evaluation.metrics import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Scene, Sphere
@@ -56,41 +57,42 @@ def _several_balls(scene: Scene) -> Scene:
     )
 
 
-def _height_mm(run: Rollout, name: str) -> FloatArray:
+def _height_mm(rollout: Rollout, name: str) -> FloatArray:
     """Gap between a ball and the ground [mm], shape [sample_count]."""
-    ball, ground = run.scene.body(name), run.scene.body("ground")
+    ball, ground = rollout.scene.body(name), rollout.scene.body("ground")
     assert isinstance(ball.shape, Sphere)
-    return np.asarray(1e3 * (run.position(name)[:, 2] - ground.pose.position_m[2] - ball.shape.radius_m))
+    return np.asarray(1e3 * (rollout.position(name)[:, 2] - ground.pose.position_m[2] - ball.shape.radius_m))
 
 
-def _rebound_ratio(run: Rollout, name: str) -> float:
+def _rebound_ratio(rollout: Rollout, name: str) -> float:
     """Speed at the height of contact after the first impact over that before, from the tops of both flights."""
-    height, speed = _height_mm(run, name), run.states[name][:, 9]
+    height, speed = _height_mm(rollout, name), rollout.states[name][:, 9]
     impacts = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     fall, *bounces = (
-        _top_mm(run, height, arc[height[arc] > CLEAR_MM]) for arc in np.split(np.arange(len(height)), impacts)
+        _top_mm(rollout, height, arc[height[arc] > CLEAR_MM]) for arc in np.split(np.arange(len(height)), impacts)
     )
     return float(np.sqrt(bounces[0] / fall)) if bounces else 0.0
 
 
-def _top_mm(run: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float:
+def _top_mm(rollout: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float:
     """Top of the parabola of free fall through a flight's samples; 0 where the ball does not fly for three of them."""
     if len(flight) < 3:
         return 0.0
-    fall = 500.0 * run.scene.gravity_m_per_s2
-    times = run.times_s[flight] - run.times_s[flight[0]]
+    fall = 500.0 * rollout.scene.gravity_m_per_s2
+    times = rollout.times_s[flight] - rollout.times_s[flight[0]]
     speed, start = np.polyfit(times, height[flight] + fall * times**2, 1)
     return float(start + speed**2 / (4.0 * fall))
 
 
 def _rebound() -> Phenomenon:
-    stage = Scenario(name="drop", variant="BouncingBall-rubber", seconds=DROP_S, change=_several_balls)
-    restitution = next(c.restitution for c in stage.scene.contacts)
+    scenario = Scenario(name="drop", variant="BouncingBall-rubber", seconds=DROP_S, change=_several_balls)
+    restitution = next(c.restitution for c in scenario.scene.contacts)
     trials = facts("bouncing_ball_summary")
-    names = [ball.name for ball in stage.scene.dynamic_bodies]
+    names = [ball.name for ball in scenario.scene.dynamic_bodies]
+    drawn = names[LIFTS_M.index(0.0)]
 
-    def read(run: Rollout) -> PhenomenonValue:
-        ratios = [_rebound_ratio(run, name) for name in names]
+    def read(rollout: Rollout) -> PhenomenonValue:
+        ratios = [_rebound_ratio(rollout, name) for name in names]
         stuck = ratios.count(0.0)
         failure = f"{stuck} of {len(ratios)} drops do not leave the ground again" if stuck else ""
         return PhenomenonValue(value=float(np.mean(ratios)), failure=failure)
@@ -99,7 +101,7 @@ def _rebound() -> Phenomenon:
         id="rebound",
         title="restitution: speed of a ball after an impact over that before",
         quantity="rebound",
-        stage=stage,
+        scenario=scenario,
         unit="1",
         reality=Reality(
             value=restitution,
@@ -108,7 +110,7 @@ def _rebound() -> Phenomenon:
             f"{trials['rebound_ratio']['mean']:.3f} (scoring/facts/bouncing_ball_summary.toml)",
         ),
         read=read,
-        trace=Trace(label="height of the ball [mm]", values=lambda run: _height_mm(run, names[LIFTS_M.index(0.0)])),
+        trace=Trace(label="height of the ball [mm]", values=lambda rollout: _height_mm(rollout, drawn)),
     )
 
 
@@ -149,29 +151,29 @@ def _shifted(place_m: tuple[float, float, float], along_m: float) -> tuple[float
 
 
 def _cradle() -> Phenomenon:
-    stage = Scenario(
+    scenario = Scenario(
         name="cradle",
         variant="NewtonsCradle-metal",
         seconds=SWING_S,
         parameters="effective",
         change=_with_gaps,
     )
-    scene = stage.scene
+    scene = scenario.scene
     names = [body.name for body in scene.dynamic_bodies]
-    rest = {j.body: 1e3 * (j.anchor_m[2] - _arm_m(stage, j)) for j in scene.joints if isinstance(j, Hinge)}
+    rest = {j.body: 1e3 * (j.anchor_m[2] - _arm_m(scenario, j)) for j in scene.joints if isinstance(j, Hinge)}
     drop = 1e3 * scene.body(names[0]).pose.position_m[2] - rest[names[0]]
-    real = published_baselines(stage.variant)["mte"]
+    real = published_baselines(scenario.variant)["mte"]
     assert real.std is not None, "MTE is published with its standard deviation"
 
-    def rise_mm(run: Rollout, name: str) -> FloatArray:
-        return 1e3 * run.position(name)[:, 2] - rest[name]
+    def rise_mm(rollout: Rollout, name: str) -> FloatArray:
+        return 1e3 * rollout.position(name)[:, 2] - rest[name]
 
-    def read(run: Rollout) -> PhenomenonValue:
-        after = run.times_s > PASSED_S
-        leaving = [n for n in names if rise_mm(run, n)[after].max() > SHARE_OF_SPEED**2 * drop]
+    def read(rollout: Rollout) -> PhenomenonValue:
+        after = rollout.times_s > PASSED_S
+        leaving = [n for n in names if rise_mm(rollout, n)[after].max() > SHARE_OF_SPEED**2 * drop]
         others = f"{len(leaving)} of {len(names)} balls swing out, in reality the last one"
         value = momentum_transfer_efficiency(
-            1e3 * run.position(names[-1])[:, 2],
+            1e3 * rollout.position(names[-1])[:, 2],
             drop_height_mm=drop,
             rest_height_mm=rest[names[-1]],
             leave_height_mm=SHARE_OF_SPEED**2 * drop,
@@ -184,7 +186,7 @@ def _cradle() -> Phenomenon:
         id="momentum",
         title="momentum that a row of five balls hands on",
         quantity="momentum",
-        stage=stage,
+        scenario=scenario,
         unit="1",
         reality=Reality(
             value=real.mean,
@@ -193,9 +195,9 @@ def _cradle() -> Phenomenon:
             "as much; the calibrated one, 0.20, contradicts it",
         ),
         read=read,
-        trace=Trace(label="height of the last ball [mm]", values=lambda run: rise_mm(run, names[-1])),
+        trace=Trace(label="height of the last ball [mm]", values=lambda rollout: rise_mm(rollout, names[-1])),
     )
 
 
-def _arm_m(stage: Scenario, hinge: Hinge) -> float:
-    return float(np.linalg.norm(np.asarray(stage.scene.body(hinge.body).pose.position_m) - hinge.anchor_m))
+def _arm_m(scenario: Scenario, hinge: Hinge) -> float:
+    return float(np.linalg.norm(np.asarray(scenario.scene.body(hinge.body).pose.position_m) - hinge.anchor_m))

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, placing_scatter_mm, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 
 __all__ = [
     "phenomena",
@@ -29,13 +30,13 @@ def phenomena() -> Iterator[Phenomenon]:
 
 
 def _rope() -> Phenomenon:
-    def stretch_mm(run: Rollout) -> FloatArray:
+    def stretch_mm(rollout: Rollout) -> FloatArray:
         # Nodes run from one end to the other.
-        lengths = np.linalg.norm(np.diff(run.nodes_m["rope"], axis=1), axis=2).sum(axis=1)
+        lengths = np.linalg.norm(np.diff(rollout.nodes_m["rope"], axis=1), axis=2).sum(axis=1)
         return np.asarray(1e3 * (lengths - lengths[0]))
 
-    def read(run: Rollout) -> PhenomenonValue:
-        stretch = stretch_mm(run)
+    def read(rollout: Rollout) -> PhenomenonValue:
+        stretch = stretch_mm(rollout)
         return PhenomenonValue(value=float(stretch[np.abs(stretch).argmax()]))
 
     scatter, origin = placing_scatter_mm()
@@ -43,7 +44,7 @@ def _rope() -> Phenomenon:
         id="rope-length",
         title="rope: largest change of its length while two balls fall into it",
         quantity="stretch",
-        stage=Scenario(name="rope", variant="RopeWinding-rubber", seconds=JERK_S, nodes_of=("rope",)),
+        scenario=Scenario(name="rope", variant="RopeWinding-rubber", seconds=JERK_S, nodes_of=("rope",)),
         unit="mm",
         reality=Reality(value=0.0, scatter=scatter, source=f"the rope does not visibly stretch; scatter: {origin}"),
         read=read,
@@ -55,16 +56,16 @@ def _foot() -> Phenomenon:
     real = recorded("stick_stack", "mean_lag_of_foot_mm")
     low, high = real["low"], real["high"]
 
-    def lag_mm(run: Rollout) -> FloatArray:
-        foot = run.markers_m[:, run.markers_m[0, :, 2].argmin(), 0]
-        base = run.position("base")[:, 0]
+    def lag_mm(rollout: Rollout) -> FloatArray:
+        foot = rollout.markers_m[:, rollout.markers_m[0, :, 2].argmin(), 0]
+        base = rollout.position("base")[:, 0]
         return np.asarray(1e3 * ((base - base[0]) - (foot - foot[0])))
 
     return Phenomenon(
         id="foot-lag",
         title="elastic rod, dragged over a board: how far its foot stays behind",
         quantity="lag",
-        stage=Scenario(name="foot", variant="StickStack-soft", seconds=DRAG_S),
+        scenario=Scenario(name="foot", variant="StickStack-soft", seconds=DRAG_S),
         unit="mm",
         reality=Reality(
             value=0.5 * (low + high),
@@ -72,6 +73,6 @@ def _foot() -> Phenomenon:
             source=f"one recorded trial, between {low:g} and {high:g} mm; scatter: of an even distribution "
             f"({RECORDINGS})",
         ),
-        read=lambda run: PhenomenonValue(value=float(lag_mm(run)[run.between(STEADY_S, DRAG_S)].mean())),
+        read=lambda rollout: PhenomenonValue(value=float(lag_mm(rollout)[rollout.between(STEADY_S, DRAG_S)].mean())),
         trace=Trace(label="lag of the foot [mm]", values=lag_mm),
     )

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import argrelextrema
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, facts, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.observables.functions import face_areas_mm2
 
 __all__ = [
@@ -37,23 +38,23 @@ def phenomena() -> Iterator[Phenomenon]:
 def _area(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
     grip = recorded(recording, "grip_mm")["value"]
 
-    def change(run: Rollout) -> FloatArray:
-        assert run.scene.markers is not None
-        area = face_areas_mm2(run.markers_m, run.scene.markers.faces).sum(axis=1)
+    def change(rollout: Rollout) -> FloatArray:
+        assert rollout.scene.markers is not None
+        area = face_areas_mm2(rollout.markers_m, rollout.scene.markers.faces).sum(axis=1)
         return np.asarray(100.0 * (area / area[0] - 1.0))
 
     return Phenomenon(
         id=f"foam-{name}",
         title=f"foam, {verb} by {abs(grip):.0f} mm: change of the area of its marked face",
         quantity="change",
-        stage=Scenario(name=f"foam-{name}", variant=variant, seconds=GRIPPED_S),
+        scenario=Scenario(name=f"foam-{name}", variant=variant, seconds=GRIPPED_S),
         unit="%",
         reality=Reality(
             value=100.0 * recorded(recording, "area_change_ratio")["value"],
             scatter=100.0 * facts("recordings/recordings")[recording]["uncertainty"]["relative"],
             source=f"one recorded trial of soft or hard foam; scatter: of the measurement ({RECORDINGS})",
         ),
-        read=lambda run: PhenomenonValue(value=float(change(run)[-1])),
+        read=lambda rollout: PhenomenonValue(value=float(change(rollout)[-1])),
         trace=Trace(label="change of the area [%]", values=change),
     )
 
@@ -61,20 +62,20 @@ def _area(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
 def _beam() -> Phenomenon:
     real = recorded("cantilever_beam", "frequency_hz")
 
-    def height_mm(run: Rollout) -> FloatArray:
+    def height_mm(rollout: Rollout) -> FloatArray:
         # The beam starts level, along y, from its pedestal.
-        reach = np.abs(run.markers_m[0, :, 1] - run.scene.body("base").pose.position_m[1])
+        reach = np.abs(rollout.markers_m[0, :, 1] - rollout.scene.body("base").pose.position_m[1])
         tip = reach > reach.max() - TIP_M
-        return np.asarray(1e3 * run.markers_m[:, tip, 2].mean(axis=1))
+        return np.asarray(1e3 * rollout.markers_m[:, tip, 2].mean(axis=1))
 
-    def read(run: Rollout) -> PhenomenonValue:
-        return PhenomenonValue(value=_frequency_hz(run.times_s, height_mm(run)))
+    def read(rollout: Rollout) -> PhenomenonValue:
+        return PhenomenonValue(value=_frequency_hz(rollout.times_s, height_mm(rollout)))
 
     return Phenomenon(
         id="beam",
         title="beam of rubber blocks: frequency of its swing",
         quantity="frequency",
-        stage=Scenario(name="beam", variant="CantileverBeam-soft", seconds=SWING_S),
+        scenario=Scenario(name="beam", variant="CantileverBeam-soft", seconds=SWING_S),
         unit="Hz",
         reality=Reality(
             value=real["value"],

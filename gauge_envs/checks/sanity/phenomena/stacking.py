@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import placing_scatter_mm
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import Scene
 
 __all__ = [
@@ -32,19 +33,19 @@ def _without_ball(scene: Scene) -> Scene:
 
 def phenomena() -> Iterator[Phenomenon]:
     """Settling and drift of the wall."""
-    stage = Scenario(name="wall", variant="WallBreaking-wood", seconds=STAND_S, change=_without_ball)
-    bricks = [body.name for body in stage.scene.dynamic_bodies]
+    scenario = Scenario(name="wall", variant="WallBreaking-wood", seconds=STAND_S, change=_without_ball)
+    bricks = [body.name for body in scenario.scene.dynamic_bodies]
 
-    def ways_mm(run: Rollout) -> FloatArray:
+    def ways_mm(rollout: Rollout) -> FloatArray:
         """Shape [brick_count, sample_count, 3]."""
-        places = np.array([run.position(name) for name in bricks])
+        places = np.array([rollout.position(name) for name in bricks])
         return np.asarray(1e3 * (places - places[:, :1]))
 
-    def sag_mm(run: Rollout) -> FloatArray:
-        return np.asarray(-ways_mm(run)[..., 2].min(axis=0))
+    def sag_mm(rollout: Rollout) -> FloatArray:
+        return np.asarray(-ways_mm(rollout)[..., 2].min(axis=0))
 
-    def drift_mm(run: Rollout) -> FloatArray:
-        return np.asarray(np.linalg.norm(ways_mm(run)[..., :2], axis=-1).max(axis=0))
+    def drift_mm(rollout: Rollout) -> FloatArray:
+        return np.asarray(np.linalg.norm(ways_mm(rollout)[..., :2], axis=-1).max(axis=0))
 
     scatter, origin = placing_scatter_mm()
     for name, title, values in (
@@ -55,7 +56,7 @@ def phenomena() -> Iterator[Phenomenon]:
             id=f"wall-{name}",
             title=title,
             quantity=name,
-            stage=stage,
+            scenario=scenario,
             unit="mm",
             reality=Reality(value=0.0, scatter=scatter, source=f"a dry wall stands; scatter: {origin}"),
             read=_last_of(values),
@@ -64,4 +65,4 @@ def phenomena() -> Iterator[Phenomenon]:
 
 
 def _last_of(values: Callable[[Rollout], FloatArray]) -> Callable[[Rollout], PhenomenonValue]:
-    return lambda run: PhenomenonValue(value=float(values(run)[-1]))
+    return lambda rollout: PhenomenonValue(value=float(values(rollout)[-1]))

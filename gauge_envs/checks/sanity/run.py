@@ -13,7 +13,7 @@ from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import Curve, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
 
@@ -83,7 +83,7 @@ def _rows(
         yield PhenomenonResult(
             phenomenon=phenomenon.id,
             title=phenomenon.title,
-            experiment=phenomenon.stage.id,
+            experiment=phenomenon.scenario.id,
             unit=phenomenon.unit,
             reality=phenomenon.reality,
             default=default.value,
@@ -126,9 +126,9 @@ def _real_curve(phenomenon: Phenomenon, times_s: FloatArray) -> tuple[FloatArray
 
 def _thinned(phenomenon: Phenomenon, measured: Measured) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Times and values of a trace, every so many samples; empty where there is no rollout."""
-    if measured.run is None or phenomenon.trace is None:
+    if measured.rollout is None or phenomenon.trace is None:
         return (), ()
-    kept = measured.run.between(0.0, phenomenon.trace.until_s)
-    stride = max(1, -(-int(kept.sum()) // CURVE_SAMPLES))
-    times, values = measured.run.times_s[kept][::stride], phenomenon.trace.values(measured.run)[kept][::stride]
-    return tuple(times.tolist()), tuple(values.tolist())
+    shown = measured.rollout.between(0.0, phenomenon.trace.until_s)
+    times, values = measured.rollout.times_s[shown], phenomenon.trace.values(measured.rollout)[shown]
+    stride = max(1, -(-len(times) // CURVE_SAMPLES))
+    return tuple(times[::stride].tolist()), tuple(values[::stride].tolist())

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.scenario import Scenario
 
 __all__ = [
     "FloatArray",
@@ -62,17 +63,17 @@ class Phenomenon:
         id: Stable name.
         title: In a few words.
         quantity: What the number is, in a word or two.
-        stage: Scene that shows it.
+        scenario: Scene that shows it.
         unit: Unit of the number; `1` for a pure one.
         reality: What real objects do, with its scatter.
-        read: Measures it on a rollout of the stage.
+        read: Measures it on a rollout of the scenario.
         trace: What is drawn; None where there is nothing over time.
     """
 
     id: str
     title: str
     quantity: str
-    stage: Scenario
+    scenario: Scenario
     unit: str
     reality: Reality
     read: Callable[[Rollout], PhenomenonValue]
