@@ -211,12 +211,9 @@ def _fault(scene: Scene, last: _Sample, now: _Sample, *, interval_s: float, spee
 
     The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
     """
-    finite = {
-        body.name: ok for body, ok in zip(scene.bodies, np.isfinite(now.states).all(axis=1).tolist(), strict=True)
-    }
-    finite |= {name: bool(np.isfinite(nodes).all()) for name, nodes in now.nodes_m.items()}
-    for name, is_finite in finite.items():
-        if not is_finite:
+    rigid = {body.name: state for body, state in zip(scene.bodies, now.states, strict=True)}
+    for name, values in (rigid | now.nodes_m).items():
+        if not np.isfinite(values).all():
             return f"{name!r} is not finite"
     for name, speed in _speeds_m_per_s(scene, last, now, interval_s):
         if speed > speed_limit_m_per_s:

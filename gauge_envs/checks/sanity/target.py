@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.backends import Simulation, backend, backend_names
 from gauge_envs.checks.sanity.model import TrainingConfiguration
-from gauge_envs.checks.sanity.mujoco_settings import model_settings
+from gauge_envs.checks.sanity.mujoco_model import mujoco_configuration
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -102,18 +102,9 @@ def _of_model(
     pair: tuple[str, str] | None,
     frame_skip: int | None = None,
 ) -> TrainingConfiguration:
-    read = model_settings(model, pair=pair)
-    settings = _checked("mujoco", read.settings)
-    return TrainingConfiguration(
-        name=name,
-        source=source,
-        backend="mujoco",
-        settings=settings,
-        origins=read.origins,
-        frame_skip=frame_skip,
-        contact_groups=read.groups,
-        notes=read.notes,
-    )
+    read = mujoco_configuration(model, name=name, source=source, pair=pair, frame_skip=frame_skip)
+    _check_settings(read.backend, read.settings)
+    return read
 
 
 def _model_name(model: mujoco.MjModel) -> str:
@@ -180,11 +171,12 @@ def _of_backend(text: str) -> TrainingConfiguration | None:
     if name not in backend_names():
         return None
     settings = {"preset": preset} if preset else {}
+    _check_settings(name, settings)
     return TrainingConfiguration(
         name=text,
         source=f"backend {name}, {f'preset {preset}' if preset else 'default settings'}",
         backend=name,
-        settings=_checked(name, settings),
+        settings=settings,
         origins=dict.fromkeys(settings, "command"),
     )
 
@@ -205,27 +197,25 @@ def _of_settings_file(path: Path) -> TrainingConfiguration:
         raise TargetError(f"{path}: {error}") from None
     settings = file.settings | ({} if file.preset is None else {"preset": file.preset})
     try:
-        checked = _checked(file.backend, settings)
+        _check_settings(file.backend, settings)
     except ParameterError as error:
         raise TargetError(f"{path}: {error}") from error
     return TrainingConfiguration(
         name=path.name,
         source=f"settings file {path}",
         backend=file.backend,
-        settings=checked,
+        settings=settings,
         origins=dict.fromkeys(settings, path.name),
     )
 
 
-def _checked(name: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings, once a backend has taken them.
+def _check_settings(name: str, settings: Mapping[str, Any]) -> None:
+    """Build a scene with settings of a backend.
 
     Raises:
-        UnknownNameError: No such backend or preset.
-        ParameterError: No such setting, or an impossible value.
+        UnknownNameError: There is no such backend or preset.
+        ParameterError: There is no such setting, or a value is impossible.
     """
-    given = dict(settings)
-    # Each action of an environment is a whole number of steps, whatever the suite's own interval is.
-    interval = {"drive_interval_s": given["timestep_s"]} if "timestep_s" in given else {}
-    backend(name).build(load_experiment(TRIAL_VARIANT).scene, given | interval).close()
-    return given
+    # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
+    interval = {"drive_interval_s": settings["timestep_s"]} if "timestep_s" in settings else {}
+    backend(name).build(load_experiment(TRIAL_VARIANT).scene, {**settings, **interval}).close()

@@ -271,7 +271,7 @@ def test_half_cheetah_by_numbers() -> None:
     # Before it has sunk in, nothing but gravity moves the cube, g sin 30 instead of g (sin 30 - mu cos 30).
     slide = one("slide-wood")
     assert 1.05 < value("slide-wood", CHEETAH) / slide.reality.value < 1.15
-    rollout = Measurements(MUJOCO).measure(slide, CHEETAH).run
+    rollout = Measurements(MUJOCO).measure(slide, CHEETAH).rollout
     assert rollout is not None
     late = rollout.between(0.1, 0.5)
     way_m = np.linalg.norm(rollout.position("cube") - rollout.position("cube")[0], axis=1)[late]
