@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
 from gauge_envs.errors import GaugeError
@@ -78,6 +79,10 @@ class Rollout:
     def angular_velocity(self, name: str) -> NDArray[np.float64]:
         """Return angular velocities of a rigid body [rad/s], shape [sample_count, 3]."""
         return self.states[name][:, 10:]
+
+    def rotation(self, name: str) -> Rotation:
+        """Return rotations of a rigid body from its frame to the world, one for each sample."""
+        return Rotation.from_quat(self.states[name][:, 3:7], scalar_first=True)
 
     def displacement(self, name: str) -> NDArray[np.float64]:
         """Return displacements of a rigid body's origin from its start [m], shape [sample_count, 3]."""

@@ -13,7 +13,7 @@ benchmark runs too. A check is one function that builds a scene and measures one
         source="Galilei",
         unit="m/s^2",
         tolerance=Tolerance(relative=1e-3, rationale="a fall has no model error"),
-        diagnosis="look at gravity and damping",
+        diagnosis="check gravity and damping",
     )
     def free_fall(lab: Lab) -> Measurement:
         rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5), 0.5)
