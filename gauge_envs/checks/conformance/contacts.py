@@ -7,7 +7,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import box_inertia_kg_m2, world_inertia_kg_m2
-from gauge_envs.checks.conformance.measurements import SLIDE_SLOPE_DEG, acceleration_m_per_s2, slide_acceleration
+from gauge_envs.checks.conformance.measurements import (
+    SLIDE_SLOPE_DEG,
+    acceleration_m_per_s2,
+    fall_m,
+    slide_acceleration,
+)
 from gauge_envs.checks.conformance.model import Measurement, Tolerance
 from gauge_envs.checks.conformance.registry import check
 from gauge_envs.checks.conformance.scene_parts import ball, body, box, driver, ground, ramp, vector
@@ -319,7 +324,7 @@ def _pairs(lab: Lab) -> Rollout:
 )
 def _contact_unlisted(lab: Lab) -> Measurement:
     rollout = lab.once(_pairs)
-    fallen = {name: -float(rollout.displacement(name)[-1, 2]) for name in ("unlisted", "upper")}
+    fallen = {name: fall_m(rollout, name) for name in ("unlisted", "upper")}
     slow = min(fallen, key=lambda name: fallen[name])
     what = {"unlisted": "the plane", "upper": "the plane or the other ball"}[slow]
     return Measurement(measured=fallen[slow], expected=0.5 * G * 0.5**2, hint=f"ball {slow!r} is held by {what}")

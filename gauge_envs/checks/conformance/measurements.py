@@ -16,6 +16,7 @@ __all__ = [
     "attachment_error",
     "driver_error",
     "driver_poses",
+    "fall_m",
     "passive_energy_gain",
     "slide_acceleration",
     "stiffness",
@@ -28,6 +29,12 @@ SLIDE_SLOPE_DEG = 30.0
 def acceleration_m_per_s2(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> float:
     """Return an acceleration by a quadratic fit, which a semi-implicit step does not bias."""
     return float(2.0 * np.polyfit(times_s, positions_m, 2)[0])
+
+
+def fall_m(rollout: Rollout, name: str) -> float:
+    """Return the distance [m] by which a body has fallen at the end."""
+    height = rollout.position(name)[:, 2]
+    return float(height[0] - height[-1])
 
 
 def slide_acceleration(measured: float, friction: float) -> Measurement:

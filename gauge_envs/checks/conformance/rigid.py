@@ -13,7 +13,7 @@ from gauge_envs.checks.conformance.laws import (
     torque_free_orientation,
     world_inertia_kg_m2,
 )
-from gauge_envs.checks.conformance.measurements import acceleration_m_per_s2
+from gauge_envs.checks.conformance.measurements import acceleration_m_per_s2, fall_m
 from gauge_envs.checks.conformance.model import Measurement, Tolerance
 from gauge_envs.checks.conformance.registry import check
 from gauge_envs.checks.conformance.scene_parts import ball, body, box, driver, ramp, vector
@@ -167,7 +167,7 @@ def _all_bodies_move(lab: Lab) -> Measurement:
     )
     rollout = lab.rollout(Scene(bodies=bodies, duration_s=0.3), 0.3)
     expected = 0.5 * G * 0.3**2
-    fallen = {name: -float(rollout.displacement(name)[-1, 2]) for name in KINDS}
+    fallen = {name: fall_m(rollout, name) for name in KINDS}
     wrong = [name for name, fall in fallen.items() if not abs(fall - expected) < 0.02 * expected]
     hint = "; ".join(f"the {name} fell {fallen[name]:.3g} m instead of {expected:.3g} m" for name in wrong)
     return Measurement(measured=len(KINDS) - len(wrong), expected=len(KINDS), hint=hint)

@@ -1,4 +1,4 @@
-"""The sanity check of a training configuration: which physics it gets wrong, and which setting is responsible.
+"""Sanity check of a training configuration: which physics it gets wrong, and which setting is responsible.
 
 Example:
     >>> from gauge_envs.checks.sanity import check

@@ -1,11 +1,10 @@
-"""A cube on a plate that turns: carried along where friction suffices, slipping where the plate stops."""
+"""A cube on a turntable: it rotates with the plate if friction suffices, and slips when the plate stops."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
@@ -19,24 +18,23 @@ __all__ = [
 
 MATERIALS = ("wood", "plastic", "metal")
 TURN_S = 94 / 30
-"""The published frames of the turntable [s]."""
+"""Time of the published frames of the turntable [s]."""
 
 STEADY_S = (2.3, 3.0)
-"""Between the spin-up after the first stop and the last published frame."""
+"""Time between the acceleration after the first stop and the last published frame [s]."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Co-rotation of three materials, and the slip at a stop."""
+    """Yield co-rotation for three materials, and the slip at a stop."""
     for material in MATERIALS:
         yield _carried(material)
     yield _slip()
 
 
 def _on_plate_mm(rollout: Rollout) -> FloatArray:
-    """Place of the cube in the plate's frame [mm], shape [sample_count, 3]."""
-    plate = rollout.states["plate"]
-    turn = Rotation.from_quat(plate[:, 3:7], scalar_first=True)
-    return np.asarray(1e3 * turn.apply(rollout.position("cube") - plate[:, :3], inverse=True))
+    """Return positions of the cube in the plate's frame [mm], shape [sample_count, 3]."""
+    arm = rollout.position("cube") - rollout.position("plate")
+    return np.asarray(1e3 * rollout.rotation("plate").apply(arm, inverse=True))
 
 
 def _carried(material: str) -> Phenomenon:
@@ -46,7 +44,7 @@ def _carried(material: str) -> Phenomenon:
         place = _on_plate_mm(rollout)[:, :2]
         return np.asarray(np.linalg.norm(place - place[0], axis=1))
 
-    # Two axes lie in the plate's plane.
+    # The plane of the plate has two axes.
     scatter = float(np.sqrt(2.0)) * position_scatter_mm(scenario.variant)
     return Phenomenon(
         id=f"carry-{material}",
@@ -57,7 +55,7 @@ def _carried(material: str) -> Phenomenon:
         reality=Reality(
             value=0.0,
             scatter=scatter,
-            source="Coulomb, omega^2 r < mu g; scatter: of a place in the plane of the table, of real trials (paper, "
+            source="Coulomb, omega^2 r < mu g; scatter: of a position in the plane of the table in real trials (paper, "
             "Table 5)",
         ),
         read=lambda rollout: PhenomenonValue(value=float(slip_mm(rollout)[-1])),
@@ -85,7 +83,7 @@ def _slip() -> Phenomenon:
         reality=Reality(
             value=real["value"],
             scatter=scatter,
-            source=f"one recorded trial ({RECORDINGS}); scatter: of a place along the circle of {scenario.variant} "
+            source=f"one recorded trial ({RECORDINGS}); scatter: of a position along the circle of {scenario.variant} "
             "(paper, Table 5)",
         ),
         read=lambda rollout: PhenomenonValue(value=float(slip_deg(rollout)[rollout.between(*STEADY_S)].mean())),

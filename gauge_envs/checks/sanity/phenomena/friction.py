@@ -1,4 +1,4 @@
-"""Friction on the slope: what holds stays, what slides accelerates by Coulomb's law, what rests touches the board."""
+"""Friction on a slope: creep of a cube at rest, its resting height, and the acceleration of a sliding cube."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ __all__ = [
 MATERIALS = ("wood", "plastic", "metal")
 
 HOLD_S, SETTLED_S = 1.0, 0.5
-"""The cube starts in touch without load and sinks into a soft contact first; creep is what goes on after that."""
+"""Simulated time, and time after which the cube has sunk into a soft contact and only creeps [s]."""
 
 SLIDE_S = 0.5
-"""Before the board's end, which a cube 20 % too fast reaches after 0.53 s."""
+"""Simulated time [s]; a cube that is 20 % too fast reaches the end of the board at 0.53 s."""
 
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Creep and sliding of three materials, and the height at which a cube rests."""
+    """Yield creep and sliding of three materials, and the resting height of a cube."""
     for material in MATERIALS:
         yield _creep(material)
     yield _rest(MATERIALS[0])
@@ -45,9 +45,9 @@ def _hold_scenario(material: str) -> Scenario:
 
 
 def _on_board_mm(rollout: Rollout) -> FloatArray:
-    """Way of the cube in the board's frame [mm], shape [sample_count, 3]: downhill, across, off the board."""
-    way = rollout.position("cube") - rollout.position("cube")[0]
-    return np.asarray(1e3 * rollout.scene.body("board").pose.rotation.apply(way, inverse=True))
+    """Return displacements of the cube [mm], shape [sample_count, 3]: downhill, across, normal to the board."""
+    board = rollout.scene.body("board").pose.rotation
+    return np.asarray(1e3 * board.apply(rollout.displacement("cube"), inverse=True))
 
 
 def _downhill_mm(rollout: Rollout) -> FloatArray:
@@ -58,11 +58,11 @@ def _downhill_mm(rollout: Rollout) -> FloatArray:
 
 
 def creep_scatter_mm_per_s(variant: str) -> float:
-    """Fastest creep [mm/s] that the published scores of real cubes leave room for, taken as one standard deviation.
+    """Return the fastest creep [mm/s] that the published scores of real cubes allow, taken as one standard deviation.
 
-    A cube that moves evenly by d within the trial, about a place c from the mean, has E_RMSE - E_DTW = d^2 / (24 c).
-    Both are printed and equal, so they differ by less than one digit. The scatter of places is no measure of creep: it
-    is mostly that of where a hand put the cube.
+    A cube that moves uniformly by d within the trial, at a distance c from the mean, has E_RMSE - E_DTW = d^2 / (24 c).
+    The two published numbers are equal, so they differ by less than one digit. The scatter of positions does not
+    measure creep, since most of it comes from placing the cube by hand.
     """
     baselines = published_baselines(variant)
     rmse, dtw = baselines["rmse"], baselines["dtw"]
@@ -92,10 +92,10 @@ def _creep(material: str) -> Phenomenon:
             value=0.0,
             scatter=scatter,
             source=f"Coulomb, tan 10 deg < mu; scatter: E_RMSE and E_DTW of real {material} cubes are equal as printed "
-            "(paper, Table 5), which leaves room for no more",
+            "(paper, Table 5), which bounds the creep",
         ),
         read=read,
-        trace=Trace(label="way downhill [mm]", values=_downhill_mm, reality=reality),
+        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
     )
 
 
@@ -126,7 +126,7 @@ def _rest(material: str) -> Phenomenon:
 
 
 def _gap_mm(scene: Scene) -> float:
-    """Gap between the faces of cube and board at the start [mm]."""
+    """Return the gap between the faces of cube and board at the start [mm]."""
     cube, board = scene.body("cube"), scene.body("board")
     assert isinstance(cube.shape, Box) and isinstance(board.shape, Box)
     height = board.pose.to_body(np.asarray(cube.pose.position_m))[2]
@@ -146,8 +146,8 @@ def _slide(material: str) -> Phenomenon:
     seen, scatter = trials["acceleration_m_s2"]["mean"], trials["acceleration_m_s2"]["std"]
 
     def read(rollout: Rollout) -> PhenomenonValue:
-        # As the paper fits real slides, from rest: what a cube gains while it sinks into soft ground counts, since a
-        # camera would see it.
+        # The fit is that of the paper for real slides, from rest. The speed that a cube gains while it sinks into soft
+        # ground counts, since a camera would record it.
         return PhenomenonValue(value=1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)))
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -168,5 +168,5 @@ def _slide(material: str) -> Phenomenon:
             "(scoring/facts/slope_slider_30deg_summary.toml)",
         ),
         read=read,
-        trace=Trace(label="way downhill [mm]", values=_downhill_mm, reality=reality),
+        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
     )

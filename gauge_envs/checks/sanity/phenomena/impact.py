@@ -1,4 +1,4 @@
-"""Impacts: how a ball rebounds, and what a row of balls hands on."""
+"""Impacts: rebound of a ball, and momentum transfer through a row of balls."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = [
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Rebound of the ball, momentum through the cradle."""
+    """Yield the rebound of the ball and the momentum through the cradle."""
     yield _rebound()
     yield _cradle()
 
@@ -31,18 +31,18 @@ def phenomena() -> Iterator[Phenomenon]:
 # --- rebound ---------------------------------------------------------------------------------------------------------
 
 DROP_S = 0.85
-"""Past the top of the first bounce of a ball that keeps all its speed (0.58 s)."""
+"""Time beyond the top of the first bounce of a ball that keeps all its speed (0.58 s) [s]."""
 
 CLEAR_MM = 2.0
-"""A ball this high above contact flies: more than margins of contacts, less than the top of a bounce that counts."""
+"""Height above which a ball is in flight: more than contact margins, less than the top of a bounce [mm]."""
 
 LIFTS_M = (-0.008, -0.004, 0.0, 0.004, 0.008)
-"""Changes of the start height: where in a step the ball lands decides how a large step rebounds, and a step of 0.01 s
-falls by 28 mm there."""
+"""Changes of the start height [m]. With a large step, the rebound depends on the phase of the step at the impact: in a
+step of 0.01 s a ball falls by 28 mm."""
 
 
 def _several_balls(scene: Scene) -> Scene:
-    """Five balls side by side in the place of one, each from a height of its own; they do not touch each other."""
+    """Return a scene of five balls side by side instead of one, at different heights and without mutual contacts."""
     ball = scene.body("ball")
     x, y, z = ball.pose.position_m
     balls = tuple(
@@ -58,14 +58,14 @@ def _several_balls(scene: Scene) -> Scene:
 
 
 def _height_mm(rollout: Rollout, name: str) -> FloatArray:
-    """Gap between a ball and the ground [mm], shape [sample_count]."""
+    """Return the gap between a ball and the ground [mm], shape [sample_count]."""
     ball, ground = rollout.scene.body(name), rollout.scene.body("ground")
     assert isinstance(ball.shape, Sphere)
     return np.asarray(1e3 * (rollout.position(name)[:, 2] - ground.pose.position_m[2] - ball.shape.radius_m))
 
 
 def _rebound_ratio(rollout: Rollout, name: str) -> float:
-    """Speed at the height of contact after the first impact over that before, from the tops of both flights."""
+    """Return the speed after the first impact over that before, from the tops of both flights."""
     height, speed = _height_mm(rollout, name), rollout.states[name][:, 9]
     impacts = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     fall, *bounces = (
@@ -75,7 +75,7 @@ def _rebound_ratio(rollout: Rollout, name: str) -> float:
 
 
 def _top_mm(rollout: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float:
-    """Top of the parabola of free fall through a flight's samples; 0 where the ball does not fly for three of them."""
+    """Return the top of the free-fall parabola through a flight's samples [mm]; 0 for fewer than three samples."""
     if len(flight) < 3:
         return 0.0
     fall = 500.0 * rollout.scene.gravity_m_per_s2
@@ -117,21 +117,21 @@ def _rebound() -> Phenomenon:
 # --- momentum --------------------------------------------------------------------------------------------------------
 
 GAP_M = 1e-5
-"""Gap between neighbours. Where they touch exactly, rounding decides whether an engine sees a row or a chain of pairs;
-real balls hang no closer than this, and from 0.1 um to 0.2 mm it makes no difference."""
+"""Gap between neighbours [m]. For balls that touch exactly, rounding decides whether an engine finds a row or a chain
+of pairs. Real balls hang no closer than this, and the result is the same for gaps from 0.1 um to 0.2 mm."""
 
 PASSED_S = 0.25
-"""The impulse, after 0.22 s, has gone through the row."""
+"""Time after which the impulse, at 0.22 s, has passed through the row [s]."""
 
 SWING_S = 0.55
-"""The first ball hits after 0.22 s, the last one turns at 0.43 s, and comes back at 0.64 s."""
+"""Simulated time [s]: the first ball hits at 0.22 s, the last one is highest at 0.43 s and returns at 0.64 s."""
 
 SHARE_OF_SPEED = 0.1
-"""A ball that leaves the row with less of the incoming speed than this counts as at rest: real ones get 0.02."""
+"""Share of the incoming speed below which a ball that leaves the row counts as at rest; real balls get 0.02."""
 
 
 def _with_gaps(scene: Scene) -> Scene:
-    """The row drawn out, so that neighbours do not touch."""
+    """Return the scene with gaps between neighbours."""
     shifts = {body.name: index * GAP_M for index, body in enumerate(scene.dynamic_bodies)}
     return replace(
         scene,
@@ -184,15 +184,15 @@ def _cradle() -> Phenomenon:
 
     return Phenomenon(
         id="momentum",
-        title="momentum that a row of five balls hands on",
+        title="momentum transfer through a row of five balls",
         quantity="momentum",
         scenario=scenario,
         unit="1",
         reality=Reality(
             value=real.mean,
             scatter=real.std,
-            source="momentum transfer efficiency of real trials (paper, Table 5), with the restitution that hands on "
-            "as much; the calibrated one, 0.20, contradicts it",
+            source="momentum transfer efficiency of real trials (paper, Table 5), with the restitution that reproduces "
+            "it; the calibrated restitution, 0.20, contradicts it",
         ),
         read=read,
         trace=Trace(label="height of the last ball [mm]", values=lambda rollout: rise_mm(rollout, names[-1])),

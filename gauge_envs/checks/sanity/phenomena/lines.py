@@ -1,4 +1,4 @@
-"""A rope keeps its length when heavy balls jerk it; the foot of an elastic rod is dragged over a board."""
+"""Lines: a rope under the jerk of two balls, and the foot of an elastic rod dragged over a board."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ __all__ = [
 ]
 
 JERK_S = 1.0
-"""The balls are pushed off their posts after 0.5 s, and the rope stops their fall at 0.7 s [s]."""
+"""Simulated time [s]: the balls leave their posts at 0.5 s, and the rope stops their fall at 0.7 s."""
 
 DRAG_S, STEADY_S = 3.0, 0.5
-"""The recording shows three seconds; the foot has broken loose after half a second [s]."""
+"""Length of the recording, and time after which the foot slides [s]."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Length of a rope, lag of a rod's foot."""
+    """Yield the length of a rope and the lag of a rod's foot."""
     yield _rope()
     yield _foot()
 
 
 def _rope() -> Phenomenon:
     def stretch_mm(rollout: Rollout) -> FloatArray:
-        # Nodes run from one end to the other.
+        # Nodes are in their order along the rope.
         lengths = np.linalg.norm(np.diff(rollout.nodes_m["rope"], axis=1), axis=2).sum(axis=1)
         return np.asarray(1e3 * (lengths - lengths[0]))
 
@@ -58,19 +58,18 @@ def _foot() -> Phenomenon:
 
     def lag_mm(rollout: Rollout) -> FloatArray:
         foot = rollout.markers_m[:, rollout.markers_m[0, :, 2].argmin(), 0]
-        base = rollout.position("base")[:, 0]
-        return np.asarray(1e3 * ((base - base[0]) - (foot - foot[0])))
+        return np.asarray(1e3 * (rollout.displacement("base")[:, 0] - (foot - foot[0])))
 
     return Phenomenon(
         id="foot-lag",
-        title="elastic rod, dragged over a board: how far its foot stays behind",
+        title="elastic rod dragged over a board: lag of its foot",
         quantity="lag",
         scenario=Scenario(name="foot", variant="StickStack-soft", seconds=DRAG_S),
         unit="mm",
         reality=Reality(
             value=0.5 * (low + high),
             scatter=(high - low) / float(np.sqrt(12.0)),
-            source=f"one recorded trial, between {low:g} and {high:g} mm; scatter: of an even distribution "
+            source=f"one recorded trial, between {low:g} and {high:g} mm; scatter: of a uniform distribution "
             f"({RECORDINGS})",
         ),
         read=lambda rollout: PhenomenonValue(value=float(lag_mm(rollout)[rollout.between(STEADY_S, DRAG_S)].mean())),

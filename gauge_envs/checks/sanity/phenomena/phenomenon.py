@@ -1,4 +1,4 @@
-"""What a phenomenon is."""
+"""Define a phenomenon: a scenario, a measured number, and its value in reality."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PhenomenonValue:
-    """What a rollout shows of a phenomenon.
+    """Value of a phenomenon in a rollout.
 
     Attributes:
-        value: In the phenomenon's unit.
-        failure: What happened that no real trial does, however the value came out; empty where nothing did.
+        value: Value in the phenomenon's unit.
+        failure: Failure that no real trial shows, independent of the value; empty when there is none.
     """
 
     value: float
@@ -38,14 +38,14 @@ class PhenomenonValue:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """What of a phenomenon is drawn over time.
+    """Quantity of a phenomenon that is drawn over time.
 
     Attributes:
         label: Name of the quantity with its unit.
-        values: Its values at the samples of a rollout, shape [sample_count].
-        reality: What real objects do at times [s]: mean and standard deviation; None where only a value is known.
-        is_level: Whether reality is the phenomenon's value, with its scatter, at all times.
-        until_s: What comes later is not drawn [s].
+        values: Function from a rollout to the quantity, shape [sample_count].
+        reality: Function from times [s] to mean and standard deviation of reality; None when only one value is known.
+        is_level: Whether reality has the phenomenon's value and scatter at all times.
+        until_s: Last time that is drawn [s].
     """
 
     label: str
@@ -57,17 +57,17 @@ class Trace:
 
 @dataclass(frozen=True, kw_only=True)
 class Phenomenon:
-    """Something that real objects do, measured by one number.
+    """Behaviour of real objects, measured by one number.
 
     Attributes:
         id: Stable name.
-        title: In a few words.
-        quantity: What the number is, in a word or two.
-        scenario: Scene that shows it.
-        unit: Unit of the number; `1` for a pure one.
-        reality: What real objects do, with its scatter.
-        read: Measures it on a rollout of the scenario.
-        trace: What is drawn; None where there is nothing over time.
+        title: Title of a few words.
+        quantity: Name of the number, in one or two words.
+        scenario: Scenario that shows the phenomenon.
+        unit: Unit of the number; `1` for a pure number.
+        reality: Value and scatter for real objects.
+        read: Function that measures the number in a rollout of the scenario.
+        trace: Quantity that is drawn over time; None when there is none.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""Foam that is pulled and pushed, and a beam of rubber blocks that swings."""
+"""Soft solids: foam in tension and compression, and an oscillating beam of rubber blocks."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ __all__ = [
 ]
 
 GRIPPED_S = 1.2
-"""The grips have come to rest, after 1.10 and 1.15 s [s]."""
+"""Time after which the grips rest; they stop at 1.10 and 1.15 s [s]."""
 
 SWING_S = 1.1
-"""Three turning points at the recorded frequency, five at that of the scene's constants [s]."""
+"""Time of three extrema at the recorded frequency, or five at that of the scene's constants [s]."""
 
 TIP_M = 1e-3
-"""Markers this close to the furthest one sit at the tip of the beam [m]."""
+"""Distance from the furthest marker within which a marker belongs to the tip of the beam [m]."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Area of foam in tension and in compression, frequency of a beam."""
+    """Yield the area of foam in tension and in compression, and the frequency of a beam."""
     yield _area("stretch", "FoamStretching-soft", "foam_stretching", "pulled")
-    yield _area("compress", "FoamCompressing-soft", "foam_compressing", "pushed together")
+    yield _area("compress", "FoamCompressing-soft", "foam_compressing", "compressed")
     yield _beam()
 
 
@@ -73,7 +73,7 @@ def _beam() -> Phenomenon:
 
     return Phenomenon(
         id="beam",
-        title="beam of rubber blocks: frequency of its swing",
+        title="beam of rubber blocks: frequency of its oscillation",
         quantity="frequency",
         scenario=Scenario(name="beam", variant="CantileverBeam-soft", seconds=SWING_S),
         unit="Hz",
@@ -81,7 +81,7 @@ def _beam() -> Phenomenon:
             value=real["value"],
             scatter=real["sigma"],
             source=f"one recorded trial ({RECORDINGS}); the modulus of the blocks is not published, and the scene has "
-            "that of the rubber rod, so a stiffer beam is not the engine's doing",
+            "that of the rubber rod, so the engine is not responsible for a stiffer beam",
         ),
         read=read,
         trace=Trace(label="height of the tip [mm]", values=height_mm),
@@ -89,11 +89,11 @@ def _beam() -> Phenomenon:
 
 
 def _frequency_hz(times_s: FloatArray, height: FloatArray) -> float:
-    """Swings a second, from the times between turning points; NaN for fewer than two of them."""
-    turns = np.sort(np.concatenate([argrelextrema(height, np.less)[0], argrelextrema(height, np.greater)[0]]))
-    if len(turns) < 2:
+    """Return the frequency [Hz] from the times between extrema; NaN for fewer than two of them."""
+    extrema = np.sort(np.concatenate([argrelextrema(height, np.less)[0], argrelextrema(height, np.greater)[0]]))
+    if len(extrema) < 2:
         return float("nan")
     # Apex of the parabola through three samples.
-    before, at, after = height[turns - 1], height[turns], height[turns + 1]
-    apex = times_s[turns] + 0.5 * (before - after) / (before - 2.0 * at + after) * (times_s[1] - times_s[0])
+    before, at, after = height[extrema - 1], height[extrema], height[extrema + 1]
+    apex = times_s[extrema] + 0.5 * (before - after) / (before - 2.0 * at + after) * (times_s[1] - times_s[0])
     return float(0.5 * (len(apex) - 1) / (apex[-1] - apex[0]))

@@ -1,4 +1,4 @@
-"""A frictionless pendulum: how long a swing takes, and what is left of its energy after a hundred seconds."""
+"""A frictionless pendulum: its period, and its energy loss in a hundred seconds."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ __all__ = [
 
 VARIANT = "Pendulum-metal"
 PERIOD_S = 10.0
-"""The published period is that of the first 300 frames."""
+"""Time of the first 300 frames, for which the period is published [s]."""
 
 CURVE_S = 5.0
-"""Four swings are drawn: a hundred are a grey block."""
+"""Drawn time, about four periods [s]."""
 
 PRINTED = 0.01
 """Last printed digit of the published energy loss."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Period and energy."""
+    """Yield the period and the energy loss."""
     real = published_baselines(VARIANT)["el"]
     scenario = Scenario(
         name="pendulum", variant=VARIANT, seconds=(real.frames - 1) / FRAME_RATE_HZ, interval_s=SAMPLE_INTERVAL_S
@@ -58,7 +58,7 @@ def phenomena() -> Iterator[Phenomenon]:
     period = recorded("pendulum", "period_s")
     yield Phenomenon(
         id="period",
-        title="pendulum: period of a swing from 90 degrees",
+        title="pendulum: period from 90 degrees",
         quantity="period",
         scenario=scenario,
         unit="s",
@@ -74,7 +74,7 @@ def phenomena() -> Iterator[Phenomenon]:
             f"{period['value']:.3f} s with real damping ({RECORDINGS})",
         ),
         read=read_period,
-        trace=Trace(label="way aside [mm]", values=aside_mm, until_s=CURVE_S),
+        trace=Trace(label="horizontal displacement [mm]", values=aside_mm, until_s=CURVE_S),
     )
     yield Phenomenon(
         id="energy",
@@ -92,7 +92,7 @@ def phenomena() -> Iterator[Phenomenon]:
 
 
 def _period_s(times_s: FloatArray, aside: FloatArray) -> float:
-    """Mean time between upward passes through the lowest point, by lines between samples; NaN for fewer than two."""
+    """Return the mean time between passes through the lowest point in one direction [s]; NaN for fewer than two."""
     passes = np.flatnonzero((aside[:-1] < 0.0) & (aside[1:] >= 0.0))
     share = -aside[passes] / (aside[passes + 1] - aside[passes])
     moments = times_s[passes] + share * (times_s[1] - times_s[0])

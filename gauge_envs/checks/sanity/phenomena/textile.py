@@ -1,4 +1,4 @@
-"""Cloth: it takes the cube on it along, hangs as its stretch stiffness says, and stays behind a rod that flings it."""
+"""Cloth: it carries a cube, sags under its weight, and lags behind a rod that flings it."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ __all__ = [
 ]
 
 RECORDED_S = 2.0
-"""The recording shows no more [s]."""
+"""Length of the recording [s]."""
 
 HANG_S, SETTLED_S = 0.8, 0.2
-"""Let go unstretched, the cloth swings up and down at 16 Hz about its sag at rest."""
+"""Simulated time, and time of the first sample of the mean [s]. The cloth oscillates at 16 Hz about its equilibrium."""
 
 FLING_S = 1.0
-"""The rod is fastest after 0.68 s; the cloth is furthest behind it before [s]."""
+"""Simulated time [s]: the rod is fastest at 0.68 s, and the cloth lags most before that."""
 
 ROW_M = 1e-3
-"""Markers of the same height, closer than this, are a row [m]."""
+"""Difference in height within which markers are in one row [m]."""
 
 HUNG = "TextileFlinging-satin"
-"""The fabric that stretches most under its own weight."""
+"""Variant with the fabric that stretches most under its own weight."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Friction on cloth, stretch, swing."""
+    """Yield friction on cloth, stretch and swing."""
     yield _carry()
     yield _sag()
     yield _fling()
 
 
 def _low_m(rollout: Rollout) -> FloatArray:
-    """Middle of the lowest row of markers of a cloth that hangs [m], shape [sample_count, 3]."""
+    """Return the mean position of the lowest row of markers of a hanging cloth [m], shape [sample_count, 3]."""
     heights = rollout.markers_m[0, :, 2]
     return np.asarray(rollout.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1))
 
@@ -56,12 +56,11 @@ def _carry() -> Phenomenon:
     real = recorded("tablecloth_pulling", "slip_of_cube_on_cloth_mm")
 
     def lag_mm(rollout: Rollout) -> FloatArray:
-        ways = [rollout.position(name)[:, 0] - rollout.position(name)[0, 0] for name in ("cube", "rod")]
-        return np.asarray(1e3 * (ways[0] - ways[1]))
+        return np.asarray(1e3 * (rollout.displacement("cube") - rollout.displacement("rod"))[:, 0])
 
     return Phenomenon(
         id="cloth-carry",
-        title="tablecloth: how far the metal cube stays behind the rod that pulls",
+        title="tablecloth: lag of the metal cube behind the pulling rod",
         quantity="lag",
         scenario=Scenario(name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S),
         unit="mm",
@@ -75,7 +74,7 @@ def _carry() -> Phenomenon:
 
 
 def _held(scene: Scene) -> Scene:
-    """The rod stays where it is."""
+    """Return the scene with a rod that does not move."""
     return replace(scene, drivers=())
 
 
@@ -85,7 +84,7 @@ def _sag() -> Phenomenon:
     assert isinstance(cloth, Cloth)
     load = cloth.areal_density_kg_per_m2 * scenario.scene.gravity_m_per_s2
     assert scenario.scene.markers is not None
-    # The warp, x of the cloth, is upright; the rod holds its upper edge.
+    # The warp, x of the cloth, is vertical; the rod holds the upper edge.
     upper = cloth.pose.position_m[2] + 0.5 * cloth.size_m[0]
     depth = upper - min(z for _, _, z in scenario.scene.markers.positions_m)
     law_mm = 1e3 * load * (cloth.size_m[0] * depth - 0.5 * depth**2) / cloth.stretch_stiffness_n_per_m
@@ -128,15 +127,15 @@ def _fling() -> Phenomenon:
 
     return Phenomenon(
         id="fling-lag",
-        title="cloth, any fabric: how far it swings back when a rod flings it",
+        title="cloth, any fabric: largest angle behind a rod that flings it",
         quantity="angle",
         scenario=scenario,
         unit="deg",
         reality=Reality(
             value=real["value"],
             scatter=real["sigma"],
-            source=f"one recorded trial of an unknown fabric ({RECORDINGS}); satin, and leather of 28 times "
-            "the mass, swing alike",
+            source=f"one recorded trial of an unknown fabric ({RECORDINGS}); satin swings "
+            "like leather, which has 28 times its mass",
         ),
         read=lambda rollout: PhenomenonValue(value=float(angle_deg(rollout).max())),
         trace=Trace(label="angle of the cloth [deg]", values=angle_deg),
