@@ -350,7 +350,11 @@ FAULTS: dict[str, tuple[Faulty, str, str]] = {
     "scalar last": (Faulty(simulation=with_states(scalar_last)), "start-orientation", "x, y, z, w"),
     "millimetres": (Faulty(simulation=with_states(in_millimetres)), "start-position", "in mm"),
     "reset keeps velocity": (Faulty(simulation=ResetKeepsVelocity), "reset-start", "velocities are kept"),
-    "reset keeps velocity, trajectory": (Faulty(simulation=ResetKeepsVelocity), "reset-course", "does not restore velocities"),
+    "reset keeps velocity, trajectory": (
+        Faulty(simulation=ResetKeepsVelocity),
+        "reset-course",
+        "does not restore velocities",
+    ),
     "no reset": (Faulty(simulation=NoReset), "reset-start", "does not restore all positions"),
     "no reset of cloth": (Faulty(simulation=NoReset), "cloth-reset", "positions and velocities of the nodes"),
     "restore forgets velocity": (Faulty(simulation=RestoreForgetsVelocity), "restore", "velocities"),

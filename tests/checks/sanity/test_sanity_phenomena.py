@@ -9,30 +9,21 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
-from gauge_envs.checks.rollout import DeclinedError, DivergedError, Rollout
+from gauge_envs.checks.rollout import DeclinedError, DivergedError
 from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
 from gauge_envs.checks.sanity.phenomena.friction import PRINTED_MM, creep_scatter_mm_per_s
-from gauge_envs.checks.sanity.scenario import Scenario, run_scenario
+from gauge_envs.checks.sanity.scenario import run_scenario
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.driver_path import DriverPath
 
 MUJOCO = backend("mujoco")
-
-CHEETAH = {
-    "timestep_s": 0.01,
-    "integrator": "Euler",
-    "cone": "pyramidal",
-    "impratio": 1.0,
-    "contact_solref": (0.02, 1.0),
-    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
-}
-"""Numerical settings of Gymnasium's HalfCheetah, feet on ground."""
 
 
 def one(name: str) -> Phenomenon:
@@ -44,19 +35,6 @@ def value(name: str, settings: dict[str, object]) -> float:
     measured = Measurements(MUJOCO).measure(one(name), settings)
     assert measured.value is not None, measured.remark
     return measured.value
-
-
-def moved(scenario: Scenario, times_s: NDArray, **ways_m: NDArray) -> Rollout:
-    """Rollout in which bodies have moved by given ways from their start [m], shape [sample_count, 3]."""
-    states = {}
-    for body in scenario.scene.bodies:
-        rows = np.zeros((len(times_s), 13))
-        way = ways_m.get(body.name.replace("-", "_"), np.zeros((len(times_s), 3)))
-        rows[:, :3] = np.asarray(body.pose.position_m) + way
-        rows[:, 3:7] = body.pose.quaternion
-        rows[:, 7:10] = np.gradient(way, times_s, axis=0)
-        states[body.name] = rows
-    return Rollout(scene=scenario.scene, times_s=times_s, states=states)
 
 
 # --- rollouts --------------------------------------------------------------------------------------------------------
@@ -156,11 +134,12 @@ def test_slide_reads_acceleration_from_rest(material: str) -> None:
 def test_rebound_of_an_ideal_ball(restitution: float, interval: float) -> None:
     rebound = one("rebound")
     times = np.arange(0.0, 0.85, interval)
-    ways = {}
+    displacements = {}
     for ball in rebound.scenario.scene.dynamic_bodies:
         drop = ball.pose.position_m[2] - rebound.scenario.scene.body("ground").pose.position_m[2] - 0.03
-        ways[ball.name.replace("-", "_")] = np.outer(_bounces_m(times, drop, restitution) - drop, [0.0, 0.0, 1.0])
-    assert rebound.read(moved(rebound.scenario, times, **ways)).value == pytest.approx(restitution, rel=2e-3)
+        height = _bounces_m(times, drop, restitution) - drop
+        displacements[ball.name.replace("-", "_")] = np.outer(height, [0.0, 0.0, 1.0])
+    assert rebound.read(moved(rebound.scenario, times, **displacements)).value == pytest.approx(restitution, rel=2e-3)
 
 
 def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
@@ -198,17 +177,17 @@ def test_depth_of_a_point_in_the_recess() -> None:
     scene = point.scenario.scene
     tip = scene.body("pyramid").pose.to_world(np.array([0.0, 0.0, -0.075]))
     floor = scene.body("squarebase").pose.position_m[2] - 0.0125
-    way = np.array([0.0, 0.0, floor - tip[2] - 0.0031])
     times = np.array([0.0, 0.1])
-    assert point.read(moved(point.scenario, times, pyramid=np.outer([0.0, 1.0], way))).value == pytest.approx(3.1)
+    displacement = np.outer([0.0, 1.0], [0.0, 0.0, floor - tip[2] - 0.0031])
+    assert point.read(moved(point.scenario, times, pyramid=displacement)).value == pytest.approx(3.1)
 
 
 def test_lag_of_a_cube_behind_the_rod() -> None:
     (carry,) = phenomena(["cloth-carry"], include_deformables=True)
     times = np.linspace(0.0, 2.0, 101)
     speeds = {"rod": -0.037, "cube": -0.035}
-    ways = {name: np.outer(speed * times, [1.0, 0.0, 0.0]) for name, speed in speeds.items()}
-    rollout = moved(carry.scenario, times, **ways)
+    displacements = {name: np.outer(speed * times, [1.0, 0.0, 0.0]) for name, speed in speeds.items()}
+    rollout = moved(carry.scenario, times, **displacements)
     assert carry.read(rollout).value == pytest.approx(4.0)
 
 
@@ -216,18 +195,18 @@ def test_lag_of_a_cube_behind_the_rod() -> None:
 
 
 def test_scores_of_creeping_cubes_differ_by_the_formula() -> None:
-    place, way = 0.59, 0.3
-    frames = np.column_stack([place + way * (np.linspace(0.0, 1.0, 301) - 0.5), np.zeros(301), np.zeros(301)])
+    place, displacement = 0.59, 0.3
+    frames = np.column_stack([place + displacement * (np.linspace(0.0, 1.0, 301) - 0.5), np.zeros(301), np.zeros(301)])
     mean = np.zeros_like(frames)
     assert trajectory_rmse(frames, mean) - trajectory_dtw(frames, mean) == pytest.approx(
-        way**2 / (24.0 * place), rel=0.03
+        displacement**2 / (24.0 * place), rel=0.03
     )
 
 
 @pytest.mark.parametrize(("material", "printed"), [("wood", 0.59), ("plastic", 1.90), ("metal", 0.86)])
-def test_creep_scatter_is_the_way_that_one_digit_hides(material: str, printed: float) -> None:
-    way = creep_scatter_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
-    assert way**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
+def test_creep_scatter_is_the_displacement_that_one_digit_hides(material: str, printed: float) -> None:
+    displacement = creep_scatter_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
+    assert displacement**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
 
 
 def test_reality_is_known_and_scatters() -> None:
