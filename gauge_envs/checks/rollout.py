@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -92,6 +92,17 @@ class Rollout:
         """Return the samples from one time [s] to another, both included."""
         first = np.searchsorted(self.times_s, start_s - 1e-9, side="left")
         return slice(int(first), int(np.searchsorted(self.times_s, end_s + 1e-9, side="right")))
+
+    def cut(self, start_s: float, end_s: float) -> Rollout:
+        """Return the rollout from one time [s] to another, both included; times stay as they are."""
+        part = self.between(start_s, end_s)
+        return replace(
+            self,
+            times_s=self.times_s[part],
+            states={name: states[part] for name, states in self.states.items()},
+            nodes_m={name: nodes[part] for name, nodes in self.nodes_m.items()},
+            markers_m=self.markers_m[part],
+        )
 
     def sample_at(self, time_s: float) -> int:
         """Return the index of the sample nearest to a time [s]."""

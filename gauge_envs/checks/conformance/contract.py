@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,15 +272,6 @@ def _cloth_again(lab: Lab) -> tuple[Rollout, Rollout]:
     return _again_after_reset(lab, strip_on_rod(), 0.2)
 
 
-def _first_sample(rollout: Rollout) -> Rollout:
-    return replace(
-        rollout,
-        times_s=rollout.times_s[:1],
-        states={name: states[:1] for name, states in rollout.states.items()},
-        nodes_m={name: nodes[:1] for name, nodes in rollout.nodes_m.items()},
-    )
-
-
 def _start_hint(first: Rollout, second: Rollout) -> str:
     moved = max((np.abs(s[0, :7] - second.states[n][0, :7]).max() for n, s in first.states.items()), default=0.0)
     speed = max((np.abs(s[0, 7:] - second.states[n][0, 7:]).max() for n, s in first.states.items()), default=0.0)
@@ -303,7 +293,7 @@ def _start_hint(first: Rollout, second: Rollout) -> str:
 def _reset_start(lab: Lab) -> Measurement:
     first, second = lab.once(_bounce_again)
     return Measurement(
-        measured=_difference(_first_sample(first), _first_sample(second)),
+        measured=_difference(first.cut(0.0, 0.0), second.cut(0.0, 0.0)),
         expected=0.0,
         hint=_start_hint(first, second),
     )

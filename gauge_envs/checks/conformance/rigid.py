@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -314,7 +316,7 @@ HAMMER_RADIUS_M, GAP_M = 0.02, 0.03
 
 
 def _struck(lab: Lab, brick: RigidBody, point_m: tuple[float, float, float]) -> Rollout:
-    """Record a floating body that a driven ball hits at a point of its upper z face, along that face's normal."""
+    """Record a floating body after a driven ball has hit a point of its upper z face, along that face's normal."""
     inward = brick.pose.rotation.apply([0.0, 0.0, -1.0])
     start = brick.pose.to_world(np.asarray(point_m)) - (HAMMER_RADIUS_M + GAP_M) * inward
     hammer = body(
@@ -333,7 +335,7 @@ def _struck(lab: Lab, brick: RigidBody, point_m: tuple[float, float, float]) -> 
         duration_s=SPIN_END_S,
         gravity_m_per_s2=0.0,
     )
-    return lab.rollout(scene, SPIN_END_S)
+    return lab.rollout(scene, SPIN_END_S).cut(HIT_S, SPIN_END_S)
 
 
 def _spinning_brick(lab: Lab) -> Rollout:
@@ -356,14 +358,37 @@ def _spinning_solid(lab: Lab) -> Rollout:
     return _struck(lab, solid, vector(np.array([0.035, 0.018, 0.015]) - SOLID_ORIGIN_M))
 
 
-def _not_spinning(rollout: Rollout) -> Measurement | None:
-    """Return a failed measurement if the hit did not make the body spin; None if it did."""
-    rotations = rollout.rotation("brick")[rollout.between(HIT_S, SPIN_END_S)]
-    turned = float(np.degrees((rotations[1:] * rotations[:-1].inv()).magnitude().sum()))
-    if turned > 60.0:
-        return None
-    hint = f"the driven ball did not make the body spin: it rotated by {turned:.2g} degrees within 0.5 s"
-    return Measurement(measured=float("nan"), expected=0.0, hint=hint)
+def _when_spinning(
+    spin: Callable[[Lab], Rollout],
+) -> Callable[[Callable[[Rollout], Measurement]], Callable[[Lab], Measurement]]:
+    """Return a decorator for a measurement of the spin after the hit; it fails if the hit made no body spin."""
+
+    def decorate(measure: Callable[[Rollout], Measurement]) -> Callable[[Lab], Measurement]:
+        def measure_spin(lab: Lab) -> Measurement:
+            rollout = lab.once(spin)
+            rotations = rollout.rotation("brick")
+            turned = float(np.degrees((rotations[1:] * rotations[:-1].inv()).magnitude().sum()))
+            if turned > 60.0:
+                return measure(rollout)
+            hint = f"the driven ball did not make the body spin: it rotated by {turned:.2g} degrees within 0.5 s"
+            return Measurement(measured=float("nan"), expected=0.0, hint=hint)
+
+        return measure_spin
+
+    return decorate
+
+
+def _vector_error(
+    reported: NDArray[np.float64], actual: NDArray[np.float64], explanations: Mapping[str, NDArray[np.float64]]
+) -> Measurement:
+    """Measure the largest error [%] of vectors over their mean size; explanations are vectors of known faults."""
+    size = np.linalg.norm(actual, axis=1).mean()
+
+    def error(values: NDArray[np.float64]) -> float:
+        return float(np.linalg.norm(values - actual, axis=1).max() / size)
+
+    hint = next((text for text, values in explanations.items() if error(values) < 0.03), "")
+    return Measurement(measured=100.0 * error(reported), expected=0.0, hint=hint)
 
 
 @check(
@@ -379,13 +404,10 @@ def _not_spinning(rollout: Rollout) -> Measurement | None:
     ),
     diagnosis="check angular damping, the gyroscopic term, the inertia, and the frame of the angular velocity",
 )
-def _spin_momentum(lab: Lab) -> Measurement:
-    rollout = lab.once(_spinning_brick)
-    if failed := _not_spinning(rollout):
-        return failed
-    window = rollout.between(HIT_S, SPIN_END_S)
-    states = rollout.states["brick"][window]
-    inertia = world_inertia_kg_m2(box_inertia_kg_m2(Box(size_m=BRICK_M), BRICK_KG), rollout.rotation("brick")[window])
+@_when_spinning(_spinning_brick)
+def _spin_momentum(rollout: Rollout) -> Measurement:
+    states = rollout.states["brick"]
+    inertia = world_inertia_kg_m2(box_inertia_kg_m2(Box(size_m=BRICK_M), BRICK_KG), rollout.rotation("brick"))
     momentum = np.einsum("tij,tj->ti", inertia, states[:, 10:])
     change = np.linalg.norm(momentum - momentum[0], axis=1).max() / np.linalg.norm(momentum[0])
     return Measurement(measured=100.0 * float(change), expected=0.0)
@@ -404,13 +426,10 @@ def _spin_momentum(lab: Lab) -> Measurement:
     ),
     diagnosis="the gyroscopic term, the inertia, or the sign or frame of the reported angular velocity is wrong",
 )
-def _spin_orientation(lab: Lab) -> Measurement:
-    rollout = lab.once(_spinning_brick)
-    if failed := _not_spinning(rollout):
-        return failed
-    window = rollout.between(HIT_S, SPIN_END_S)
-    states = rollout.states["brick"][window]
-    rotations = rollout.rotation("brick")[window]
+@_when_spinning(_spinning_brick)
+def _spin_orientation(rollout: Rollout) -> Measurement:
+    states = rollout.states["brick"]
+    rotations = rollout.rotation("brick")
     expected = torque_free_orientation(
         start=rotations[0],
         spin_rad_per_s=states[0, 10:],
@@ -437,27 +456,18 @@ DERIVATIVE_TOLERANCE = Tolerance(
     tolerance=DERIVATIVE_TOLERANCE,
     diagnosis="columns 10 to 12 of body_states are the angular velocity in rad/s in the world frame",
 )
-def _angular_velocity(lab: Lab) -> Measurement:
-    rollout = lab.once(_spinning_brick)
-    if failed := _not_spinning(rollout):
-        return failed
-    window = rollout.between(HIT_S, SPIN_END_S)
-    states = rollout.states["brick"][window]
-    rotations = rollout.rotation("brick")[window]
+@_when_spinning(_spinning_brick)
+def _angular_velocity(rollout: Rollout) -> Measurement:
+    states = rollout.states["brick"]
+    rotations = rollout.rotation("brick")
     actual = spin_from_orientations(rotations, SAMPLE_INTERVAL_S)
     reported = states[1:-1, 10:]
-    size = np.linalg.norm(actual, axis=1).mean()
-
-    def error(values: NDArray[np.float64]) -> float:
-        return float(np.linalg.norm(values - actual, axis=1).max() / size)
-
     explanations = {
         "it has the wrong sign": -reported,
         "it is in the body frame": rotations[1:-1].apply(reported),
         "it is in degrees": np.radians(reported),
     }
-    hint = next((text for text, values in explanations.items() if error(values) < 0.03), "")
-    return Measurement(measured=100.0 * error(reported), expected=0.0, hint=hint)
+    return _vector_error(reported, actual, explanations)
 
 
 @check(
@@ -471,29 +481,20 @@ def _angular_velocity(lab: Lab) -> Measurement:
     tolerance=DERIVATIVE_TOLERANCE,
     diagnosis="columns 7 to 9 of body_states are the velocity of the body's origin in m/s in the world frame",
 )
-def _velocity_of_origin(lab: Lab) -> Measurement:
-    rollout = lab.once(_spinning_solid)
-    if failed := _not_spinning(rollout):
-        return failed
-    window = rollout.between(HIT_S, SPIN_END_S)
-    states = rollout.states["brick"][window]
+@_when_spinning(_spinning_solid)
+def _velocity_of_origin(rollout: Rollout) -> Measurement:
+    states = rollout.states["brick"]
     actual = (states[2:, :3] - states[:-2, :3]) / (2.0 * SAMPLE_INTERVAL_S)
     reported = states[1:-1, 7:10]
-    size = np.linalg.norm(actual, axis=1).mean()
-    rotations = rollout.rotation("brick")[window][1:-1]
+    rotations = rollout.rotation("brick")[1:-1]
     arm = rotations.apply(-SOLID_ORIGIN_M)
-
-    def error(values: NDArray[np.float64]) -> float:
-        return float(np.linalg.norm(values - actual, axis=1).max() / size)
-
     explanations = {
         "it is the velocity of the centre of mass": reported - np.cross(states[1:-1, 10:], arm),
         "it is in the body frame": rotations.apply(reported),
         "it has the wrong sign": -reported,
         "it is in mm/s": 1e-3 * reported,
     }
-    hint = next((text for text, values in explanations.items() if error(values) < 0.03), "")
-    return Measurement(measured=100.0 * error(reported), expected=0.0, hint=hint)
+    return _vector_error(reported, actual, explanations)
 
 
 @check(
@@ -506,13 +507,10 @@ def _velocity_of_origin(lab: Lab) -> Measurement:
     tolerance=Tolerance(absolute=0.5, rationale="the real trials' scatter is about 1 mm"),
     diagnosis="the centre of mass is not that of the solid's volume: the engine uses the origin of its frame",
 )
-def _solid_spin_centre(lab: Lab) -> Measurement:
-    rollout = lab.once(_spinning_solid)
-    if failed := _not_spinning(rollout):
-        return failed
-    window = rollout.between(HIT_S, SPIN_END_S)
-    states, times = rollout.states["brick"][window], rollout.times_s[window]
-    centre = states[:, :3] + rollout.rotation("brick")[window].apply(-SOLID_ORIGIN_M)
+@_when_spinning(_spinning_solid)
+def _solid_spin_centre(rollout: Rollout) -> Measurement:
+    states, times = rollout.states["brick"], rollout.times_s
+    centre = states[:, :3] + rollout.rotation("brick").apply(-SOLID_ORIGIN_M)
     line = np.polynomial.polynomial.polyfit(times, centre, 1)
     error = np.linalg.norm(centre - (line[0] + np.outer(times, line[1])), axis=1).max()
     return Measurement(measured=1e3 * float(error), expected=0.0)
