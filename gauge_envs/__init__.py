@@ -7,24 +7,33 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
 
     env = gym.make("GAUGE/SlopeSlider-2-wood")
 
-and extra to them seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`.
+and seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`.
+
+Registering needs names alone. Engines, SciPy and the rest are imported at first use.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register, registry
 
 from gauge_envs.envs.control.tasks import register_control_tasks
-from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.episode import Trajectory
-from gauge_envs.envs.wrappers import ScoreEpisode
 from gauge_envs.errors import GaugeError
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.score import Score, score_trajectory
-from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
-from gauge_envs.experiments.resolve import load_experiment, load_experiment_from_asset
-from gauge_envs.experiments.task_files import find_variant, load_task, variants
-from gauge_envs.experiments.task_format import Variant
-from gauge_envs.experiments.user_file import load_experiment_file
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.experiments.variants import Variant, find_variant, variants
+
+if TYPE_CHECKING:
+    from gauge_envs.envs.env import GaugeEnv
+    from gauge_envs.envs.episode import Trajectory
+    from gauge_envs.envs.wrappers import ScoreEpisode
+    from gauge_envs.evaluation.reference import reference_band
+    from gauge_envs.evaluation.score import Score, score_trajectory
+    from gauge_envs.experiments.experiment import Experiment
+    from gauge_envs.experiments.resolve import load_experiment, load_experiment_from_asset
+    from gauge_envs.experiments.task_files import load_task
+    from gauge_envs.experiments.user_file import load_experiment_file
+    from gauge_envs.scene.jitter import Jitter
 
 __all__ = [
     "Experiment",
@@ -35,10 +44,10 @@ __all__ = [
     "ScoreEpisode",
     "Trajectory",
     "Variant",
+    "find_variant",
     "load_experiment",
     "load_experiment_file",
     "load_experiment_from_asset",
-    "find_variant",
     "load_task",
     "reference_band",
     "register_all",
@@ -46,10 +55,39 @@ __all__ = [
     "variants",
 ]
 
+_HOMES = {
+    "Experiment": "experiments.experiment",
+    "GaugeEnv": "envs.env",
+    "Jitter": "scene.jitter",
+    "Score": "evaluation.score",
+    "ScoreEpisode": "envs.wrappers",
+    "Trajectory": "envs.episode",
+    "load_experiment": "experiments.resolve",
+    "load_experiment_file": "experiments.user_file",
+    "load_experiment_from_asset": "experiments.resolve",
+    "load_task": "experiments.task_files",
+    "reference_band": "evaluation.reference",
+    "score_trajectory": "evaluation.score",
+}
+"""Modules of the public names that are imported at first use."""
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name at its first use (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
 
 def register_all() -> None:
     """Register every variant, and `GAUGE/Asset`, with Gymnasium; importing the package has done so already."""
-    for name in (*(variant.name for variant in variants()), ASSET_NAME):
+    for name in (*(variant.name for variant in variants()), "Asset"):
         if f"GAUGE/{name}" not in registry:
             register(
                 id=f"GAUGE/{name}",

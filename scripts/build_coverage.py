@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs import load_experiment
-from gauge_envs.experiments.task_files import variants
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.published import law_for, published_baselines
 

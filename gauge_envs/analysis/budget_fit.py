@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from gauge_envs.analysis.motion_kinds import Motion
+from gauge_envs.analysis.motion_kinds import RecognizedMotion
 from gauge_envs.evaluation.metrics import release_offset
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
     "MAX_SHIFT_S",
-    "Stage",
+    "BudgetStage",
 ]
 
 
@@ -57,7 +57,7 @@ START_COUNT = 4
 FloatArray = NDArray[np.float64]
 
 
-class Stage(StrEnum):
+class BudgetStage(StrEnum):
     """A part of the error budget."""
 
     RELEASE = "release"
@@ -95,8 +95,8 @@ class _Budget:
         reference: FloatArray,
         times_s: FloatArray,
         simulated: FloatArray,
-        motion: Motion,
-        missing: Mapping[Stage, str],
+        motion: RecognizedMotion,
+        missing: Mapping[BudgetStage, str],
     ) -> None:
         # The score divides by the frames that have anything to compare; the others play no part.
         self.known = np.isfinite(reference).any(axis=1)
@@ -108,9 +108,9 @@ class _Budget:
         self._whole_reference = reference
         self._reference = reference[self.known]
         self._frames_s = np.flatnonzero(self.known) / FRAME_RATE_HZ
-        self._fits: dict[frozenset[Stage], _Fit] = {}
+        self._fits: dict[frozenset[BudgetStage], _Fit] = {}
 
-    def fit(self, stages: Iterable[Stage]) -> _Fit:
+    def fit(self, stages: Iterable[BudgetStage]) -> _Fit:
         """Best fit of a set of stages; those that do not apply are left out."""
         wanted = frozenset(stages) - set(self.missing)
         if wanted not in self._fits:
@@ -130,7 +130,7 @@ class _Budget:
     def likeness(self, fit: _Fit) -> float:
         """How alike a change of rate and one of scale are at a fit, as the squared cosine between them; 0 with one."""
         low, high = self.motion.rate_bounds
-        if Stage.RATE in self.missing or low == high:
+        if BudgetStage.RATE in self.missing or low == high:
             return 0.0
         rates = np.clip(fit.rate + np.array([-RATE_STEP, RATE_STEP]), low, high)
         played, basis = self.motion.at(self._frames_s, np.full(2, fit.shift_s), rates)
@@ -139,9 +139,9 @@ class _Budget:
         both = np.square(faster).sum() * np.square(larger).sum()
         return float(np.square((faster * larger).sum()) / both) if both > 0.0 else 0.0
 
-    def _searched(self, stages: frozenset[Stage]) -> _Fit:
+    def _searched(self, stages: frozenset[BudgetStage]) -> _Fit:
         smaller = [self.fit(some) for some in combinations(sorted(stages), len(stages) - 1)] if stages else []
-        if stages == {Stage.RELEASE}:
+        if stages == {BudgetStage.RELEASE}:
             # The score's own alignment, so that both give the same number.
             shift_s, _ = release_offset(
                 self._times_s,
@@ -159,7 +159,7 @@ class _Budget:
         least = min(smaller, key=lambda one: one.mean_square, default=None)
         return best if least is None or best.mean_square <= least.mean_square else least
 
-    def _refined(self, stages: frozenset[Stage], smaller: Sequence[_Fit]) -> list[FloatArray]:
+    def _refined(self, stages: frozenset[BudgetStage], smaller: Sequence[_Fit]) -> list[FloatArray]:
         """Shift and rate of the best local minima."""
         bounds = np.array([self._shift_bounds(stages), self._rate_bounds(stages)])
         free = bounds[:, 0] < bounds[:, 1]
@@ -190,11 +190,11 @@ class _Budget:
         found.append(np.array([0.0, 1.0]))
         return sorted(found, key=lambda one: (abs(one[0]), abs(one[1] - 1.0)))
 
-    def _shift_bounds(self, stages: frozenset[Stage]) -> tuple[float, float]:
-        return (-MAX_SHIFT_S, MAX_SHIFT_S) if Stage.RELEASE in stages else (0.0, 0.0)
+    def _shift_bounds(self, stages: frozenset[BudgetStage]) -> tuple[float, float]:
+        return (-MAX_SHIFT_S, MAX_SHIFT_S) if BudgetStage.RELEASE in stages else (0.0, 0.0)
 
-    def _rate_bounds(self, stages: frozenset[Stage]) -> tuple[float, float]:
-        return self.motion.rate_bounds if Stage.RATE in stages else (1.0, 1.0)
+    def _rate_bounds(self, stages: frozenset[BudgetStage]) -> tuple[float, float]:
+        return self.motion.rate_bounds if BudgetStage.RATE in stages else (1.0, 1.0)
 
     def _grid(self, bounds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Values of shift and rate to try, and their steps."""
@@ -206,7 +206,7 @@ class _Budget:
         shifts, rates = (np.linspace(low, high, count) for (low, high), count in zip(bounds, counts, strict=True))
         return shifts, rates, steps
 
-    def _grid_errors(self, stages: frozenset[Stage], shifts: FloatArray, rates: FloatArray) -> FloatArray:
+    def _grid_errors(self, stages: frozenset[BudgetStage], shifts: FloatArray, rates: FloatArray) -> FloatArray:
         """Mean squared error on the grid, shape [shifts, rates]; of the coordinates and frames that matter most.
 
         It only finds where to start from, so a part of many coordinates and frames is enough.
@@ -221,13 +221,13 @@ class _Budget:
         errors = [self._linear(stages, reference, *one)[0].sum(axis=1) for one in played]
         return np.concatenate(errors).reshape(len(shifts), len(rates))
 
-    def _solved(self, stages: frozenset[Stage], shift_s: float, rate: float) -> _Fit:
+    def _solved(self, stages: frozenset[BudgetStage], shift_s: float, rate: float) -> _Fit:
         played = self.motion.at(self._frames_s, np.array([shift_s]), np.array([rate]))
         squares, scale, offsets = self._linear(stages, self._reference, *played)
         return _Fit(float(shift_s), float(rate), float(scale[0]), offsets[0], squares[0] / self.frame_count)
 
     def _linear(
-        self, stages: frozenset[Stage], reference: FloatArray, played: FloatArray, basis: FloatArray
+        self, stages: frozenset[BudgetStage], reference: FloatArray, played: FloatArray, basis: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Best scale and offsets for G motions, with the squared error that is left.
 
@@ -242,7 +242,7 @@ class _Budget:
         def centred(values: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Values where something is known, less their mean over time where offsets are free; and that mean."""
             kept = values if known.all() else np.where(known, values, 0.0)
-            if Stage.OFFSET not in stages:
+            if BudgetStage.OFFSET not in stages:
                 return kept, np.zeros((len(played), reference.shape[1]))
             mean = kept.sum(axis=1) / counts
             kept = kept - mean[:, None]
@@ -250,7 +250,7 @@ class _Budget:
 
         deviation, offsets = centred(reference - played)
         scale = np.zeros(len(played))
-        if Stage.RATE in stages:
+        if BudgetStage.RATE in stages:
             change, mean = centred(basis)
             size, overlap = (np.einsum("gtc,gtc->g", change, other) for other in (change, deviation))
             best = np.divide(overlap, size, out=np.zeros_like(size), where=size > 0.0)

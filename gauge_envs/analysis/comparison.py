@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.metrics import trajectory_rmse
-from gauge_envs.experiments.task_files import find_variant, task_sha256, variants
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import versions
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
@@ -29,11 +30,11 @@ __all__ = [
     "MOTION_SHARE",
     "Cell",
     "Comparison",
-    "Configuration",
+    "RunConfiguration",
     "Distance",
     "ExperimentComparison",
     "Metric",
-    "Spread",
+    "ScoreSpread",
     "Summary",
     "check_metrics",
     "compare",
@@ -94,7 +95,7 @@ def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Configuration:
+class RunConfiguration:
     """What was under test.
 
     Attributes:
@@ -116,8 +117,8 @@ class Configuration:
     engine_versions: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, result: Result) -> Configuration:
-        """Configuration that a result is of."""
+    def of(cls, result: Result) -> RunConfiguration:
+        """RunConfiguration that a result is of."""
         common = versions()
         return cls(
             backend=result.backend,
@@ -130,16 +131,16 @@ class Configuration:
         )
 
 
-def group_by_configuration(results: Iterable[Result]) -> list[tuple[Configuration, list[Result]]]:
+def group_by_configuration(results: Iterable[Result]) -> list[tuple[RunConfiguration, list[Result]]]:
     """Results of each configuration: by engine, calibrated parameters and default settings first.
 
     An episode that did not run knows no versions of its engine; it belongs to the first configuration that is equal
     otherwise.
     """
     ordered = sorted(results, key=lambda result: result.error is not None)
-    groups: list[tuple[Configuration, list[Result]]] = []
+    groups: list[tuple[RunConfiguration, list[Result]]] = []
     for result in ordered:
-        wanted = Configuration.of(result)
+        wanted = RunConfiguration.of(result)
         found = next((members for one, members in groups if _same(one, wanted, ran=result.error is None)), None)
         if found is None:
             groups.append((wanted, [result]))
@@ -148,7 +149,7 @@ def group_by_configuration(results: Iterable[Result]) -> list[tuple[Configuratio
     return sorted(groups, key=lambda group: _order(group[0]))
 
 
-def _order(one: Configuration) -> tuple[str, bool, int, str]:
+def _order(one: RunConfiguration) -> tuple[str, bool, int, str]:
     changes = (one.settings_given, one.jitter, one.asset, one.engine_versions)
     changed = len(one.settings_given) + len(one.jitter) + (one.marker_proxy != "node") + bool(one.asset)
     return (
@@ -159,7 +160,7 @@ def _order(one: Configuration) -> tuple[str, bool, int, str]:
     )
 
 
-def _same(one: Configuration, other: Configuration, *, ran: bool) -> bool:
+def _same(one: RunConfiguration, other: RunConfiguration, *, ran: bool) -> bool:
     keys = ("backend", "parameters", "settings_given", "jitter", "marker_proxy", "asset")
     alike = all(getattr(one, key) == getattr(other, key) for key in keys)
     return alike and (not ran or one.engine_versions == other.engine_versions)
@@ -169,7 +170,7 @@ def _same(one: Configuration, other: Configuration, *, ran: bool) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spread:
+class ScoreSpread:
     """Mean and scatter of repeats.
 
     Attributes:
@@ -183,8 +184,8 @@ class Spread:
     count: int
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Spread | None:
-        """Spread of the values; None when there are none."""
+    def of(cls, values: Sequence[float]) -> ScoreSpread | None:
+        """ScoreSpread of the values; None when there are none."""
         if not values:
             return None
         std = float(np.std(values, ddof=1)) if len(values) > 1 else None
@@ -215,9 +216,9 @@ class Cell:
         name = metric.normalized if normalized else metric.raw
         return [None if name is None else getattr(result.score, name) for result in self.results]
 
-    def spread(self, metric: Metric, *, normalized: bool) -> Spread | None:
+    def spread(self, metric: Metric, *, normalized: bool) -> ScoreSpread | None:
         """Mean and scatter over the repeats that have the metric."""
-        return Spread.of([value for value in self.values(metric, normalized=normalized) if value is not None])
+        return ScoreSpread.of([value for value in self.values(metric, normalized=normalized) if value is not None])
 
     @property
     def normalized_rmse(self) -> float | None:
@@ -268,7 +269,7 @@ class Distance:
     first: int
     second: int
     unit: str
-    rms: Spread
+    rms: ScoreSpread
     motion_rms: float
     threshold: float
     threshold_is_scatter: bool
@@ -284,7 +285,7 @@ def _distance(first: int, second: int, cells: Sequence[Cell | None], baseline: B
         return None
     pairs = _paired(one.results, other.results)
     courses = [common for pair in pairs if (common := _common_frames(*pair)) is not None]
-    rms = Spread.of([trajectory_rmse(a, b) for _, a, b in courses])
+    rms = ScoreSpread.of([trajectory_rmse(a, b) for _, a, b in courses])
     if rms is None:
         return None
     motion = [np.vstack((a - a[0], b - b[0])) for _, a, b in courses]
@@ -420,7 +421,7 @@ class Comparison:
         notes: What a reader should know of the results: repeats left out, and files that do not belong together.
     """
 
-    configurations: tuple[Configuration, ...]
+    configurations: tuple[RunConfiguration, ...]
     experiments: tuple[ExperimentComparison, ...]
     notes: tuple[str, ...]
 

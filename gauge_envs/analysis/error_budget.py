@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gauge_envs.analysis.budget_fit import MAX_SHIFT_S, FloatArray, Stage, _Budget, _Fit
+from gauge_envs.analysis.budget_fit import MAX_SHIFT_S, BudgetStage, FloatArray, _Budget, _Fit
 from gauge_envs.analysis.motion_kinds import Change, MotionKind, recognized
 from gauge_envs.errors import GaugeError, ParameterError, ShapeError
 from gauge_envs.evaluation.reference import load_band, reference_band
@@ -69,7 +69,7 @@ class DiagnosisError(GaugeError, ValueError):
     """An episode has no error budget; the message says what is missing."""
 
 
-DEFAULT_ORDER = (Stage.RELEASE, Stage.OFFSET, Stage.RATE)
+DEFAULT_ORDER = (BudgetStage.RELEASE, BudgetStage.OFFSET, BudgetStage.RATE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +95,7 @@ class StagePart:
         alone_changes: Its own changes where it is the only one.
     """
 
-    stage: Stage
+    stage: BudgetStage
     missing: str | None
     explained: float
     share: float
@@ -201,7 +201,7 @@ class Diagnosis:
             groups.setdefault(name.rpartition(".")[2], []).append(index)
         return {axis: tuple(indices) for axis, indices in groups.items()}
 
-    def part(self, stage: Stage) -> StagePart:
+    def part(self, stage: BudgetStage) -> StagePart:
         """The part of one stage."""
         return next(part for part in self.parts if part.stage is stage)
 
@@ -213,7 +213,7 @@ def diagnose(
     result: Result,
     *,
     band: Band | None = None,
-    order: Sequence[Stage] = DEFAULT_ORDER,
+    order: Sequence[BudgetStage] = DEFAULT_ORDER,
     measured_only: bool = False,
     use_withheld: bool = False,
 ) -> Diagnosis:
@@ -267,7 +267,7 @@ def diagnose_trajectory(
     *,
     times_s: FloatArray,
     values: FloatArray,
-    order: Sequence[Stage] = DEFAULT_ORDER,
+    order: Sequence[BudgetStage] = DEFAULT_ORDER,
     measured_only: bool = False,
 ) -> Diagnosis:
     """Error budget of a generalized trajectory.
@@ -300,7 +300,7 @@ def diagnose_trajectory(
     return _diagnosis(experiment, band, budget, stages, measured_only=measured_only)
 
 
-def stage_order(names: Iterable[str]) -> tuple[Stage, ...]:
+def stage_order(names: Iterable[str]) -> tuple[BudgetStage, ...]:
     """Stages by name.
 
     Raises:
@@ -310,7 +310,7 @@ def stage_order(names: Iterable[str]) -> tuple[Stage, ...]:
     known = [stage.value for stage in DEFAULT_ORDER]
     if sorted(given) != sorted(known):
         raise ParameterError(f"order is {', '.join(given) or 'empty'}, expected each of {', '.join(known)} once")
-    return tuple(Stage(name) for name in given)
+    return tuple(BudgetStage(name) for name in given)
 
 
 def _why_no_band(variant: str) -> str:
@@ -339,19 +339,19 @@ def _checked(times_s: FloatArray, values: FloatArray, frame_count: int) -> tuple
     return times_s, values
 
 
-def _missing(band: Band, simulated: FloatArray) -> dict[Stage, str]:
+def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
     """Stages that do not apply, and why."""
     missing = {}
     if band.grade is BandGrade.LAW:
         # As in the score: a law is exact from frame 0 on, and a shift would only hide a drift.
-        missing[Stage.RELEASE] = "a law has no release: it holds from frame 0 on"
+        missing[BudgetStage.RELEASE] = "a law has no release: it holds from frame 0 on"
     real = float(np.sqrt(np.nanmean(np.square(band.mean - np.nanmean(band.mean, axis=0)))))
     own = float(np.sqrt(np.mean(np.square(simulated - simulated[0]))))
     scatter = float(np.sqrt(np.nanmean(np.square(band.sigma))))
     if real <= STILL_SHARE * scatter:
-        missing[Stage.RATE] = "the real mean does not move by more than a tenth of its scatter, so it has no rate"
+        missing[BudgetStage.RATE] = "the real mean does not move by more than a tenth of its scatter, so it has no rate"
     elif own <= 1e-3 * real:
-        missing[Stage.RATE] = "the simulation does not move, so it has no rate"
+        missing[BudgetStage.RATE] = "the simulation does not move, so it has no rate"
     return missing
 
 
@@ -359,7 +359,7 @@ def _missing(band: Band, simulated: FloatArray) -> dict[Stage, str]:
 
 
 def _diagnosis(
-    experiment: Experiment, band: Band, budget: _Budget, order: Sequence[Stage], *, measured_only: bool
+    experiment: Experiment, band: Band, budget: _Budget, order: Sequence[BudgetStage], *, measured_only: bool
 ) -> Diagnosis:
     baselines = experiment.baselines
     baseline = baselines["rmse"].mean if "rmse" in baselines else None
@@ -398,7 +398,7 @@ def _diagnosis(
     )
 
 
-def _part(budget: _Budget, band: Band, order: Sequence[Stage], index: int, baseline: float | None) -> StagePart:
+def _part(budget: _Budget, band: Band, order: Sequence[BudgetStage], index: int, baseline: float | None) -> StagePart:
     stage = order[index]
     whole, before, after = budget.fit(()), budget.fit(order[:index]), budget.fit(order[: index + 1])
     alone, others, everything = budget.fit([stage]), budget.fit(set(order) - {stage}), budget.fit(order)
@@ -419,11 +419,11 @@ def _part(budget: _Budget, band: Band, order: Sequence[Stage], index: int, basel
     )
 
 
-def _changes(budget: _Budget, band: Band, stages: Sequence[Stage], fit: _Fit) -> tuple[Change, ...]:
+def _changes(budget: _Budget, band: Band, stages: Sequence[BudgetStage], fit: _Fit) -> tuple[Change, ...]:
     """What a fit changed, in the order of the stages."""
     motion = budget.motion
-    told: dict[Stage, tuple[Change, ...]] = {
-        Stage.RELEASE: (
+    told: dict[BudgetStage, tuple[Change, ...]] = {
+        BudgetStage.RELEASE: (
             Change(
                 quantity="release_time",
                 unit="s",
@@ -432,11 +432,11 @@ def _changes(budget: _Budget, band: Band, stages: Sequence[Stage], fit: _Fit) ->
                 at_bound=_at_bound(fit.shift_s, (-MAX_SHIFT_S, MAX_SHIFT_S)),
             ),
         ),
-        Stage.OFFSET: tuple(
+        BudgetStage.OFFSET: tuple(
             Change(quantity="offset", unit=band.unit, simulated=0.0, fitted=float(value), coordinate=name)
             for name, value in zip(band.coordinates, fit.offsets, strict=True)
         ),
-        Stage.RATE: motion.changes(
+        BudgetStage.RATE: motion.changes(
             fit.rate,
             fit.scale,
             rate_at_bound=_at_bound(fit.rate, motion.rate_bounds),
@@ -451,7 +451,7 @@ def _at_bound(value: float, bounds: tuple[float, float]) -> bool:
     return min(abs(value - bound) for bound in bounds) <= close
 
 
-def _notes(budget: _Budget, band: Band, order: Sequence[Stage], *, measured_only: bool) -> tuple[str, ...]:
+def _notes(budget: _Budget, band: Band, order: Sequence[BudgetStage], *, measured_only: bool) -> tuple[str, ...]:
     notes = []
     fit = budget.fit(order)
     late = budget.continued_frames(fit)

@@ -34,7 +34,7 @@ __all__ = [
     "SCALE_BOUNDS",
     "Change",
     "Impact",
-    "Motion",
+    "RecognizedMotion",
     "MotionKind",
     "find_impact",
     "recognized",
@@ -125,7 +125,7 @@ class Impact:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class RecognizedMotion:
     """A simulated trajectory that can be played later, faster and larger.
 
     Attributes:
@@ -152,12 +152,12 @@ class Motion:
     impact: Impact | None = None
     period_s: float | None = None
 
-    def select(self, columns: NDArray[np.intp]) -> Motion:
+    def select(self, columns: NDArray[np.intp]) -> RecognizedMotion:
         """The same motion with some of its coordinates, in the order of the indices."""
         impact = self.impact
         if impact is not None:
             impact = Impact(impact.time_s, impact.until_s, impact.normal[columns], impact.speed_in, impact.speed_out)
-        return Motion(
+        return RecognizedMotion(
             kind=self.kind,
             times_s=self.times_s,
             values=self.values[:, columns],
@@ -221,7 +221,7 @@ def _change(quantity: str, unit: str, simulated: float, fitted: float, at_bound:
 
 def recognized(
     experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray, *, until_s: float | None = None
-) -> Motion:
+) -> RecognizedMotion:
     """What a trajectory does, ready to be changed.
 
     Args:
@@ -248,7 +248,7 @@ def recognized(
 # --- kinds -----------------------------------------------------------------------------------------------------------
 
 
-def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) -> Motion | None:
+def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) -> RecognizedMotion | None:
     seen_s, moved = times_s[seen], values[seen] - values[0]
     size = float(np.sqrt(np.mean(np.square(moved))))
     if size == 0.0:
@@ -263,7 +263,7 @@ def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) 
             best, acceleration = misfit, slope
     if best > SHAPE_TOLERANCE * size:
         return None
-    return Motion(
+    return RecognizedMotion(
         MotionKind.UNIFORM_ACCELERATION,
         times_s,
         values,
@@ -273,7 +273,7 @@ def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) 
     )
 
 
-def _rebound(experiment: Experiment, times_s: FloatArray, values: FloatArray, seen: slice) -> Motion | None:
+def _rebound(experiment: Experiment, times_s: FloatArray, values: FloatArray, seen: slice) -> RecognizedMotion | None:
     body = experiment.recorded[0]
     contacts = [c for c in experiment.scene.contacts if body in (*c.first, *c.second)]
     if experiment.scene.joints or not contacts or any(c.mode is not ContactMode.IMPACT for c in contacts):
@@ -283,7 +283,7 @@ def _rebound(experiment: Experiment, times_s: FloatArray, values: FloatArray, se
         return None
     speeds = (-impact.restitution * impact.speed_in, (1.0 - impact.restitution) * impact.speed_in)
     end_s = float(times_s[-1])
-    return Motion(MotionKind.REBOUND, times_s, values, end_s, values[0], scale_bounds=speeds, impact=impact)
+    return RecognizedMotion(MotionKind.REBOUND, times_s, values, end_s, values[0], scale_bounds=speeds, impact=impact)
 
 
 def find_impact(times_s: FloatArray, values: FloatArray) -> Impact | None:
@@ -341,7 +341,9 @@ def _parabola(times_s: FloatArray, height: FloatArray) -> np.polynomial.Polynomi
     return fitted if misfit <= SHAPE_TOLERANCE * float(np.ptp(height)) else None
 
 
-def _oscillation(experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray) -> Motion | None:
+def _oscillation(
+    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
+) -> RecognizedMotion | None:
     joint = next((j for j in experiment.scene.joints if j.body == experiment.recorded[0]), None)
     period_s = None if joint is None else _period(times_s, values)
     if joint is None or period_s is None:
@@ -389,11 +391,11 @@ def _stretchable(
     centre: FloatArray,
     *,
     period_s: float | None = None,
-) -> Motion:
+) -> RecognizedMotion:
     """A motion that can be made faster; what it then shows from beyond its end is its continuation."""
     end_s, step_s = float(times_s[-1]), float(np.median(np.diff(times_s)))
     late_s = end_s + step_s * np.arange(1, math.ceil((RATE_BOUNDS[1] - 1.0) * end_s / step_s) + 2, dtype=np.float64)
-    return Motion(
+    return RecognizedMotion(
         kind,
         np.concatenate([times_s, late_s]),
         np.concatenate([values, continuation(late_s)]),

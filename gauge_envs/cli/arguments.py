@@ -12,8 +12,7 @@ import typer
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.task_files import find_variant, variants
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.variants import Variant, find_variant, variants
 from gauge_envs.references.imported import DataSource
 
 __all__ = [

@@ -21,7 +21,7 @@ from gauge_envs.cli.output import (
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from gauge_envs.checks.sanity import Row
+    from gauge_envs.checks.sanity import PhenomenonResult
 
 
 __all__ = [
@@ -86,7 +86,7 @@ def sanity(
     with progress_bar(stderr_console()) as progress:
         bar = progress.add_task("phenomena", total=len(phenomena(patterns, include_deformables=every)))
 
-        def notify(row: Row) -> None:
+        def notify(row: PhenomenonResult) -> None:
             progress.update(bar, advance=1, description=row.phenomenon)
 
         report = check(checked, only=patterns, include_deformables=every, notify=notify)

@@ -47,7 +47,7 @@ def show(
 
     Of a control task: its law, limit and reward.
     """
-    from gauge_envs.envs.control import control_tasks, find_control_task
+    from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
     from gauge_envs.report import control_description, control_view, description, description_view
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.dataset.layout import Layout
 from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_trajectory
-from gauge_envs.dataset.statistics import CoordinateMean, Spread, TrialSpool, TrialStatistics
-from gauge_envs.dataset.trial import Finding, Trial, TrialError, parse_trial
+from gauge_envs.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
+from gauge_envs.dataset.trial import ImportFinding, Trial, TrialError, parse_trial
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.imported import DriverRecord, SpreadRecord, VariantRecord, write_imported
@@ -57,7 +57,7 @@ class BaselineRow:
 
     metric: str
     unit: str
-    own: Spread | None
+    own: TrialSpread | None
     published: Baseline | None
 
     @property
@@ -107,7 +107,7 @@ class ImportedTrials:
     used: int
     left_out: int
     rows: tuple[BaselineRow, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[ImportFinding, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready dictionary."""
@@ -168,7 +168,7 @@ class _VariantImporter:
         self._drivers = {driver.body: _DriverMean(driver) for driver in self._experiment.scene.drivers}
         self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._experiment)}
         self._files: dict[str, str] = {}
-        self._findings: list[Finding] = []
+        self._findings: list[ImportFinding] = []
 
     def read(self, path: Path) -> None:
         """Take up one trial file, or say why not."""
@@ -211,7 +211,9 @@ class _VariantImporter:
         )
 
     def _add_finding(self, file: str, error: TrialError, *, left_out: bool) -> None:
-        self._findings.append(Finding(file=file, key=error.key, what=error.what, right=error.right, left_out=left_out))
+        self._findings.append(
+            ImportFinding(file=file, key=error.key, what=error.what, right=error.right, left_out=left_out)
+        )
 
     def _add_events(self, file: str, trajectory: FloatArray) -> None:
         if not self._events:
@@ -245,10 +247,10 @@ class _VariantImporter:
 
     def _rows(self, statistics: TrialStatistics | None) -> tuple[BaselineRow, ...]:
         published = published_baselines(self._experiment.name)
-        own: dict[str, Spread | None] = {}
+        own: dict[str, TrialSpread | None] = {}
         if statistics is not None:
-            own = {"rmse": Spread.of(statistics.rmse), "dtw": Spread.of(statistics.dtw)}
-        own |= {metric: Spread.of(np.array(values)) for metric, values in self._events.items()}
+            own = {"rmse": TrialSpread.of(statistics.rmse), "dtw": TrialSpread.of(statistics.dtw)}
+        own |= {metric: TrialSpread.of(np.array(values)) for metric, values in self._events.items()}
         unit = self._experiment.score.observable.unit
         return tuple(
             BaselineRow(

@@ -20,10 +20,11 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from gauge_envs.dataset.trial import Finding, printable
+from gauge_envs.dataset.trial import ImportFinding, printable
 from gauge_envs.errors import DatasetError, UnknownNameError
-from gauge_envs.experiments.task_files import task_spec, variants
-from gauge_envs.experiments.task_format import Group, TaskSpec, Variant
+from gauge_envs.experiments.task_files import task_spec
+from gauge_envs.experiments.task_format import Group, TaskSpec
+from gauge_envs.experiments.variants import Variant, variants
 
 __all__ = [
     "REVISION_FILE",
@@ -55,7 +56,7 @@ class Layout:
     root: Path
     revision: str | None
     files: Mapping[Variant, tuple[Path, ...]]
-    findings: tuple[Finding, ...]
+    findings: tuple[ImportFinding, ...]
 
     @property
     def count(self) -> int:
@@ -80,7 +81,7 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     """
     wanted = _wanted(only)
     found: dict[Variant, list[Path]] = {}
-    findings: list[Finding] = []
+    findings: list[ImportFinding] = []
     try:
         data = _data_folder(root)
         for group in _folders(data):
@@ -146,7 +147,7 @@ def _folders(folder: Path) -> list[Path]:
     return sorted(entry for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith("."))
 
 
-def _read_task(root: Path, task: Path, found: dict[Variant, list[Path]], findings: list[Finding]) -> None:
+def _read_task(root: Path, task: Path, found: dict[Variant, list[Path]], findings: list[ImportFinding]) -> None:
     families = _families()
     family = families.get(_plain(task.name))
     if family is None:
@@ -220,6 +221,6 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in parts], path.as_posix()
 
 
-def _finding(root: Path, path: Path, what: str, right: str) -> Finding:
+def _finding(root: Path, path: Path, what: str, right: str) -> ImportFinding:
     file = printable(path.relative_to(root).as_posix())
-    return Finding(file=file, key="(folder)", what=printable(what), right=right)
+    return ImportFinding(file=file, key="(folder)", what=printable(what), right=right)

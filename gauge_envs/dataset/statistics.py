@@ -20,7 +20,7 @@ from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 
 __all__ = [
     "CoordinateMean",
-    "Spread",
+    "TrialSpread",
     "TrialSpool",
     "TrialStatistics",
 ]
@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spread:
+class TrialSpread:
     """Mean and sample standard deviation (n - 1) of one number a trial.
 
     Attributes:
@@ -43,8 +43,8 @@ class Spread:
     count: int
 
     @classmethod
-    def of(cls, values: FloatArray) -> Spread | None:
-        """Spread of the values that are numbers; None where there are none."""
+    def of(cls, values: FloatArray) -> TrialSpread | None:
+        """TrialSpread of the values that are numbers; None where there are none."""
         finite = values[np.isfinite(values)]
         if not finite.size:
             return None

@@ -9,7 +9,7 @@ from typing import Any
 from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import data_folder, json_ready
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import published_baselines

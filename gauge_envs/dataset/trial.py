@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
-    "Finding",
+    "ImportFinding",
     "PoseTrack",
     "Trial",
     "TrialError",
@@ -45,7 +45,7 @@ def printable(text: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class ImportFinding:
     """Something about a file or folder of a dataset that a person should know.
 
     Attributes:
@@ -67,7 +67,7 @@ class Finding:
 
 
 class TrialError(Exception):
-    """Why a trial cannot be used; the importer turns it into a `Finding`, so that it never reaches a user.
+    """Why a trial cannot be used; the importer turns it into a `ImportFinding`, so that it never reaches a user.
 
     Args:
         key: Place in the file.

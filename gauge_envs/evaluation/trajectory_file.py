@@ -92,7 +92,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     reader = readers.get(file.suffix.lower())
     if reader is None:
         raise TrajectoryFileError(f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}")
-    layout = _Layout(file, experiment.coordinates, experiment.score.observable.unit)
+    layout = _FileLayout(file, experiment.coordinates, experiment.score.observable.unit)
     times, values = reader(layout)
     if times is None:
         times = np.arange(len(values)) / FRAME_RATE_HZ
@@ -100,7 +100,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _FileLayout:
     """What a file must hold, for the messages."""
 
     file: Path
@@ -167,7 +167,7 @@ def _bytes(file: Path) -> bytes:
     return content
 
 
-def _read_csv(layout: _Layout) -> Columns:
+def _read_csv(layout: _FileLayout) -> Columns:
     lines: list[tuple[str, list[str]]] = []
     comment: list[str] | None = None
     try:
@@ -213,7 +213,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _csv_columns(layout: _Layout, header: list[str] | None) -> tuple[list[int], int | None]:
+def _csv_columns(layout: _FileLayout, header: list[str] | None) -> tuple[list[int], int | None]:
     """Column of each coordinate, and of the time where there is one."""
     if header is None:
         return list(range(len(layout.names))), None
@@ -242,7 +242,7 @@ def _csv_columns(layout: _Layout, header: list[str] | None) -> tuple[list[int], 
     return others, time_column
 
 
-def _read_npz(layout: _Layout) -> Columns:
+def _read_npz(layout: _FileLayout) -> Columns:
     content = _bytes(layout.file)
     try:
         archive = np.load(io.BytesIO(content), allow_pickle=False)
@@ -281,7 +281,7 @@ def _json_object(file: Path) -> dict[str, Any]:
     return content
 
 
-def _read_json(layout: _Layout) -> Columns:
+def _read_json(layout: _FileLayout) -> Columns:
     content = _json_object(layout.file)
     key, times = "g", content.get("time_s")
     if "g" not in content and isinstance(content.get("trajectory"), dict):

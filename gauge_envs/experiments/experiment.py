@@ -8,7 +8,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec, Variant
+from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import coordinate_names
 from gauge_envs.references.imported import DataSource
 from gauge_envs.references.published import Baseline, Reference, published_baselines

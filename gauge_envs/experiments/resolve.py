@@ -10,9 +10,9 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment, TaskExperiment, driver_provenance
 from gauge_envs.experiments.scene_builder import Parameters, SceneBuilder, parameter_overrides
 from gauge_envs.experiments.scene_source import is_experiment_file, with_asset
-from gauge_envs.experiments.task_files import find_variant, task_path, task_sha256, task_spec
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.user_file import load_experiment_file
+from gauge_envs.experiments.variants import Variant, find_variant, task_path
 from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
 
 __all__ = ["load_experiment", "load_experiment_from_asset", "resolve_experiment"]

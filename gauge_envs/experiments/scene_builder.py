@@ -10,7 +10,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError
-from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec, Variant
+from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Attachment,
     Box,

@@ -1,7 +1,6 @@
-"""Task files: finds, reads and validates them, and names the variants that they define.
+"""Task files: reads and validates them.
 
-A variant is a family, a subtask where the family has several, and a material: `SlopeSlider-2-wood`. Everything that
-differs between variants is data in `tasks/*.toml`; no Python file holds a number of any experiment.
+Everything that differs between variants is data in `tasks/*.toml`; no Python file holds a number of any experiment.
 """
 
 from __future__ import annotations
@@ -18,23 +17,10 @@ from pydantic import ValidationError
 
 from gauge_envs.errors import TaskFileError, UnknownNameError
 from gauge_envs.experiments.tables import PlaneSpec
-from gauge_envs.experiments.task_format import PROVENANCES, TaskSpec, Variant
-from gauge_envs.files import data_folder
+from gauge_envs.experiments.task_format import PROVENANCES, TaskSpec
+from gauge_envs.experiments.variants import task_path
 
-__all__ = [
-    "find_variant",
-    "load_task",
-    "task_files",
-    "task_path",
-    "task_sha256",
-    "task_spec",
-    "variants",
-]
-
-
-def task_files() -> tuple[Path, ...]:
-    """All task files, sorted by name."""
-    return tuple(sorted(data_folder("tasks").glob("*.toml")))
+__all__ = ["load_task", "task_file_error", "task_sha256", "task_spec"]
 
 
 def load_task(path: Path) -> TaskSpec:
@@ -180,31 +166,6 @@ def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
 
 
 @cache
-def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
-    """Path and raw content of every task file, by family; read once, validated only when a family is used."""
-    headers = {}
-    for path in task_files():
-        try:
-            raw = tomllib.loads(path.read_text(encoding="utf-8"))
-            headers[raw["family"]] = (path, raw)
-        except (tomllib.TOMLDecodeError, KeyError) as error:
-            raise TaskFileError(path, "family", f"cannot be read: {error}") from error
-    return headers
-
-
-def task_path(family: str) -> Path:
-    """Path of a family's task file.
-
-    Raises:
-        UnknownNameError: No such family.
-    """
-    try:
-        return _headers()[family][0]
-    except KeyError:
-        raise UnknownNameError("family", family, _headers()) from None
-
-
-@cache
 def task_sha256(family: str) -> str:
     """Hash of the task file of a family.
 
@@ -223,30 +184,3 @@ def task_spec(family: str) -> TaskSpec:
         TaskFileError: Its file is wrong.
     """
     return load_task(task_path(family))
-
-
-@cache
-def variants() -> tuple[Variant, ...]:
-    """All variants, in the order of the task files.
-
-    Reads only names, so that importing the package stays light; a file is validated when one of its variants is used.
-    """
-    return tuple(
-        Variant(family, subtask, material)
-        for family, (_, raw) in _headers().items()
-        for subtask in raw.get("subtasks") or {None: None}
-        for material in raw["materials"]
-    )
-
-
-def find_variant(name: str) -> Variant:
-    """Variant by its name or Gymnasium id.
-
-    Raises:
-        UnknownNameError: There is none; the message offers the nearest.
-    """
-    by_name = {variant.name: variant for variant in variants()}
-    try:
-        return by_name[name.removeprefix("GAUGE/")]
-    except KeyError:
-        raise UnknownNameError("experiment", name, by_name) from None

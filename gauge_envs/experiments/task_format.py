@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal
@@ -22,6 +21,7 @@ from gauge_envs.experiments.tables import (
     UnitVector,
     Vector3,
 )
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import ContactMode, Motion, Pose
 
@@ -37,7 +37,6 @@ __all__ = [
     "ScoreSpec",
     "SolidConstants",
     "TaskSpec",
-    "Variant",
 ]
 
 
@@ -262,25 +261,6 @@ class SubtaskSpec(Table):
     initial: dict[str, dict[str, Placement]] = {}
     contacts: tuple[ContactSpec, ...] | None = None
     drivers: tuple[DriverSpec, ...] | None = None
-
-
-@dataclass(frozen=True, order=True)
-class Variant:
-    """Family, subtask (None where the family has one experiment) and material."""
-
-    family: str
-    subtask: str | None
-    material: str
-
-    @property
-    def name(self) -> str:
-        """`SlopeSlider-2-wood`."""
-        return "-".join(part for part in (self.family, self.subtask, self.material) if part)
-
-    @property
-    def id(self) -> str:
-        """Gymnasium id, `GAUGE/SlopeSlider-2-wood`."""
-        return f"GAUGE/{self.name}"
 
 
 class TaskSpec(Table):

@@ -80,11 +80,11 @@ BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUN
 """Record of a result that rests on no import."""
 
 
-class _Record(BaseModel):
+class _StoredTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class SpreadRecord(_Record):
+class SpreadRecord(_StoredTable):
     """Mean and sample standard deviation (n - 1) over trials of one metric, in its unit."""
 
     unit: str
@@ -93,7 +93,7 @@ class SpreadRecord(_Record):
     trial_count: int
 
 
-class DriverRecord(_Record):
+class DriverRecord(_StoredTable):
     """A recorded driver: what the mean over trials leaves out.
 
     Attributes:
@@ -115,7 +115,7 @@ class DriverRecord(_Record):
     scatter_deg: float | None
 
 
-class VariantRecord(_Record):
+class VariantRecord(_StoredTable):
     """What one imported variant is, and where it is from.
 
     Attributes:

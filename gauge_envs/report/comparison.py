@@ -16,11 +16,11 @@ from gauge_envs.analysis.comparison import (
     MOTION_SHARE,
     Cell,
     Comparison,
-    Configuration,
     Distance,
     ExperimentComparison,
     Metric,
-    Spread,
+    RunConfiguration,
+    ScoreSpread,
 )
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade
@@ -84,7 +84,7 @@ def comparison_rows(comparison: Comparison, metrics: Sequence[str] = tuple(METRI
 
 
 def _configuration_row(
-    label: str, configuration: Configuration, cell: Cell | None, metric: Metric | None
+    label: str, configuration: RunConfiguration, cell: Cell | None, metric: Metric | None
 ) -> dict[str, Any]:
     ran = [] if cell is None else [result for result in cell.results if result.error is None]
     return {
@@ -218,7 +218,7 @@ def _cell_text(cell: Cell | None, metric: Metric | None) -> str:
     return ", ".join(told + bad) or "no score"
 
 
-def _spread_text(spread: Spread) -> str:
+def _spread_text(spread: ScoreSpread) -> str:
     scatter = "" if spread.std is None else f" +- {score_text(spread.std)} ({spread.count})"
     return f"{score_text(spread.mean)}{scatter}"
 
@@ -286,7 +286,7 @@ def _distance_section(experiments: Sequence[ExperimentComparison], labels: Seque
     return _Section("Where engines disagree: no reference, so distances between them", titles, rows, 2, tuple(notes))
 
 
-def _scattered(spread: Spread) -> str:
+def _scattered(spread: ScoreSpread) -> str:
     scatter = "" if spread.std is None else f" +- {quantity_text(spread.std)}"
     return f"{quantity_text(spread.mean)}{scatter}"
 

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.checks.conformance.kit import Finding, Status
+from gauge_envs.checks.conformance.kit import CheckResult, Status
 
 __all__ = [
     "findings_markdown",
@@ -21,7 +21,7 @@ STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim",
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
 
 
-def findings_view(findings: Sequence[Finding]) -> Group:
+def findings_view(findings: Sequence[CheckResult]) -> Group:
     """Table, diagnoses of what failed, reasons of what was declined, versions and settings; for a terminal."""
     names = _backends(findings)
     table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
@@ -39,7 +39,7 @@ def findings_view(findings: Sequence[Finding]) -> Group:
     return Group(*parts)
 
 
-def findings_markdown(findings: Sequence[Finding]) -> str:
+def findings_markdown(findings: Sequence[CheckResult]) -> str:
     """The same table in Markdown, for a README, with the notes below it as lists."""
     names = _backends(findings)
     lines = [f"| check | law | expected | {' | '.join(names)} |", "|---" * (3 + len(names)) + "|"]
@@ -53,13 +53,13 @@ def findings_markdown(findings: Sequence[Finding]) -> str:
     return "\n".join(lines)
 
 
-def _backends(findings: Sequence[Finding]) -> list[str]:
+def _backends(findings: Sequence[CheckResult]) -> list[str]:
     return list(dict.fromkeys(finding.backend for finding in findings))
 
 
-def _rows(findings: Sequence[Finding]) -> list[dict[str, Finding]]:
+def _rows(findings: Sequence[CheckResult]) -> list[dict[str, CheckResult]]:
     """Findings of each check by backend, in the order of the checks."""
-    rows: dict[str, dict[str, Finding]] = {}
+    rows: dict[str, dict[str, CheckResult]] = {}
     for finding in findings:
         rows.setdefault(finding.check, {})[finding.backend] = finding
     return list(rows.values())
@@ -73,7 +73,7 @@ def _with_unit(text: str, unit: str) -> str:
     return text if unit == "1" else f"{text} {unit}"
 
 
-def _expected(row: Mapping[str, Finding]) -> str:
+def _expected(row: Mapping[str, CheckResult]) -> str:
     """Expected value with the pass mark; empty where no backend was measured."""
     for finding in row.values():
         if finding.expected is not None and finding.width is not None:
@@ -83,13 +83,13 @@ def _expected(row: Mapping[str, Finding]) -> str:
     return ""
 
 
-def _cell(finding: Finding) -> Text:
+def _cell(finding: CheckResult) -> Text:
     word = WORDS[finding.status]
     measured = "" if finding.measured is None else f"{_number(finding.measured)} "
     return Text(measured + word, style=STYLES[finding.status])
 
 
-def _notes(findings: Sequence[Finding]) -> Iterator[tuple[str, list[str]]]:
+def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     """What stands below the table: title and lines."""
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
@@ -106,7 +106,7 @@ def _notes(findings: Sequence[Finding]) -> Iterator[tuple[str, list[str]]]:
         yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
 
 
-def _settings_lines(findings: Sequence[Finding]) -> Iterator[str]:
+def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
     """Settings that all checks share, then what each group of checks has beyond them."""
     groups: list[tuple[Mapping[str, Any], list[str]]] = []
     for finding in findings:
@@ -136,7 +136,7 @@ def _value(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _what(finding: Finding) -> str:
+def _what(finding: CheckResult) -> str:
     if finding.measured is None or finding.expected is None:
         return ""
     expected, measured = _number(finding.expected), _number(finding.measured)

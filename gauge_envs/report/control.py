@@ -11,7 +11,8 @@ import gymnasium
 from rich.console import Group
 from rich.text import Text
 
-from gauge_envs.envs.control import ControlEnv, ControlTask, control_tasks
+from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.tasks import ControlTask, control_tasks
 from gauge_envs.files import json_ready
 from gauge_envs.report.text import facts_grid, heading, shortened
 

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.analysis.budget_fit import Stage
+from gauge_envs.analysis.budget_fit import BudgetStage
 from gauge_envs.analysis.error_budget import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, StagePart
 from gauge_envs.analysis.motion_kinds import Change
 from gauge_envs.files import json_ready
@@ -186,16 +186,16 @@ def _own_changes(part: StagePart) -> tuple[Change, ...]:
     return tuple(change for change in part.changes if change.quantity in quantities)
 
 
-def _told_change(diagnosis: Diagnosis, stage: Stage, changes: Sequence[Change]) -> str:
+def _told_change(diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Change]) -> str:
     subject = diagnosis.subject
     verb = "are" if subject in (SEVERAL_BODIES, MARKERS) else "is"
-    if stage is Stage.RELEASE:
+    if stage is BudgetStage.RELEASE:
         late_s = changes[0].fitted
         when = f"{abs(late_s):.3f} s {'earlier' if late_s < 0.0 else 'later'}"
         if diagnosis.driven or subject == MARKERS:
             return f"the simulation starts {when}"
         return f"{subject} {verb} let go {when}"
-    if stage is Stage.OFFSET:
+    if stage is BudgetStage.OFFSET:
         most = max(changes, key=lambda change: abs(change.fitted))
         if len(changes) > MOST_OFFSETS_TOLD:
             rms = math.sqrt(sum(change.fitted**2 for change in changes) / len(changes))

@@ -17,8 +17,8 @@ from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.evaluation.reference import band_grade, load_band, reference_band
 from gauge_envs.experiments.experiment import AssetKind, Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_format import Variant
 from gauge_envs.experiments.user_file import FileExperiment
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade, SigmaSource
 from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported

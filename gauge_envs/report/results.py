@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.analysis.comparison import Configuration
+from gauge_envs.analysis.comparison import RunConfiguration
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.report.text import (
@@ -38,7 +38,7 @@ PLAIN = ("parameters", "calibrated")
 """What a configuration has where nothing else is said."""
 
 
-def configuration_labels(configurations: Sequence[Configuration]) -> list[str]:
+def configuration_labels(configurations: Sequence[RunConfiguration]) -> list[str]:
     """What sets each configuration apart from the others: the engine, and whatever they do not all share.
 
     A single one is told in full, `mujoco, calibrated`; among several, `calibrated` goes without saying.
@@ -52,7 +52,7 @@ def configuration_labels(configurations: Sequence[Configuration]) -> list[str]:
     ]
 
 
-def _labels(configurations: Sequence[Configuration], *, digits: int) -> list[str]:
+def _labels(configurations: Sequence[RunConfiguration], *, digits: int) -> list[str]:
     exact = [configuration_parts(configuration, digits=17) for configuration in configurations]
     left_out = set.intersection(*map(set, exact)) | {PLAIN} if len(exact) > 1 else set()
     versions_of: dict[str | None, set[str]] = {}
@@ -70,7 +70,7 @@ def _labels(configurations: Sequence[Configuration], *, digits: int) -> list[str
     return labels
 
 
-def configuration_parts(configuration: Configuration, *, digits: int = 4) -> list[tuple[str, str]]:
+def configuration_parts(configuration: RunConfiguration, *, digits: int = 4) -> list[tuple[str, str]]:
     """What a configuration consists of, as kind and text; numbers are rounded to the digits."""
 
     def told(values: Mapping[str, Any]) -> list[str]:
@@ -91,14 +91,14 @@ def _asset_text(asset: Mapping[str, str]) -> str:
     return f"edited scene {asset['file']} ({asset['sha256'][:8]})"
 
 
-def versions_text(configuration: Configuration) -> str:
+def versions_text(configuration: RunConfiguration) -> str:
     """Versions of a configuration's engine."""
     return " ".join(f"{name} {text}" for name, text in configuration.engine_versions.items())
 
 
 def result_label(result: Result) -> str:
     """What sets a result apart from others of its experiment: `mujoco, calibrated, timestep_s=0.001, seed 3`."""
-    told = [text for _, text in configuration_parts(Configuration.of(result))]
+    told = [text for _, text in configuration_parts(RunConfiguration.of(result))]
     return ", ".join([*told, f"seed {result.seed}"] if result.seed else told)
 
 

@@ -8,7 +8,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.checks.sanity.model import Configuration, Reality, Report, Row, Verdict
+from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
 from gauge_envs.report.text import facts_grid, heading, markdown_row, quantity_text, rows_table, vector_text
 
 __all__ = [
@@ -68,7 +68,7 @@ def sanity_markdown(report: Report) -> str:
     return "\n".join([*map(markdown_row, rows), "", f"{report.configuration.name}: {tally_text(report)}"]) + "\n"
 
 
-def _facts(checked: Configuration) -> dict[str, str]:
+def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
@@ -79,7 +79,7 @@ def _facts(checked: Configuration) -> dict[str, str]:
     return facts
 
 
-def settings_by_origin(checked: Configuration) -> dict[str, dict[str, Any]]:
+def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, Any]]:
     """Settings by where they are from, in the order in which they were read."""
     grouped: dict[str, dict[str, Any]] = {}
     for name, value in checked.settings.items():
@@ -98,7 +98,7 @@ def setting_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _groups_table(checked: Configuration) -> Table | Text:
+def _groups_table(checked: TrainingConfiguration) -> Table | Text:
     names = ("condim", "friction", "solref", "solimp", "margin", "gap")
     rows = [
         [
@@ -126,7 +126,7 @@ def _phenomena_table(report: Report) -> Table:
     return table
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: PhenomenonResult) -> tuple[str, ...]:
     return (
         row.title,
         reality_text(row.reality, row.unit),
@@ -148,14 +148,14 @@ def measured_text(value: float | None) -> str:
     return "-" if value is None else quantity_text(value)
 
 
-def verdict_text(row: Row) -> str:
+def verdict_text(row: PhenomenonResult) -> str:
     """The verdict, and how many standard deviations the value is off where it is."""
     if row.sigmas is None or row.verdict in (Verdict.INSIDE, Verdict.DECLINED):
         return row.verdict.value
     return f"{row.verdict.value}, {quantity_text(row.sigmas)} sigma"
 
 
-def responsible_text(row: Row) -> str:
+def responsible_text(row: PhenomenonResult) -> str:
     """What is responsible, and how the run failed where it did."""
     return "; ".join(part for part in (row.remark, "" if row.cause is None else row.cause.line) if part)
 

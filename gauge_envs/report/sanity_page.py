@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.checks.sanity.model import Cause, Configuration, Curve, Report, Row, Verdict
+from gauge_envs.checks.sanity.model import Cause, Curve, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.errors import MissingExtraError, ResultFileError
 from gauge_envs.report.sanity import (
     VERDICT_NOTES,
@@ -130,7 +130,7 @@ def _badge(verdict: Verdict, text: str | None = None) -> str:
     return f'<span class="badge {verdict.value}">{MARKS[verdict]} {escape(text or verdict.value)}</span>'
 
 
-def _phenomena(rows: Sequence[Row]) -> str:
+def _phenomena(rows: Sequence[PhenomenonResult]) -> str:
     head = (
         '<tr><th>phenomenon</th><th class="n">reality</th><th class="n">backend\'s default</th>'
         '<th class="n">this configuration</th><th>verdict</th><th>responsible</th></tr>'
@@ -138,7 +138,7 @@ def _phenomena(rows: Sequence[Row]) -> str:
     return f'<table class="phenomena">{head}{"".join(map(_phenomenon, rows))}</table>'
 
 
-def _phenomenon(row: Row) -> str:
+def _phenomenon(row: PhenomenonResult) -> str:
     default = escape(measured_text(row.default))
     if row.default_verdict is not Verdict.INSIDE:
         default += f" <small>({row.default_verdict.value})</small>"
@@ -153,7 +153,7 @@ def _phenomenon(row: Row) -> str:
 # --- configuration ---------------------------------------------------------------------------------------------------
 
 
-def _configuration(checked: Configuration) -> str:
+def _configuration(checked: TrainingConfiguration) -> str:
     facts = [("read from", checked.source), ("backend", checked.backend)]
     if checked.frame_skip is not None:
         facts.append(("one action", f"{checked.frame_skip} steps"))
@@ -185,7 +185,7 @@ def _configuration(checked: Configuration) -> str:
 # --- one phenomenon --------------------------------------------------------------------------------------------------
 
 
-def _card(row: Row) -> str:
+def _card(row: PhenomenonResult) -> str:
     told = responsible_text(row)
     figure = "" if row.curve is None else _figure(row.curve)
     return (
@@ -197,7 +197,7 @@ def _card(row: Row) -> str:
     )
 
 
-def _sentence(row: Row) -> str:
+def _sentence(row: PhenomenonResult) -> str:
     return (
         f"reality {reality_text(row.reality, row.unit)}, default {measured_text(row.default)}, "
         f"this configuration {measured_text(row.configured)}"

@@ -13,8 +13,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.scene_source import is_experiment_file
-from gauge_envs.experiments.task_files import find_variant
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.observables.observer import checked_proxy
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter

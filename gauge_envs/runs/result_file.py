@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ResultFileError, UnknownNameError
-from gauge_envs.experiments.task_files import find_variant
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 

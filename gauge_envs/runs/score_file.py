@@ -11,7 +11,7 @@ from gauge_envs.evaluation.trajectory_file import read_trajectory, recorded_id
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.task_files import find_variant
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.references.imported import DataSource, dataset_record
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result, parameters_record
 from gauge_envs.runs.result_file import load_result
@@ -30,7 +30,7 @@ def score_file(
     reference: DataSource | str = DataSource.BUNDLED,
     use_withheld: bool = False,
 ) -> tuple[Result, int]:
-    """Score a trajectory that a user brought from their own simulator (formats: `gauge_envs.evaluation.trajectory_file`).
+    """Score a trajectory that a user brought from their own simulator (formats: `evaluation.trajectory_file`).
 
     Args:
         file: CSV, NPZ or JSON file.

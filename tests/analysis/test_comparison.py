@@ -10,7 +10,7 @@ from rich.console import Console
 from scipy.stats import gmean
 from typer.testing import CliRunner
 
-from gauge_envs.analysis.comparison import METRICS, MOTION_SHARE, Spread, check_metrics, compare
+from gauge_envs.analysis.comparison import METRICS, MOTION_SHARE, ScoreSpread, check_metrics, compare
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.score import Score
@@ -119,15 +119,15 @@ def cells(results, metric="rmse"):
 
 @pytest.mark.parametrize(("values", "mean", "std"), [([3.0], 3.0, None), ([1.0, 2.0, 3.0], 2.0, 1.0)])
 def test_spread_is_mean_and_sample_deviation(values, mean, std):
-    assert Spread.of(values) == Spread(mean=mean, std=std, count=len(values))
-    assert Spread.of([]) is None
+    assert ScoreSpread.of(values) == ScoreSpread(mean=mean, std=std, count=len(values))
+    assert ScoreSpread.of([]) is None
 
 
 def test_results_that_differ_in_their_seed_alone_are_one_cell():
     comparison = compare([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])])
     ((cell,),) = [one.cells for one in comparison.experiments]
     assert [result.seed for result in cell.results] == [0, 1, 2]
-    assert cell.spread(METRICS["rmse"], normalized=True) == Spread(mean=2.0, std=1.0, count=3)
+    assert cell.spread(METRICS["rmse"], normalized=True) == ScoreSpread(mean=2.0, std=1.0, count=3)
     assert cells([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]) == ["2.00 +- 1.00 (3)"]
 
 

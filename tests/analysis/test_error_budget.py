@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.analysis.budget_fit import Stage
+from gauge_envs.analysis.budget_fit import BudgetStage
 from gauge_envs.analysis.error_budget import DEFAULT_ORDER, DiagnosisError, diagnose, diagnose_trajectory, stage_order
 from gauge_envs.analysis.motion_kinds import MotionKind, find_impact
 from gauge_envs.cli.app import app
@@ -122,7 +122,7 @@ def test_a_slide_gives_back_release_offset_and_acceleration(late_s, offset_mm, r
     diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.UNIFORM_ACCELERATION
-    found = diagnosis.part(Stage.RATE)
+    found = diagnosis.part(BudgetStage.RATE)
     if late_s >= 0.0:
         assert diagnosis.rest.rmse < 0.02
         assert change(found, "release_time").fitted == pytest.approx(late_s, abs=5e-4)
@@ -147,7 +147,7 @@ def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
     assert_consistent(diagnosis)
     # Samples are joined linearly, which is 0.01 mm off between them.
     assert diagnosis.rest.rmse < 0.02
-    found = diagnosis.part(Stage.RATE)
+    found = diagnosis.part(BudgetStage.RATE)
     assert change(found, "release_time").fitted == pytest.approx(late_s, abs=3e-4)
     assert change(found, "offset").fitted == pytest.approx(offset_mm, abs=0.05)
     rate = change(found, "acceleration")
@@ -188,7 +188,7 @@ def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
     speed = math.sqrt(2.0 * GRAVITY_MM_S2 * 400.0)
     corner_mm = (1.0 + max(real, simulated)) * speed * SAMPLE_INTERVAL_S / 4.0
     assert diagnosis.rest.rmse < corner_mm / math.sqrt(count)
-    found = diagnosis.part(Stage.RATE)
+    found = diagnosis.part(BudgetStage.RATE)
     assert change(found, "restitution").simulated == pytest.approx(simulated, abs=1e-6)
     assert change(found, "restitution").fitted == pytest.approx(real, abs=0.01)
     assert change(found, "release_time").fitted == pytest.approx(late_s, abs=1e-3)
@@ -218,7 +218,7 @@ def test_a_pendulum_gives_back_period_and_amplitude(period, amplitude, late_s):
     diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.OSCILLATION
-    found = diagnosis.part(Stage.RATE)
+    found = diagnosis.part(BudgetStage.RATE)
     assert change(found, "period").simulated == pytest.approx(1.2, rel=1e-3)
     assert change(found, "period").fitted == pytest.approx(1.2 * period, rel=2e-3)
     assert change(found, "amplitude").fitted == pytest.approx(amplitude, rel=0.01)
@@ -245,7 +245,7 @@ def test_any_motion_gives_back_speed_and_displacement(speed, larger, late_s, off
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.GENERAL
     assert diagnosis.rest.rmse < 0.1
-    found = diagnosis.part(Stage.RATE)
+    found = diagnosis.part(BudgetStage.RATE)
     assert change(found, "speed").fitted == pytest.approx(speed, rel=3e-3)
     assert change(found, "displacement").fitted == pytest.approx(larger, rel=3e-3)
     assert change(found, "release_time").fitted == pytest.approx(late_s, abs=3e-3)
@@ -351,7 +351,7 @@ def test_the_ball_is_let_go_late_and_rebounds_higher_than_calibrated(ball):
 
 
 def test_release_is_the_alignment_of_the_score(ball):
-    part = diagnose(ball).part(Stage.RELEASE)
+    part = diagnose(ball).part(BudgetStage.RELEASE)
     assert part.rmse_after == pytest.approx(ball.score.rmse_aligned, rel=1e-9)
     assert change(part, "release_time").fitted == ball.score.release_offset_s
 
@@ -361,7 +361,7 @@ def test_slides_accelerate_as_the_trials_do(material, real_m_s2):
     """Against the mean acceleration of the trials, fitted to each (scoring/facts/slope_slider_30deg_summary.toml)."""
     diagnosis = diagnose(run_episode(RunRequest(f"SlopeSlider-2-{material}")))
     assert diagnosis.rest.rmse_normalized < 0.02
-    assert change(diagnosis.part(Stage.RATE), "acceleration").fitted == pytest.approx(real_m_s2, rel=0.01)
+    assert change(diagnosis.part(BudgetStage.RATE), "acceleration").fitted == pytest.approx(real_m_s2, rel=0.01)
 
 
 def test_measured_frames_alone_are_another_whole(ball):
@@ -396,10 +396,10 @@ def test_a_law_has_no_release_and_what_rests_has_no_rate():
     law = carried_band(variant=HELD, positions_mm=place)
     diagnosis = diagnose_trajectory(experiment, law, times_s=times, values=values)
     assert_consistent(diagnosis)
-    assert "law" in diagnosis.part(Stage.RELEASE).missing
-    assert "does not move" in diagnosis.part(Stage.RATE).missing
-    assert diagnosis.part(Stage.OFFSET).share == pytest.approx(1.0)
-    assert [c.fitted for c in diagnosis.part(Stage.OFFSET).changes] == pytest.approx([-1.0, 0.0, 2.0])
+    assert "law" in diagnosis.part(BudgetStage.RELEASE).missing
+    assert "does not move" in diagnosis.part(BudgetStage.RATE).missing
+    assert diagnosis.part(BudgetStage.OFFSET).share == pytest.approx(1.0)
+    assert [c.fitted for c in diagnosis.part(BudgetStage.OFFSET).changes] == pytest.approx([-1.0, 0.0, 2.0])
     assert findings(diagnosis)[0].startswith("Release does not apply")
 
 
@@ -410,9 +410,9 @@ def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
     mean = slide(2600.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert_consistent(diagnosis)
-    assert diagnosis.part(Stage.RATE).missing == "the simulation does not move, so it has no rate"
-    assert change(diagnosis.part(Stage.RELEASE), "release_time").fitted == 0.0
-    assert diagnosis.part(Stage.RELEASE).share == 0.0
+    assert diagnosis.part(BudgetStage.RATE).missing == "the simulation does not move, so it has no rate"
+    assert change(diagnosis.part(BudgetStage.RELEASE), "release_time").fitted == 0.0
+    assert diagnosis.part(BudgetStage.RELEASE).share == 0.0
 
 
 def test_no_error_is_no_budget():
@@ -430,7 +430,7 @@ def test_limits_are_told():
     times, values = samples(count, slide(800.0))
     mean = slide(2600.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
-    rate = change(diagnosis.part(Stage.RATE), "acceleration")
+    rate = change(diagnosis.part(BudgetStage.RATE), "acceleration")
     assert rate.at_bound
     assert rate.fitted == pytest.approx(2.0 * rate.simulated, rel=0.01)
     assert any("limit of what was tried" in line for line in findings(diagnosis))
@@ -443,9 +443,9 @@ def test_a_part_that_another_stands_in_for_is_told():
     times, values = samples(count, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
-    assert diagnosis.part(Stage.RELEASE).share > 0.5
-    assert diagnosis.part(Stage.RELEASE).last_share < 1e-3
-    assert diagnosis.part(Stage.RATE).alone_share > 0.999
+    assert diagnosis.part(BudgetStage.RELEASE).share > 0.5
+    assert diagnosis.part(BudgetStage.RELEASE).last_share < 1e-3
+    assert diagnosis.part(BudgetStage.RATE).alone_share > 0.999
     assert (
         "The order matters: 100 % is gone already if the acceleration is 2.900 instead of 2.6"
         in findings(diagnosis)[-1]

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from places import RIGID
 
 import gauge_envs
-from gauge_envs.envs.control import control_tasks
+from gauge_envs.envs.control.tasks import control_tasks
 from gauge_envs.errors import (
     ActionError,
     EpisodeError,

@@ -24,7 +24,7 @@ from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.experiments.resolve import resolve_experiment
-from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.variants import variants
 from gauge_envs.report import comparison_rows
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats

@@ -19,7 +19,7 @@ from gauge_envs.backends.mujoco.model_diff import model_changes
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.export.assets import assets_folder
-from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.scene_record import recorded_experiment

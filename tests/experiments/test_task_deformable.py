@@ -11,8 +11,9 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs import load_experiment
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.task_files import task_spec, variants
+from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group
+from gauge_envs.experiments.variants import variants
 from gauge_envs.observables.functions import angle_deficit_curvature, face_areas_mm2, line_turning_angle
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Box, Cloth, ConvexUnion, Deformable, Motion, Region, RigidBody, Rod, Rope, Scene, SoftBody

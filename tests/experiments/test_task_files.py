@@ -11,8 +11,9 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import TaskFileError
-from gauge_envs.experiments.task_files import load_task, task_files, task_path, task_spec, variants
+from gauge_envs.experiments.task_files import load_task, task_spec
 from gauge_envs.experiments.task_format import TaskSpec
+from gauge_envs.experiments.variants import task_files, task_path, variants
 from gauge_envs.scene import Scene
 
 ORDER = list(TaskSpec.model_fields)

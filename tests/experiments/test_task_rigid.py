@@ -16,7 +16,8 @@ from scipy.special import ellipk
 
 from gauge_envs import load_experiment
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.task_files import task_spec, variants
+from gauge_envs.experiments.task_files import task_spec
+from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
 from gauge_envs.scene import GRAVITY_M_PER_S2, ConvexUnion, Cylinder, Plane, RigidBody, Sphere
 

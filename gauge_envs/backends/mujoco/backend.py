@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 
 from gauge_envs.backends.base import Backend, ModelFile, Support
-from gauge_envs.backends.mujoco.deformables import undoable
+from gauge_envs.backends.mujoco.deformables import unsupported_features
 from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -34,7 +34,7 @@ class BackendMuJoCo(Backend):
 
     def supports(self, scene: Scene) -> Support:
         """Rigid bodies, cloth, soft bodies, ropes and rods; cloth and soft bodies may not hang on dynamic bodies."""
-        return Support(tuple(undoable(scene)))
+        return Support(tuple(unsupported_features(scene)))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""

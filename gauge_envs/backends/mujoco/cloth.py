@@ -19,14 +19,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
-from gauge_envs.backends.shared.attachments import Glue
-from gauge_envs.backends.shared.cloth_grid import Sheet, held_vertices
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth
 
 __all__ = [
-    "ClothPart",
+    "ClothPartMuJoCo",
     "add_cloth",
 ]
 
@@ -42,7 +42,7 @@ BENDING_PER_EDGE = 17
 """A 4 x 4 form on the edge's ends and the two vertices across, and one number for curved reference shapes."""
 
 
-class ClothPart(FlexPart):
+class ClothPartMuJoCo(FlexPart):
     """A cloth: its vertices are point bodies, or points of the rigid bodies that it is glued to.
 
     Args:
@@ -60,7 +60,7 @@ class ClothPart(FlexPart):
         self,
         cloth: Cloth,
         flex: mujoco.MjsFlex,
-        sheet: Sheet,
+        sheet: ClothGrid,
         rest_m: NDArray[np.float64],
         points: Points,
     ) -> None:
@@ -95,11 +95,11 @@ def add_cloth(
     spec: mujoco.MjSpec,
     cloth: Cloth,
     *,
-    glued: Sequence[Glue],
+    glued: Sequence[RigidAttachment],
     cell_m: float,
     bending_stiffness_n_m: float,
     contact_radius_m: float | None = None,
-) -> ClothPart:
+) -> ClothPartMuJoCo:
     """Add a cloth to an editable model; it collides with nothing until contact bits are set on its flex.
 
     The fabric has no Poisson effect and no damping of its own: what damps is the integrator, `discrete`, which treats
@@ -121,7 +121,7 @@ def add_cloth(
         ParameterError: The cells are so small that neighbouring ones would touch.
         UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
     """
-    sheet = Sheet(cloth, cell_m)
+    sheet = ClothGrid(cloth, cell_m)
     if contact_radius_m is not None and 2.0 * contact_radius_m >= min(sheet.cell_m):
         raise ParameterError(
             f"cloth {cloth.name!r} is {1e3 * cloth.thickness_m:g} mm thick but would collide with "
@@ -143,7 +143,7 @@ def add_cloth(
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
 
     flex = spec.add_flex(name=cloth.name, dim=2)
-    flex.vertbody, places = glued_points(names, rest, held)
+    flex.vertbody, places = attached_points(names, rest, held)
     flex.vert = places.ravel()
     flex.elem = sheet.triangles.ravel().tolist()
     flex.elastic2d = ELASTIC_BOTH
@@ -155,7 +155,7 @@ def add_cloth(
     flex.contype = 0
     flex.conaffinity = 0
     flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-    return ClothPart(cloth, flex, sheet, rest, Points(names, rest, held))
+    return ClothPartMuJoCo(cloth, flex, sheet, rest, Points(names, rest, held))
 
 
 def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
@@ -171,7 +171,7 @@ def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
     return max(0.0, 2.0 - ratio**2) / (ratio + 1.0 / ratio) ** 2
 
 
-def _membrane(sheet: Sheet, stretch_n_per_m: float, shear_n_per_m: float) -> NDArray[np.float64]:
+def _membrane(sheet: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float) -> NDArray[np.float64]:
     """MuJoCo's stiffness of each triangle for the law diag(stretch, stretch, shear), shape [triangle_count, 6]."""
     corners = sheet.plane_m[sheet.triangles]
     edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]

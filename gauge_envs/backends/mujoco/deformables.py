@@ -9,13 +9,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
+from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, add_cloth
 from gauge_envs.backends.mujoco.contacts import IMPEDANCE_SHAPE, contact_constants, given_constants
 from gauge_envs.backends.mujoco.flex import FlexPart
-from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
+from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
-from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
-from gauge_envs.backends.shared.attachments import bonded_rows, glue_of
+from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
+from gauge_envs.backends.shared.attachments import bonded_rows, rigid_attachments
 from gauge_envs.scene import Cloth, Contact, Motion, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import plate_bending_stiffness
 
@@ -23,7 +23,7 @@ __all__ = [
     "add_deformables",
     "add_flex_contact",
     "nodes_of",
-    "undoable",
+    "unsupported_features",
 ]
 
 
@@ -33,7 +33,7 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
     Returns:
         The part of each deformable body, by its name; soft bodies that are bonded share one.
     """
-    glued = {body.name: glue_of(scene, body.name) for body in scene.deformables}
+    glued = {body.name: rigid_attachments(scene, body.name) for body in scene.deformables}
     parts: dict[str, FlexPart] = {}
     for body in scene.deformables:
         if isinstance(body, Cloth):
@@ -56,7 +56,7 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
     return parts
 
 
-def undoable(scene: Scene) -> Iterator[str]:
+def unsupported_features(scene: Scene) -> Iterator[str]:
     """What of a scene's deformable bodies cannot be built, a sentence each."""
     rigid = {body.name: body for body in scene.bodies}
     soft = {body.name: body for body in scene.deformables}
@@ -76,7 +76,7 @@ def _touches_itself(scene: Scene, name: str) -> bool:
 def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:
     """Nodes of one deformable body now [m], shape [node_count, 3]."""
     nodes = part.nodes()
-    return nodes[part.block_nodes(name)] if isinstance(part, SoftPart) else nodes
+    return nodes[part.block_nodes(name)] if isinstance(part, SoftPartMuJoCo) else nodes
 
 
 def add_flex_contact(
@@ -100,10 +100,10 @@ def add_flex_contact(
     rigid = [geom for name in _rigid_names(scene, contact) for geom in geoms[name]]
     for name in _deformable_names(scene, contact):
         part = parts[name]
-        colliders = part.geoms if isinstance(part, LinePart) and part.geoms else [part.flex]
+        colliders = part.geoms if isinstance(part, LinePartMuJoCo) and part.geoms else [part.flex]
         for collider in colliders:
             collider.contype |= bit
-        if isinstance(part, ClothPart):
+        if isinstance(part, ClothPartMuJoCo):
             part.flex.solref = list(settings.cloth_solref)
             part.flex.solimp = _cloth_solimp(part, settings)
         for collider, (key, value) in product(colliders, given_constants(settings).items()):
@@ -122,7 +122,7 @@ def add_flex_contact(
         geom.conaffinity |= bit
 
 
-def _cloth_solimp(part: ClothPart, settings: SettingsMuJoCo) -> list[float]:
+def _cloth_solimp(part: ClothPartMuJoCo, settings: SettingsMuJoCo) -> list[float]:
     if settings.cloth_solimp is not None:
         return [*settings.cloth_solimp, *IMPEDANCE_SHAPE]
     assert settings.cloth_softness_m2_per_kg is not None, "the settings check it"

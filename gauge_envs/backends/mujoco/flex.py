@@ -9,13 +9,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.scene import Motion
 
 __all__ = [
     "FlexPart",
     "Points",
-    "glued_points",
+    "attached_points",
 ]
 
 
@@ -30,7 +30,7 @@ class Points:
         held: What holds each glued point, by its index.
     """
 
-    def __init__(self, names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, Glue]) -> None:
+    def __init__(self, names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]) -> None:
         self._names = list(names)
         self._rest_m = rest_m
         self._held = dict(held)
@@ -87,8 +87,8 @@ class FlexPart(ABC):
         """World positions of the nodes now [m], shape [node_count, 3]."""
 
 
-def glued_points(
-    names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, Glue]
+def attached_points(
+    names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]
 ) -> tuple[list[str], NDArray[np.float64]]:
     """For each point the body that it belongs to and its place in that body's frame [m], shape [point_count, 3]."""
     owners, places = list(names), np.zeros_like(rest_m)

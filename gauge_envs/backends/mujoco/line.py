@@ -12,14 +12,14 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
-from gauge_envs.backends.shared.attachments import Glue
-from gauge_envs.backends.shared.lines import glued_ends, points_on_axis
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.lines import attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 
 __all__ = [
-    "LinePart",
+    "LinePartMuJoCo",
     "add_rod",
     "add_rope",
 ]
@@ -40,7 +40,7 @@ CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 impedance two balls of 0.3 kg pull a rope of 5 g right through the beam that it hangs on."""
 
 
-class LinePart(FlexPart):
+class LinePartMuJoCo(FlexPart):
     """A rope or a rod of a MuJoCo model.
 
     Attributes:
@@ -107,7 +107,7 @@ class LinePart(FlexPart):
         return read
 
 
-def add_rope(spec: mujoco.MjSpec, rope: Rope, *, glued: Sequence[Glue]) -> LinePart:
+def add_rope(spec: mujoco.MjSpec, rope: Rope, *, glued: Sequence[RigidAttachment]) -> LinePartMuJoCo:
     """Add a rope that collides with nothing yet.
 
     Args:
@@ -118,15 +118,17 @@ def add_rope(spec: mujoco.MjSpec, rope: Rope, *, glued: Sequence[Glue]) -> LineP
     Raises:
         UnsupportedSceneError: Something else than its very end is glued.
     """
-    ends = glued_ends(rope, glued)
+    ends = attached_ends(rope, glued)
     count = max(2, round(rope.length_m / ROPE_SEGMENT_M))
     rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
     held = {0 if side == "low" else count: glue for side, glue in ends.items()}
-    return LinePart(flex, rest_m, [], _hold(spec, flex, rest_m, held))
+    return LinePartMuJoCo(flex, rest_m, [], _hold(spec, flex, rest_m, held))
 
 
-def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: float = 1e-4) -> LinePart:
+def add_rod(
+    spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[RigidAttachment], damping_s: float = 1e-4
+) -> LinePartMuJoCo:
     """Add a rod that collides with nothing yet. Glued ends keep their place and direction.
 
     Bending happens at nodes, each of which stands for half a segment on either side. So the two nodes that hold a
@@ -141,7 +143,7 @@ def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: 
     Raises:
         UnsupportedSceneError: Something else than an end is glued.
     """
-    ends = glued_ends(rod, glued)
+    ends = attached_ends(rod, glued)
     low, high = -0.5 * rod.length_m, 0.5 * rod.length_m
     low += ends["low"].region.depth_m if "low" in ends else 0.0
     high -= ends["high"].region.depth_m if "high" in ends else 0.0
@@ -150,7 +152,7 @@ def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: 
     rest_m = points_on_axis(rod, start + segment * np.arange(ROD_SEGMENTS + 1))
     flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * ROD_SEGMENTS / rod.length_m)
     flex.young, flex.damping = rod.young_modulus_pa, damping_s
-    held: dict[int, Glue] = {}
+    held: dict[int, RigidAttachment] = {}
     for side, glue in ends.items():
         held |= dict.fromkeys([0, 1] if side == "low" else [ROD_SEGMENTS - 1, ROD_SEGMENTS], glue)
     points = _hold(spec, flex, rest_m, held)
@@ -172,7 +174,7 @@ def add_rod(spec: mujoco.MjSpec, rod: Rod, *, glued: Sequence[Glue], damping_s: 
             solimp=list(CONTACT_SOLIMP),
         )
         geoms.append(geom)
-    return LinePart(flex, rest_m, geoms, points)
+    return LinePartMuJoCo(flex, rest_m, geoms, points)
 
 
 def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64], mass_kg: float) -> mujoco.MjsFlex:
@@ -205,10 +207,12 @@ def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64]
     return flex
 
 
-def _hold(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], held: Mapping[int, Glue]) -> Points:
+def _hold(
+    spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]
+) -> Points:
     """Make nodes points of the bodies that they are glued to, instead of bodies of their own."""
     names = list(flex.vertbody)
-    flex.vertbody, places = glued_points(names, rest_m, held)
+    flex.vertbody, places = attached_points(names, rest_m, held)
     flex.vert = places.ravel()
     # Only now: deleting a body that a flex uses deletes the flex. Its list of nodes has no use without cells.
     flex.nodebody = []

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.mujoco.deformables import nodes_of
 from gauge_envs.backends.mujoco.flex import FlexPart
-from gauge_envs.backends.mujoco.line import LinePart
-from gauge_envs.backends.mujoco.soft import SoftPart
+from gauge_envs.backends.mujoco.line import LinePartMuJoCo
+from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 __all__ = [
@@ -54,7 +54,7 @@ class SimulationMuJoCo(Simulation):
             part.bind(self.model, self.data)
         self._timestep_s = float(settings["timestep_s"])
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self._readers: dict[tuple[str, ...], _Reader] = {}
+        self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
 
@@ -97,7 +97,7 @@ class SimulationMuJoCo(Simulation):
             read(row)
         return positions
 
-    def _reader(self, names: Sequence[str]) -> _Reader:
+    def _reader(self, names: Sequence[str]) -> _StateReader:
         key = tuple(names)
         if key not in self._readers:
             self._readers[key] = _reader(self._scene, self.model, self.data, key)
@@ -110,7 +110,7 @@ class SimulationMuJoCo(Simulation):
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
         """Reader of material points: shape functions of the elements in solids, places along ropes and rods."""
         part = self._parts[name]
-        return part.track(points_m) if isinstance(part, SoftPart | LinePart) else None
+        return part.track(points_m) if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo) else None
 
     def state(self) -> NDArray[np.float64]:
         """Integration state, shape [state_size]."""
@@ -126,7 +126,7 @@ class SimulationMuJoCo(Simulation):
         """Nothing is held outside memory."""
 
 
-class _Reader(Protocol):
+class _StateReader(Protocol):
     """Reads the states of a fixed list of bodies."""
 
     def states(self) -> NDArray[np.float64]: ...
@@ -134,7 +134,7 @@ class _Reader(Protocol):
     def read_positions(self, out: NDArray[np.float64]) -> None: ...
 
 
-def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> _Reader:
+def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> _StateReader:
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     if all(scene.body(name).motion is not Motion.FIXED and name not in hinges for name in names):
         return _OneFreeBody(model, data, names[0]) if len(names) == 1 else _FreeBodies(model, data, names)

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, glued_points
-from gauge_envs.backends.shared.attachments import Glue
-from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Row
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import SoftBody
 
 __all__ = [
-    "SoftPart",
+    "SoftPartMuJoCo",
     "add_soft",
 ]
 
@@ -44,7 +44,7 @@ CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 impedance a cube sinks right through a foam; so close to 1 it sinks in by 0.2 mm."""
 
 
-class SoftPart(FlexPart):
+class SoftPartMuJoCo(FlexPart):
     """One soft body, or several bonded in a row, of a MuJoCo model.
 
     Material in a grip moves rigidly with it and is not simulated: the elements span what is free, whose mass they
@@ -61,7 +61,7 @@ class SoftPart(FlexPart):
         self,
         flex: mujoco.MjsFlex,
         lattice: _Lattice,
-        row: Row,
+        row: SoftRow,
         points: Points,
     ) -> None:
         self.name = flex.name
@@ -169,10 +169,10 @@ def add_soft(
     spec: mujoco.MjSpec,
     bodies: Sequence[SoftBody],
     *,
-    glued: Mapping[str, Sequence[Glue]],
+    glued: Mapping[str, Sequence[RigidAttachment]],
     cells: tuple[int, int] | None = None,
     damping_s: float = 1e-4,
-) -> SoftPart:
+) -> SoftPartMuJoCo:
     """Add a soft body, or a row of soft bodies bonded face to face, that collides with nothing yet.
 
     Args:
@@ -183,10 +183,10 @@ def add_soft(
         damping_s: Viscous part of the material's stress, as the time by which it multiplies the rate of strain.
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends (`Row.of`), of equal free
+        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends (`SoftRow.of`), of equal free
             lengths.
     """
-    row = Row.of(bodies, glued)
+    row = SoftRow.of(bodies, glued)
     axis, blocks, low_m, high_m = row.axis, row.blocks, row.low_m, row.high_m
     along, across = cells or (LONE_CELLS if len(blocks) == 1 else BONDED_CELLS)
     lattice = _Lattice(low_m, high_m, tuple(along * len(blocks) if i == axis else across for i in range(3)), axis)
@@ -219,23 +219,23 @@ def add_soft(
     for node, mass in zip(flex.nodebody, lattice.node_masses(densities * np.prod(lattice.cell_m)), strict=True):
         spec.body(node).mass = mass
     layers = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
-    held: dict[int, Glue] = {}
+    held: dict[int, RigidAttachment] = {}
     for side, glue in row.ends.items():
         held |= dict.fromkeys(layers[0 if side == "low" else -1].ravel().tolist(), glue)
         _add_gripped_material(spec, flex, glue, low_m, high_m, axis, side)
     names = list(flex.nodebody)
-    flex.nodebody, places = glued_points(names, lattice.rest_m, held)
+    flex.nodebody, places = attached_points(names, lattice.rest_m, held)
     flex.node = places.ravel()
     # Only now: deleting a body that a flex uses deletes the flex.
     for index in held:
         spec.delete(spec.body(names[index]))
-    return SoftPart(flex, lattice, row, Points(names, lattice.rest_m, held))
+    return SoftPartMuJoCo(flex, lattice, row, Points(names, lattice.rest_m, held))
 
 
 def _add_gripped_material(
     spec: mujoco.MjSpec,
     flex: mujoco.MjsFlex,
-    glue: Glue,
+    glue: RigidAttachment,
     low_m: NDArray[np.float64],
     high_m: NDArray[np.float64],
     axis: int,

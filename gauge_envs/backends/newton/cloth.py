@@ -10,18 +10,18 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.newton.vbd import Pin
-from gauge_envs.backends.shared.attachments import Glue
-from gauge_envs.backends.shared.cloth_grid import Sheet, held_vertices
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.scene import Cloth, Motion
 from gauge_envs.scene.fabrics import Fabric, newton_edge_ke, newton_vbd
 
 __all__ = [
-    "ClothPart",
+    "ClothPartNewton",
     "add_cloth",
 ]
 
 
-class ClothPart:
+class ClothPartNewton:
     """A cloth among the particles of a model.
 
     Attributes:
@@ -60,12 +60,12 @@ def add_cloth(
     builder: newton.ModelBuilder,
     cloth: Cloth,
     *,
-    glued: Sequence[Glue] = (),
+    glued: Sequence[RigidAttachment] = (),
     bodies: Mapping[str, int] | None = None,
     cell_m: float,
     stretch_damping_n_s_per_m: float = 0.0,
     bend_damping_n_s: float = 0.0,
-) -> ClothPart:
+) -> ClothPartNewton:
     """Add a cloth to a model in the making; what it collides with is up to `SurfaceContacts`.
 
     Its constants are those of `materials.newton_vbd`. Glued vertices have no mass and are put where the body is, so
@@ -83,7 +83,7 @@ def add_cloth(
     Raises:
         UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
     """
-    sheet = Sheet(cloth, cell_m)
+    sheet = ClothGrid(cloth, cell_m)
     rest = cloth.pose.to_world(np.column_stack([sheet.plane_m, np.zeros(len(sheet.plane_m))]))
     held = held_vertices(sheet, cloth, glued)
     constants = newton_vbd(Fabric.of(cloth)).constants
@@ -119,4 +119,4 @@ def add_cloth(
         for index, glue in held.items()
         if glue.motion is Motion.KINEMATIC
     ]
-    return ClothPart(cloth, rest_m=rest, triangles=sheet.triangles, start=start, pins=pins)
+    return ClothPartNewton(cloth, rest_m=rest, triangles=sheet.triangles, start=start, pins=pins)

@@ -19,17 +19,17 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.newton.loop import warp_transform
 from gauge_envs.backends.newton.rigid import WORLD
+from gauge_envs.backends.newton.stepper import warp_transform
 from gauge_envs.backends.newton.vbd import Pin
-from gauge_envs.backends.shared.attachments import Glue
-from gauge_envs.backends.shared.lines import LINE_AXIS, glued_ends, points_on_axis
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.lines import LINE_AXIS, attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = [
-    "LinePart",
+    "LinePartNewton",
     "add_line",
 ]
 
@@ -56,7 +56,7 @@ class _Anchor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Section:
+class _CrossSection:
     """What a line's section resists.
 
     Attributes:
@@ -72,7 +72,7 @@ class _Section:
     damping_s: float
 
     @classmethod
-    def of(cls, line: Rope | Rod, *, largest_stretch_n: float, damping_s: float) -> _Section:
+    def of(cls, line: Rope | Rod, *, largest_stretch_n: float, damping_s: float) -> _CrossSection:
         """Section of a rod, or of a rope: inextensible and perfectly flexible."""
         if isinstance(line, Rope):
             return cls(stretch_n=largest_stretch_n, bend_n_m2=0.0, twist_n_m2=0.0, damping_s=0.0)
@@ -87,7 +87,7 @@ class _Section:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinePart:
+class LinePartNewton:
     """A rope or a rod among the bodies of a model.
 
     Attributes:
@@ -167,13 +167,13 @@ def add_line(
     builder: newton.ModelBuilder,
     line: Rope | Rod,
     *,
-    glued: Sequence[Glue] = (),
+    glued: Sequence[RigidAttachment] = (),
     bodies: Mapping[str, int],
     segments: int,
     joint_stiffness_n_per_m: float,
     damping_s: float = 0.0,
     touches_itself: bool = False,
-) -> LinePart:
+) -> LinePartNewton:
     """Add a rope or a rod to a model in the making; it collides with every shape that it is not kept apart from.
 
     What is in a grip is part of the body that holds it, and its mass is left out.
@@ -192,7 +192,7 @@ def add_line(
     Raises:
         UnsupportedSceneError: Something else than an end is glued, a length of a rope, or all of a rod.
     """
-    ends = glued_ends(line, glued)
+    ends = attached_ends(line, glued)
     low_m, high_m = _free_places_m(line, ends)
     length_m = (high_m - low_m) / segments
     nodes_m = points_on_axis(line, low_m + length_m * np.arange(segments + 1))
@@ -212,13 +212,13 @@ def add_line(
     last = _held(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
     # What holds an end comes first in its pair, since Newton wants the world as parent.
     anchors = list(zip([first, *high[:-1], last], [*low, high[-1]], strict=True))
-    section = _Section.of(line, largest_stretch_n=joint_stiffness_n_per_m * length_m, damping_s=damping_s)
+    section = _CrossSection.of(line, largest_stretch_n=joint_stiffness_n_per_m * length_m, damping_s=damping_s)
     for index, (parent, child) in enumerate(anchors):
         if parent is not child:
             stands_for_m = length_m if 0 < index < segments else half
             _add_joint(builder, parent, child, turn, section, stands_for_m=stands_for_m, label=line.name)
     tips = {side: _gripped_tip(line, side, ends, bodies) for side in ("low", "high")}
-    return LinePart(
+    return LinePartNewton(
         name=line.name,
         rest_m=np.vstack([tips["low"][0], nodes_m, tips["high"][0]]),
         anchors=(*tips["low"][1], *anchors, *tips["high"][1]),
@@ -228,14 +228,14 @@ def add_line(
     )
 
 
-def _free_places_m(line: Rope | Rod, ends: Mapping[str, Glue]) -> tuple[float, float]:
+def _free_places_m(line: Rope | Rod, ends: Mapping[str, RigidAttachment]) -> tuple[float, float]:
     """Where what is outside of grips begins and ends, from the middle of the line [m]."""
     low, high = (ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high"))
     return low - 0.5 * line.length_m, 0.5 * line.length_m - high
 
 
 def _gripped_tip(
-    line: Rope | Rod, side: str, ends: Mapping[str, Glue], bodies: Mapping[str, int]
+    line: Rope | Rod, side: str, ends: Mapping[str, RigidAttachment], bodies: Mapping[str, int]
 ) -> tuple[NDArray[np.float64], list[tuple[_Anchor, _Anchor]]]:
     """Node at an end that lies in a grip, if one does: its place [m], shape [0 or 1, 3], and its anchors."""
     if side not in ends or ends[side].region.depth_m == 0.0:
@@ -250,7 +250,7 @@ def _poses(state: newton.State) -> NDArray[np.float64]:
     return np.vstack([state.body_q.numpy().astype(np.float64), [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]])
 
 
-def _held(glue: Glue, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
+def _held(glue: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
     """Point of the body that an end is glued to."""
     index = bodies[glue.body]
     if index == WORLD:
@@ -287,7 +287,12 @@ def _add_segment(
 
 
 def _add_capsules(
-    builder: newton.ModelBuilder, line: Rope | Rod, links: Sequence[int], *, length_m: float, ends: Mapping[str, Glue]
+    builder: newton.ModelBuilder,
+    line: Rope | Rod,
+    links: Sequence[int],
+    *,
+    length_m: float,
+    ends: Mapping[str, RigidAttachment],
 ) -> tuple[int, ...]:
     """Capsules of the segments; where the line ends freely, the round end lies within it."""
     shapes = []
@@ -320,7 +325,7 @@ def _add_joint(
     parent: _Anchor,
     child: _Anchor,
     turn: Rotation,
-    section: _Section,
+    section: _CrossSection,
     *,
     stands_for_m: float,
     label: str,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.cloth import add_cloth
 from gauge_envs.backends.newton.line import add_line
-from gauge_envs.backends.newton.loop import Loop
 from gauge_envs.backends.newton.mpm import LoopMPM, add_soft_mpm, fitted_voxel_m
 from gauge_envs.backends.newton.mujoco import LoopMuJoCo, add_contacts, shape_config
 from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies, keep_apart
@@ -25,14 +24,15 @@ from gauge_envs.backends.newton.settings import (
     SettingsVBD,
 )
 from gauge_envs.backends.newton.soft import add_block_shapes, add_soft
+from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import surface_contacts
 from gauge_envs.backends.newton.vbd import LoopVBD, Pin, SelfContact, apply_contacts, passing_pairs
-from gauge_envs.backends.shared.attachments import bonded_rows, glue_of
+from gauge_envs.backends.shared.attachments import bonded_rows, rigid_attachments
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene
 
 __all__ = [
-    "Copy",
+    "WorldLayout",
     "Part",
     "build_model",
 ]
@@ -55,7 +55,7 @@ class Part(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Copy:
+class WorldLayout:
     """Where one copy of a scene is in a model.
 
     Attributes:
@@ -79,7 +79,7 @@ class Copy:
         return nodes[self.rows[name]] if name in self.rows else nodes
 
 
-def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Loop, list[Copy]]:
+def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Stepper, list[WorldLayout]]:
     """Put scenes into one model, a world each, and record the step of its solver.
 
     Args:
@@ -137,7 +137,9 @@ def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
         )
 
 
-def _scene_adder(builder: newton.ModelBuilder, scene: Scene, settings: SettingsNewton) -> Callable[[Scene], Copy]:
+def _scene_adder(
+    builder: newton.ModelBuilder, scene: Scene, settings: SettingsNewton
+) -> Callable[[Scene], WorldLayout]:
     """What puts one copy of a scene into a builder; prepares the builder for it."""
     if isinstance(settings, SettingsMuJoCoWarp):
         SolverMuJoCo.register_custom_attributes(builder)
@@ -152,23 +154,23 @@ def _scene_adder(builder: newton.ModelBuilder, scene: Scene, settings: SettingsN
     return lambda copy: _add_vbd_scene(builder, copy, settings)
 
 
-def _add_rigid_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMuJoCoWarp) -> Copy:
+def _add_rigid_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMuJoCoWarp) -> WorldLayout:
     rigid = add_bodies(builder, scene, config=shape_config(), has_prisms=True)
     add_contacts(builder, scene, rigid, settings)
-    return Copy(rigid=rigid)
+    return WorldLayout(rigid=rigid)
 
 
-def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsVBD) -> Copy:
+def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsVBD) -> WorldLayout:
     config = newton.ModelBuilder.ShapeConfig(density=0.0)
     rigid = add_bodies(builder, scene, config=config)
-    copy = Copy(rigid=rigid)
+    copy = WorldLayout(rigid=rigid)
     particles: dict[str, NDArray[np.intp]] = {}
     for body in scene.deformables:
         if isinstance(body, Cloth):
             cloth = add_cloth(
                 builder,
                 body,
-                glued=glue_of(scene, body.name),
+                glued=rigid_attachments(scene, body.name),
                 bodies=rigid.bodies,
                 cell_m=settings.cloth_cell_m,
                 stretch_damping_n_s_per_m=settings.stretch_damping_n_s_per_m,
@@ -180,7 +182,7 @@ def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: Setting
         soft = add_soft(
             builder,
             row,
-            glued={body.name: glue_of(scene, body.name) for body in row},
+            glued={body.name: rigid_attachments(scene, body.name) for body in row},
             indices=rigid.bodies,
             cell_m=settings.soft_cell_m,
             damping_s=settings.soft_damping_s,
@@ -197,17 +199,17 @@ def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: Setting
     return replace(copy, passing=passing_pairs(contacts, particles, rigid.shapes))
 
 
-def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsLines) -> Copy:
+def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsLines) -> WorldLayout:
     lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
     x, y, z = np.mean([line.pose.position_m for line in lines], axis=0).tolist()
     near = _moved(scene, (-x, -y, -z))
     rigid = add_bodies(builder, near, config=newton.ModelBuilder.ShapeConfig(density=0.0))
-    copy = Copy(rigid=rigid, origin_m=(x, y, z))
+    copy = WorldLayout(rigid=rigid, origin_m=(x, y, z))
     for line in (body for body in near.deformables if isinstance(body, Rope | Rod)):
         part = copy.parts[line.name] = add_line(
             builder,
             line,
-            glued=glue_of(near, line.name),
+            glued=rigid_attachments(near, line.name),
             bodies=rigid.bodies,
             segments=_segment_count(line, settings),
             joint_stiffness_n_per_m=_joint_stiffness_n_per_m(scene, line, settings),
@@ -255,14 +257,14 @@ def _moved(scene: Scene, way_m: Vector) -> Scene:
     )
 
 
-def _add_mpm_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMPM, spacing_m: float) -> Copy:
+def _add_mpm_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMPM, spacing_m: float) -> WorldLayout:
     rigid = add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0))
-    copy = Copy(rigid=rigid)
+    copy = WorldLayout(rigid=rigid)
     for row in bonded_rows(scene):
         soft = add_soft_mpm(
             builder,
             row,
-            glued={body.name: glue_of(scene, body.name) for body in row},
+            glued={body.name: rigid_attachments(scene, body.name) for body in row},
             indices=rigid.bodies,
             spacing_m=spacing_m,
             damping_s=settings.soft_damping_s,
@@ -278,7 +280,7 @@ def _voxel_m(scene: Scene, settings: SettingsMPM) -> float:
     row = bonded_rows(scene)[0]
     return fitted_voxel_m(
         row,
-        glued={body.name: glue_of(scene, body.name) for body in row},
+        glued={body.name: rigid_attachments(scene, body.name) for body in row},
         voxel_m=settings.voxel_m,
         points_per_voxel_edge=settings.points_per_voxel_edge,
     )
@@ -296,7 +298,7 @@ def _loop(
     driven: Sequence[int],
     pins: Sequence[Pin],
     passing: NDArray[np.intp],
-) -> Loop:
+) -> Stepper:
     if isinstance(settings, SettingsMuJoCoWarp):
         return LoopMuJoCo(model, driven=driven, settings=settings)
     given: dict[str, Any] = {"driven": driven, "pins": pins, "timestep_s": settings.timestep_s}

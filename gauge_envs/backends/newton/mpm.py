@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from gauge_envs.backends.newton.kernels import carry, hold
-from gauge_envs.backends.newton.loop import Loop
+from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.vbd import Pin
-from gauge_envs.backends.shared.attachments import Glue
-from gauge_envs.backends.shared.soft_rows import Row
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.scene import Motion, SoftBody
 
 __all__ = [
@@ -43,7 +43,11 @@ VOXEL_RANGE = (0.85, 1.15)
 
 
 def fitted_voxel_m(
-    bodies: Sequence[SoftBody], *, glued: Mapping[str, Sequence[Glue]], voxel_m: float, points_per_voxel_edge: int = 2
+    bodies: Sequence[SoftBody],
+    *,
+    glued: Mapping[str, Sequence[RigidAttachment]],
+    voxel_m: float,
+    points_per_voxel_edge: int = 2,
 ) -> float:
     """Edge of a voxel [m], near a wanted one, that makes the rigid voxels at the grips end where the grips end.
 
@@ -51,9 +55,9 @@ def fitted_voxel_m(
     between two grid planes, which may be a voxel less than it should be.
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `Row.of`.
+        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `SoftRow.of`.
     """
-    row = Row.of(bodies, glued)
+    row = SoftRow.of(bodies, glued)
     low, high = row.low_m[row.axis], row.high_m[row.axis]
     candidates = voxel_m * np.linspace(*VOXEL_RANGE, 601)
     # The outermost gripped point sits half a spacing beyond the face.
@@ -79,7 +83,7 @@ class MPMPart:
 
     def __init__(
         self,
-        row: Row,
+        row: SoftRow,
         free_m: NDArray[np.float64],
         gripped_m: NDArray[np.float64],
         *,
@@ -148,7 +152,7 @@ def add_soft_mpm(
     builder: newton.ModelBuilder,
     bodies: Sequence[SoftBody],
     *,
-    glued: Mapping[str, Sequence[Glue]],
+    glued: Mapping[str, Sequence[RigidAttachment]],
     indices: Mapping[str, int],
     spacing_m: float,
     damping_s: float = 0.0,
@@ -167,9 +171,9 @@ def add_soft_mpm(
         damping_s: Relaxation time of the elastic stress, Newton's `mpm:damping`.
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `Row.of`.
+        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `SoftRow.of`.
     """
-    row = Row.of(bodies, glued)
+    row = SoftRow.of(bodies, glued)
     start = builder.particle_count
     free: list[NDArray[np.float64]] = []
     for block in row.blocks:
@@ -236,7 +240,7 @@ def _add_points(
 # --- stepping --------------------------------------------------------------------------------------------------------
 
 
-class LoopMPM(Loop):
+class LoopMPM(Stepper):
     """Steps particles with `newton.solvers.SolverImplicitMPM`; rigid bodies are fixed or driven.
 
     It runs without a graph: the grid is allocated anew in every step, which a recorded step cannot do on the CPU.

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstants, carried_constants, pair_constants
 from gauge_envs.backends.newton.kernels import bodies_to_joints
-from gauge_envs.backends.newton.loop import Loop
 from gauge_envs.backends.newton.rigid import RigidIndex, keep_apart
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
+from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene import Scene
 
 __all__ = [
@@ -85,7 +85,7 @@ def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, 
         attribute.values = (attribute.values or {}) | {shape: value}
 
 
-class LoopMuJoCo(Loop):
+class LoopMuJoCo(Stepper):
     """Steps rigid bodies with MuJoCo Warp, which finds the contacts itself.
 
     Args:

@@ -11,7 +11,7 @@ import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
-from gauge_envs.backends.newton.loop import warp_transform
+from gauge_envs.backends.newton.stepper import warp_transform
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Sphere
 from gauge_envs.scene.meshes import mass_properties, prism
 

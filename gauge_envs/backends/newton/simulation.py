@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation, World, Worlds
-from gauge_envs.backends.newton.loop import Loop
-from gauge_envs.backends.newton.model import Copy, build_model
+from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
+from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene import Motion, Pose, Scene
 
 __all__ = [
@@ -23,7 +23,7 @@ __all__ = [
 class _WorldNewton(World):
     """One copy of a scene in a model."""
 
-    def __init__(self, scene: Scene, copy: Copy, loop: Loop, settings: SettingsNewton) -> None:
+    def __init__(self, scene: Scene, copy: WorldLayout, loop: Stepper, settings: SettingsNewton) -> None:
         self.settings = settings.model_dump(mode="json")
         self._copy = copy
         self._loop = loop

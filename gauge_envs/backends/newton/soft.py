@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.vbd import Pin
-from gauge_envs.backends.shared.attachments import Glue
-from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, Row
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.scene import Box, Motion, SoftBody
 from gauge_envs.scene.meshes import mass_properties
 
@@ -32,7 +32,7 @@ __all__ = [
     "CELL_M",
     "CONTACT_RADIUS_M",
     "RIGID_RATIO",
-    "SoftPart",
+    "SoftPartNewton",
     "add_block_shapes",
     "add_soft",
     "lame_constants",
@@ -71,7 +71,7 @@ def lame_constants(body: SoftBody) -> tuple[float, float]:
     return shear, 2.0 * shear * poisson / (1.0 - 2.0 * poisson)
 
 
-class SoftPart:
+class SoftPartNewton:
     """One soft body, or several bonded in a row, of a Newton model.
 
     Material in a grip moves rigidly with it and is not simulated: the mesh spans what is free, whose mass it has.
@@ -87,7 +87,7 @@ class SoftPart:
     """
 
     def __init__(
-        self, row: Row, mesh: _Mesh, *, start: int, pins: Sequence[Pin], rigid: Mapping[str, int], cell_m: float
+        self, row: SoftRow, mesh: _Mesh, *, start: int, pins: Sequence[Pin], rigid: Mapping[str, int], cell_m: float
     ) -> None:
         self.name = row.blocks[0].body.name
         self.names = tuple(block.body.name for block in row.blocks)
@@ -150,13 +150,13 @@ def add_soft(
     builder: newton.ModelBuilder,
     bodies: Sequence[SoftBody],
     *,
-    glued: Mapping[str, Sequence[Glue]],
+    glued: Mapping[str, Sequence[RigidAttachment]],
     indices: Mapping[str, int],
     cell_m: float = CELL_M,
     damping_s: float = 0.0,
     contact_radius_m: float = CONTACT_RADIUS_M,
     rigid_ratio: float = RIGID_RATIO,
-) -> SoftPart:
+) -> SoftPartNewton:
     """Add a soft body, or a row of soft bodies bonded face to face.
 
     Nodes in a grip have no mass and are put where the grip is, so they are exact to single precision. What the others
@@ -176,9 +176,9 @@ def add_soft(
             body, if it is in no grip; infinity makes all elastic.
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `Row.of`.
+        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `SoftRow.of`.
     """
-    row = Row.of(bodies, glued)
+    row = SoftRow.of(bodies, glued)
     softest = min(block.body.young_modulus_pa for block in row.blocks)
     stiff = [
         block
@@ -197,11 +197,11 @@ def add_soft(
         # For contact only: a membrane without stiffness.
         builder.add_triangle(*corners, tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0)
     rigid = {block.body.name: _add_rigid(builder, block, row.axis, start, mesh.points_m) for block in stiff}
-    return SoftPart(row, mesh, start=start, pins=pins, rigid=rigid, cell_m=cell_m)
+    return SoftPartNewton(row, mesh, start=start, pins=pins, rigid=rigid, cell_m=cell_m)
 
 
 def add_block_shapes(
-    builder: newton.ModelBuilder, part: SoftPart, *, contact_radius_m: float = CONTACT_RADIUS_M
+    builder: newton.ModelBuilder, part: SoftPartNewton, *, contact_radius_m: float = CONTACT_RADIUS_M
 ) -> dict[str, list[int]]:
     """Give the rigid blocks of a row shapes to collide with; they have none otherwise.
 
@@ -222,7 +222,7 @@ def add_block_shapes(
 
 
 def _add_particles(
-    builder: newton.ModelBuilder, row: Row, mesh: _Mesh, indices: Mapping[str, int], contact_radius_m: float
+    builder: newton.ModelBuilder, row: SoftRow, mesh: _Mesh, indices: Mapping[str, int], contact_radius_m: float
 ) -> list[Pin]:
     """Add the nodes of a mesh; those that moving bodies hold are returned as pins."""
     start = builder.particle_count
@@ -286,7 +286,7 @@ class _Mesh:
     blocks: NDArray[np.intp]
 
     @classmethod
-    def of(cls, row: Row, rigid: Sequence[Block], cell_m: float) -> _Mesh:
+    def of(cls, row: SoftRow, rigid: Sequence[Block], cell_m: float) -> _Mesh:
         """Mesh of all blocks but the rigid ones, in one piece as far as they are bonded to each other."""
         points, tetrahedra, blocks, count = [], [], [], 0
         for is_rigid, group in groupby(enumerate(row.blocks), key=lambda item: item[1] in rigid):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gauge_envs.backends.shared.cloth_grid import Sheet
+from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.scene import Cloth
 from gauge_envs.scene.fabrics import Fabric, newton_vbd
 
@@ -29,7 +29,7 @@ def longest_timestep_s(cloth: Cloth, *, cell_m: float, iterations: int) -> float
     """
     constants = newton_vbd(Fabric.of(cloth)).constants
     modulus = constants["tri_ka"] + 2.0 * constants["tri_ke"]
-    along_x, along_y = Sheet(cloth, cell_m).cell_m
+    along_x, along_y = ClothGrid(cloth, cell_m).cell_m
     gradients = 2.0 * (along_x / along_y + along_y / along_x)
     mass = cloth.areal_density_kg_per_m2 * along_x * along_y
     return float(np.sqrt(iterations / ITERATIONS_PER_RATIO * mass / (gradients * modulus)))

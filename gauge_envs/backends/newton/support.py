@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from gauge_envs.backends.newton.contacts import undoable_contacts
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp, SettingsVBD, settings_for
 from gauge_envs.backends.newton.surface import undoable_surface_contacts
-from gauge_envs.backends.shared.attachments import bonded_rows, glue_of
-from gauge_envs.backends.shared.lines import glued_ends
-from gauge_envs.backends.shared.soft_rows import Row
+from gauge_envs.backends.shared.attachments import bonded_rows, rigid_attachments
+from gauge_envs.backends.shared.lines import attached_ends
+from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Motion, Rod, Rope, Scene, Tether
 
@@ -50,7 +50,7 @@ def _undoable_lines(scene: Scene) -> Iterator[str]:
             yield f"{min(touching)!r} rebounds: Newton's vertex block descent has no restitution"
     for line in lines:
         try:
-            glued_ends(line, glue_of(scene, line.name))
+            attached_ends(line, rigid_attachments(scene, line.name))
         except UnsupportedSceneError as error:
             yield str(error)
 
@@ -76,6 +76,6 @@ def _undoable_solids(scene: Scene) -> Iterator[str]:
             yield f"cloth {glued.name!r} is glued to {attachment.to!r} by its face, not by an edge"
     for row in bonded_rows(scene):
         try:
-            Row.of(row, {body.name: glue_of(scene, body.name) for body in row})
+            SoftRow.of(row, {body.name: rigid_attachments(scene, body.name) for body in row})
         except UnsupportedSceneError as error:
             yield str(error)

@@ -18,8 +18,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.kernels import hold, predict
-from gauge_envs.backends.newton.loop import Loop
 from gauge_envs.backends.newton.stability import ITERATIONS_PER_RATIO
+from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import SurfaceContacts
 from gauge_envs.errors import ParameterError
 
@@ -192,7 +192,7 @@ def _add_hinges(total: NDArray[np.float64], model: newton.Model) -> None:
     np.add.at(total, edges[inner], stiffness[:, None] * np.square(gradients))
 
 
-class LoopVBD(Loop):
+class LoopVBD(Stepper):
     """Steps particles, and dynamic rigid bodies if there are any, with `newton.solvers.SolverVBD`.
 
     An implicit step wants what is prescribed at its end: driven bodies are put there first, and with them the

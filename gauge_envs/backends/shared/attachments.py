@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from gauge_envs.scene import Motion, Pose, Region, Scene, SoftBody
 
 __all__ = [
-    "Glue",
+    "RigidAttachment",
     "bonded_rows",
-    "glue_of",
+    "rigid_attachments",
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Glue:
+class RigidAttachment:
     """A region of a deformable body that is part of a rigid one.
 
     Attributes:
@@ -30,11 +30,11 @@ class Glue:
     pose: Pose
 
 
-def glue_of(scene: Scene, name: str) -> list[Glue]:
+def rigid_attachments(scene: Scene, name: str) -> list[RigidAttachment]:
     """What a deformable body of a scene is glued to among the rigid ones."""
     rigid = {body.name: body for body in scene.bodies}
     return [
-        Glue(region=a.region, body=a.to, motion=rigid[a.to].motion, pose=rigid[a.to].pose)
+        RigidAttachment(region=a.region, body=a.to, motion=rigid[a.to].motion, pose=rigid[a.to].pose)
         for a in scene.attachments
         if a.deformable == name and a.to in rigid
     ]

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Region
 
 __all__ = [
-    "Sheet",
+    "ClothGrid",
     "held_vertices",
 ]
 
 
-class Sheet:
+class ClothGrid:
     """Regular triangulation of a cloth in its own plane; diagonals lean one way in even rows and the other in odd ones.
 
     Args:
@@ -69,9 +69,9 @@ class Sheet:
         return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
 
 
-def held_vertices(sheet: Sheet, cloth: Cloth, glued: Sequence[Glue]) -> dict[int, Glue]:
+def held_vertices(sheet: ClothGrid, cloth: Cloth, glued: Sequence[RigidAttachment]) -> dict[int, RigidAttachment]:
     """Which glue holds each glued vertex, the first of several."""
-    held: dict[int, Glue] = {}
+    held: dict[int, RigidAttachment] = {}
     for glue in reversed(glued):
         if glue.motion is Motion.DYNAMIC:
             raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r}, which is dynamic")

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Rod, Rope
 
 __all__ = [
     "LINE_AXIS",
-    "glued_ends",
+    "attached_ends",
     "points_on_axis",
 ]
 
@@ -28,13 +28,13 @@ def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> NDArray[
     return line.pose.to_world(points)
 
 
-def glued_ends(line: Rope | Rod, glued: Sequence[Glue]) -> dict[str, Glue]:
+def attached_ends(line: Rope | Rod, glued: Sequence[RigidAttachment]) -> dict[str, RigidAttachment]:
     """What the ends of a line are glued to, by side: `low` or `high`.
 
     Raises:
         UnsupportedSceneError: Something else than an end is glued, a length of a rope, or all of a rod.
     """
-    ends: dict[str, Glue] = {}
+    ends: dict[str, RigidAttachment] = {}
     for glue in glued:
         if glue.region.axis != LINE_AXIS[type(line)] or glue.region.side in ends:
             raise UnsupportedSceneError(f"{line.name!r} is glued elsewhere than at its two ends")

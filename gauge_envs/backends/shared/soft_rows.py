@@ -9,14 +9,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, SoftBody
 
 __all__ = [
     "TOLERANCE_M",
     "Block",
-    "Row",
+    "SoftRow",
 ]
 
 TOLERANCE_M = 1e-5
@@ -54,7 +54,7 @@ class Block:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Row:
+class SoftRow:
     """Soft boxes bonded face to face along a world axis; one box is a row too.
 
     Attributes:
@@ -65,10 +65,10 @@ class Row:
 
     axis: int
     blocks: tuple[Block, ...]
-    ends: Mapping[str, Glue]
+    ends: Mapping[str, RigidAttachment]
 
     @classmethod
-    def of(cls, bodies: Sequence[SoftBody], glued: Mapping[str, Sequence[Glue]]) -> Row:
+    def of(cls, bodies: Sequence[SoftBody], glued: Mapping[str, Sequence[RigidAttachment]]) -> SoftRow:
         """Sort bodies into a row and cut off what sits in grips.
 
         Args:
@@ -90,7 +90,7 @@ class Row:
         boxes.sort(key=lambda box: float(box.low_m[axis]))
         for first, second in pairwise(boxes):
             _check_joined(first, second, axis)
-        ends: dict[str, Glue] = {}
+        ends: dict[str, RigidAttachment] = {}
         for box, glue in grips:
             found, side = _world_axis(box, glue)
             if found != axis or box is not (boxes[0] if side == "low" else boxes[-1]) or side in ends:
@@ -117,7 +117,7 @@ class Row:
         """Highest corner of the free material [m], shape [3]."""
         return self.blocks[-1].high_m
 
-    def gripped(self, points_m: NDArray[np.float64]) -> Iterator[tuple[Glue, NDArray[np.intp]]]:
+    def gripped(self, points_m: NDArray[np.float64]) -> Iterator[tuple[RigidAttachment, NDArray[np.intp]]]:
         """For each grip the rows of points [m], shape [point_count, 3], that are on its face or beyond it."""
         along = points_m[:, self.axis]
         for side, glue in self.ends.items():
@@ -148,7 +148,7 @@ def _box(body: SoftBody) -> Block:
     return Block(body=body, low_m=centre - half, high_m=centre + half)
 
 
-def _world_axis(block: Block, glue: Glue) -> tuple[int, str]:
+def _world_axis(block: Block, glue: RigidAttachment) -> tuple[int, str]:
     """World axis and side of a glued region, which is given in the body's frame."""
     direction = block.body.pose.rotation.as_matrix()[:, "xyz".index(glue.region.axis)]
     axis = int(np.argmax(np.abs(direction)))

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gauge_envs.checks.conformance.glue import pinned_reading
-from gauge_envs.checks.conformance.kit import Mark, Reading, check
+from gauge_envs.checks.conformance.attachments import pinned_reading
+from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, hann_mean
 from gauge_envs.checks.conformance.parts import STRETCH_OVER_SHEAR, fixed_box, sheet, strip_on_rod
@@ -73,15 +73,15 @@ def _hanging(lab: Lab) -> Course:
     law="Cloth.size_m, Cloth.pose",
     source="contract (Simulation.nodes)",
     unit="mm",
-    mark=Mark(absolute=0.01, because="a float's rounding at 1 m is 0.1 um"),
+    tolerance=Tolerance(absolute=0.01, rationale="a float's rounding at 1 m is 0.1 um"),
     diagnosis="nodes are world positions in metres; the sheet is centred on its pose, warp along x",
 )
-def _cloth_start(lab: Lab) -> Reading:
+def _cloth_start(lab: Lab) -> Measurement:
     course = lab.once(_hanging)
     rest = _local(course)[0]
     half = 0.5 * np.array([HANG_M, HANG_WIDTH_M, 0.0])
     miss = float(np.abs(np.concatenate([rest.min(axis=0) + half, rest.max(axis=0) - half])).max())
-    return Reading(measured=1e3 * miss, expected=0.0, hint="positions are in mm" if miss > 10.0 else "")
+    return Measurement(measured=1e3 * miss, expected=0.0, hint="positions are in mm" if miss > 10.0 else "")
 
 
 @check(
@@ -91,14 +91,14 @@ def _cloth_start(lab: Lab) -> Reading:
     law="u(s) = rho g (L s - s^2 / 2) / K_s",
     source="uniaxial tension with free transverse edges (scene.Cloth)",
     unit="N/m",
-    mark=Mark(
+    tolerance=Tolerance(
         relative=0.02,
-        because="nonlinear laws differ by as much as the largest strain, 0.5 % at rest, 1 % in full swing",
+        rationale="nonlinear laws differ by as much as the largest strain, 0.5 % at rest, 1 % in full swing",
     ),
     diagnosis="look at the membrane's constants (K_s is the uniaxial stiffness: K_s = 4 mu (lambda + mu) / (lambda + "
     "2 mu)), at the mass of the nodes, and at a solver that is not converged, which lets the strip hang too deep",
 )
-def _cloth_stretch(lab: Lab) -> Reading:
+def _cloth_stretch(lab: Lab) -> Measurement:
     rest, now = _equilibrium(lab.once(_hanging), HANG_SETTLED_S)
     s = 0.5 * HANG_M - rest[:, 0]
     free = s > HANG_WIDTH_M - PLACE_TOLERANCE_M
@@ -106,12 +106,12 @@ def _cloth_stretch(lab: Lab) -> Reading:
     return _stiffness(HANG_DENSITY * G, slope, HANG_STRETCH, "it stretches")
 
 
-def _stiffness(load: float, slope: float, expected: float, verb: str) -> Reading:
+def _stiffness(load: float, slope: float, expected: float, verb: str) -> Measurement:
     """Stiffness from a load and a fitted coefficient; infinite where nothing gives way."""
     if not slope > 0.0:
-        return Reading(measured=float("inf"), expected=expected, hint=f"under its weight, {verb} not at all")
+        return Measurement(measured=float("inf"), expected=expected, hint=f"under its weight, {verb} not at all")
     ratio = expected * slope / load
-    return Reading(measured=load / slope, expected=expected, hint=f"{verb} {ratio:.3g} times as much as it should")
+    return Measurement(measured=load / slope, expected=expected, hint=f"{verb} {ratio:.3g} times as much as it should")
 
 
 # --- shear -----------------------------------------------------------------------------------------------------------
@@ -142,17 +142,19 @@ def _sheared(lab: Lab) -> Course:
     law="w(s) = rho g (L s - s^2) / (2 K_sh)",
     source="simple shear of a wide sheet (scene.Cloth)",
     unit="N/m",
-    mark=Mark(relative=0.05, because="a few per cent come from the free edges and from the mesh's diagonals"),
+    tolerance=Tolerance(
+        relative=0.05, rationale="a few per cent come from the free edges and from the mesh's diagonals"
+    ),
     diagnosis="look at the membrane's shear constant (K_sh = mu of an isotropic one); springs along edges alone give "
     "K_s / 2 or less",
 )
-def _cloth_shear(lab: Lab) -> Reading:
+def _cloth_shear(lab: Lab) -> Measurement:
     rest, now = _equilibrium(lab.once(_sheared), SHEAR_SETTLED_S)
     s = 0.5 * SPAN_M + rest[:, 0]
     middle = np.abs(rest[:, 1]) < 0.5 * HEIGHT_M - SPAN_M + PLACE_TOLERANCE_M
     free = middle & (s > PLACE_TOLERANCE_M) & (s < SPAN_M - PLACE_TOLERANCE_M)
     if free.sum() < 3:
-        return Reading(measured=float("nan"), expected=SHEAR_STRETCH / STRETCH_OVER_SHEAR, hint="too few nodes")
+        return Measurement(measured=float("nan"), expected=SHEAR_STRETCH / STRETCH_OVER_SHEAR, hint="too few nodes")
     slope = _coefficient((rest - now)[free, 1], 0.5 * (SPAN_M * s - s**2)[free])
     return _stiffness(SHEAR_DENSITY * G, slope, SHEAR_STRETCH / STRETCH_OVER_SHEAR, "it shears")
 
@@ -189,15 +191,15 @@ def _cantilever(lab: Lab) -> Course:
     law="D w'' = rho g (L - s)^2 / 2",
     source="heavy elastica at small slope; D = K_theta on a square grid (materials.plate_bending_stiffness)",
     unit="N m",
-    mark=Mark(
+    tolerance=Tolerance(
         relative=0.2,
-        because="K_theta belongs to a hinge, and triangulations share it out differently: 0.88 along grid lines by the "
-        "paper's own mapping",
+        rationale="K_theta belongs to a hinge, and triangulations share it out differently: 0.88 along grid lines by "
+        "the paper's own mapping",
     ),
     diagnosis="look at how K_theta becomes the constant of an edge (its length, its neighbours' heights), and whether "
     "a clamp of 50 mm holds the slope: it must glue two lines of nodes",
 )
-def _cloth_bending(lab: Lab) -> Reading:
+def _cloth_bending(lab: Lab) -> Measurement:
     rest, now = _equilibrium(lab.once(_cantilever), BEND_SETTLED_S)
     s = rest[:, 0] + 0.5 * (CLAMP_M + FREE_M) - CLAMP_M
     # Weighed by area, as the load is: a mesh's diagonals make its lines of nodes wavy.
@@ -224,17 +226,17 @@ def _node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> ND
     law="T + V <= its start, as elastic energy is not negative and starts at 0",
     source="elasticity is passive",
     unit="%",
-    mark=Mark(absolute=5.0, because="masses and speeds of nodes are estimated from their places"),
+    tolerance=Tolerance(absolute=5.0, rationale="masses and speeds of nodes are estimated from their places"),
     diagnosis="the solver makes energy: step too long, iterations capped, or stiffness taken explicitly",
 )
-def _cloth_energy(lab: Lab) -> Reading:
+def _cloth_energy(lab: Lab) -> Measurement:
     course = lab.once(_cantilever)
     local = _local(course)
     shares = _node_shares(local[0], (CLAMP_M + FREE_M, STRIP_WIDTH_M))
     speed = np.gradient(local, course.times_s, axis=0)
     potential = BEND_GRAVITY * (local[:, :, 2] - local[0, :, 2]) @ shares
     total = potential + 0.5 * np.square(speed).sum(axis=2) @ shares
-    return Reading(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
+    return Measurement(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
 
 
 # --- driven edge -----------------------------------------------------------------------------------------------------
@@ -249,10 +251,10 @@ ROD_S = 0.5
     law="place on the driven body = const",
     source="contract (scene.Attachment)",
     unit="mm",
-    mark=Mark(absolute=0.1, because="a tenth of the real trials' scatter"),
+    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
     diagnosis="glued nodes lag or lead by an interval, hang on soft springs, or do not turn with the body",
 )
-def _cloth_pinned_edge(lab: Lab) -> Reading:
+def _cloth_pinned_edge(lab: Lab) -> Measurement:
     return pinned_reading(lab.course(strip_on_rod(), ROD_S), "cloth")
 
 
@@ -289,14 +291,14 @@ def _on_slab(course: Course) -> NDArray[np.float64]:
     law="a = g (sin 30 - mu cos 30)",
     source="Coulomb",
     unit="m/s^2",
-    mark=Mark(
+    tolerance=Tolerance(
         relative=0.05,
-        because="a sheet is many light contacts, which flutter: not all touch all the time",
+        rationale="a sheet is many light contacts, which flutter: not all touch all the time",
     ),
     diagnosis="look at the friction of cloth against rigid bodies: engines often take it from one global constant, or "
     "combine it otherwise than that of rigid pairs",
 )
-def _cloth_slide(lab: Lab) -> Reading:
+def _cloth_slide(lab: Lab) -> Measurement:
     course = lab.once(_sliding)
     window = course.between(0.1, CONTACT_S)
     way = _on_slab(course)[window, :, 0].mean(axis=1)
@@ -304,7 +306,7 @@ def _cloth_slide(lab: Lab) -> Reading:
     measured = float(2.0 * np.polyfit(course.times_s[window], way, 2)[0])
     effective = (sine - measured / G) / cosine
     hint = f"it slides as if the friction were {effective:.3g} instead of {FRICTION:g}"
-    return Reading(measured=measured, expected=G * (sine - FRICTION * cosine), hint=hint)
+    return Measurement(measured=measured, expected=G * (sine - FRICTION * cosine), hint=hint)
 
 
 @check(
@@ -314,10 +316,12 @@ def _cloth_slide(lab: Lab) -> Reading:
     law="height = thickness / 2",
     source="contact (scene.Contact), thickness (scene.Cloth)",
     unit="mm",
-    mark=Mark(absolute=2.0, because="twice the real trials' scatter: folding cloth needs a layer of about 2 mm"),
+    tolerance=Tolerance(
+        absolute=2.0, rationale="twice the real trials' scatter: folding cloth needs a layer of about 2 mm"
+    ),
     diagnosis="it falls through, sinks in, or floats on a collision radius that is larger than the cloth's own",
 )
-def _cloth_rests(lab: Lab) -> Reading:
+def _cloth_rests(lab: Lab) -> Measurement:
     course = lab.once(_sliding)
     height = _on_slab(course)[course.between(0.3, CONTACT_S), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
-    return Reading(measured=1e3 * float(np.abs(height).max()), expected=0.0)
+    return Measurement(measured=1e3 * float(np.abs(height).max()), expected=0.0)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.checks.conformance.kit import Mark, Reading, check
+from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import box_inertia_kg_m2, world_inertia_kg_m2
 from gauge_envs.checks.conformance.parts import ball, body, box, driver, ground, ramp
@@ -59,20 +59,21 @@ def _hold(lab: Lab) -> Course:
     return _on_slope(10.0, {"cube": 0.25}, 0.3, lab)
 
 
-def _slide_reading(lab: Lab, name: str, friction: float) -> Reading:
+def _slide_reading(lab: Lab, name: str, friction: float) -> Measurement:
     course = lab.once(_slide)
     sine, cosine = np.sin(np.radians(30.0)), np.cos(np.radians(30.0))
     measured = float(2.0 * np.polyfit(course.times_s, _along_slope(course, name)[:, 0], 2)[0])
     effective = (sine - measured / G) / cosine
-    return Reading(
+    return Measurement(
         measured=measured,
         expected=G * (sine - friction * cosine),
         hint=f"it slides as if the friction were {effective:.3g} instead of {friction:.3g}",
     )
 
 
-SLIDE_MARK = Mark(
-    relative=0.01, because="real slides scatter by 1.4 to 3 % (wood to metal); an engine's own error must be well below"
+SLIDE_TOLERANCE = Tolerance(
+    relative=0.01,
+    rationale="real slides scatter by 1.4 to 3 % (wood to metal); an engine's own error must be well below",
 )
 SLIDE_DIAGNOSIS = (
     "look at how friction of two surfaces is combined (the contract's is the pair's), at the friction cone, and at "
@@ -87,10 +88,10 @@ SLIDE_DIAGNOSIS = (
     law="a = g (sin 30 - mu cos 30)",
     source="Coulomb",
     unit="m/s^2",
-    mark=SLIDE_MARK,
+    tolerance=SLIDE_TOLERANCE,
     diagnosis=SLIDE_DIAGNOSIS,
 )
-def _slide_rough(lab: Lab) -> Reading:
+def _slide_rough(lab: Lab) -> Measurement:
     return _slide_reading(lab, "rough", 0.3)
 
 
@@ -101,10 +102,10 @@ def _slide_rough(lab: Lab) -> Reading:
     law="a = g (sin 30 - mu cos 30)",
     source="Coulomb; contract (scene.Contact)",
     unit="m/s^2",
-    mark=SLIDE_MARK,
+    tolerance=SLIDE_TOLERANCE,
     diagnosis="each pair of bodies has its own friction; " + SLIDE_DIAGNOSIS,
 )
-def _slide_smooth(lab: Lab) -> Reading:
+def _slide_smooth(lab: Lab) -> Measurement:
     return _slide_reading(lab, "smooth", 0.1)
 
 
@@ -115,11 +116,11 @@ def _slide_smooth(lab: Lab) -> Reading:
     law="y, z of the board's frame = const",
     source="symmetry",
     unit="mm",
-    mark=Mark(absolute=1.0, because="the real trials' scatter is about 1 mm"),
+    tolerance=Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm"),
     diagnosis="the cube hops, sinks in or turns: contact stiffness, contact points, friction anisotropy",
 )
-def _slide_straight(lab: Lab) -> Reading:
-    return Reading(measured=1e3 * float(np.abs(_along_slope(lab.once(_slide), "rough")[:, 1:]).max()), expected=0.0)
+def _slide_straight(lab: Lab) -> Measurement:
+    return Measurement(measured=1e3 * float(np.abs(_along_slope(lab.once(_slide), "rough")[:, 1:]).max()), expected=0.0)
 
 
 @check(
@@ -129,12 +130,14 @@ def _slide_straight(lab: Lab) -> Reading:
     law="r = const while tan(slope) < mu",
     source="Coulomb",
     unit="mm",
-    mark=Mark(absolute=0.1, because="a real cube that holds scatters by 0.6 mm; creep must not be seen beside it"),
+    tolerance=Tolerance(
+        absolute=0.1, rationale="a real cube that holds scatters by 0.6 mm; creep must not be seen beside it"
+    ),
     diagnosis="static friction creeps: it is regularized, or the contact settles into the board",
 )
-def _hold_check(lab: Lab) -> Reading:
+def _hold_check(lab: Lab) -> Measurement:
     way = np.linalg.norm(_along_slope(lab.once(_hold), "cube"), axis=1)
-    return Reading(measured=1e3 * float(way.max()), expected=0.0)
+    return Measurement(measured=1e3 * float(way.max()), expected=0.0)
 
 
 @check(
@@ -144,12 +147,12 @@ def _hold_check(lab: Lab) -> Reading:
     law="r = const",
     source="contract (scene.Motion)",
     unit="mm",
-    mark=Mark(absolute=1e-3, because="it does not move; 1 um is rounding"),
+    tolerance=Tolerance(absolute=1e-3, rationale="it does not move; 1 um is rounding"),
     diagnosis="a fixed body must be static, without gravity",
 )
-def _fixed_body_stays(lab: Lab) -> Reading:
+def _fixed_body_stays(lab: Lab) -> Measurement:
     way = lab.once(_slide).position("board")
-    return Reading(measured=1e3 * float(np.linalg.norm(way - way[0], axis=1).max()), expected=0.0)
+    return Measurement(measured=1e3 * float(np.linalg.norm(way - way[0], axis=1).max()), expected=0.0)
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
@@ -157,7 +160,7 @@ def _fixed_body_stays(lab: Lab) -> Reading:
 DROP_M, RADIUS_M = 0.4, 0.03
 
 
-def _rebound(lab: Lab, restitution: float) -> Reading:
+def _rebound(lab: Lab, restitution: float) -> Measurement:
     """The outgoing speed is carried back to the height of contact by energy, since samples lie 5.6 ms apart."""
     scene = Scene(
         bodies=(ball("ball", (0.0, 0.0, RADIUS_M + DROP_M), radius_m=RADIUS_M), ground()),
@@ -172,13 +175,13 @@ def _rebound(lab: Lab, restitution: float) -> Reading:
     height, speed = course.position("ball")[:, 2] - RADIUS_M, course.velocity("ball")[:, 2]
     falling = np.flatnonzero(speed < -1.0)
     if not len(falling):
-        return Reading(measured=float("nan"), expected=restitution, hint="the ball does not fall")
+        return Measurement(measured=float("nan"), expected=restitution, hint="the ball does not fall")
     rising = np.flatnonzero((speed > 0.05) & (height > 1e-3))
     rising = rising[rising > falling[0]]
     if not len(rising):
-        return Reading(measured=0.0, expected=restitution, hint="the ball does not leave the ground again")
+        return Measurement(measured=0.0, expected=restitution, hint="the ball does not leave the ground again")
     outgoing = speed[rising[0]] ** 2 + 2.0 * G * height[rising[0]]
-    return Reading(measured=float(np.sqrt(outgoing / (2.0 * G * DROP_M))), expected=restitution)
+    return Measurement(measured=float(np.sqrt(outgoing / (2.0 * G * DROP_M))), expected=restitution)
 
 
 def _rebound_check(restitution: float) -> None:
@@ -189,11 +192,13 @@ def _rebound_check(restitution: float) -> None:
         law="v' = -e v",
         source="Newton's law of restitution",
         unit="1",
-        mark=Mark(absolute=0.005, because="the real ball's ratio scatters by 0.0022 over 22 trials: two of these"),
+        tolerance=Tolerance(
+            absolute=0.005, rationale="the real ball's ratio scatters by 0.0022 over 22 trials: two of these"
+        ),
         diagnosis="look at how restitution enters (coefficient, or damping of the contact), at a threshold speed below "
         "which the engine does not rebound, and at the step",
     )
-    def measure(lab: Lab) -> Reading:
+    def measure(lab: Lab) -> Measurement:
         return _rebound(lab, restitution)
 
 
@@ -248,11 +253,11 @@ def _not_pushed(left: float, right: float) -> str:
     law="v = the plate's largest speed",
     source="no restitution, no friction",
     unit="m/s",
-    mark=Mark(relative=0.02, because="a stiff contact may release a little of its spring; 2 % is 1 cm/s"),
+    tolerance=Tolerance(relative=0.02, rationale="a stiff contact may release a little of its spring; 2 % is 1 cm/s"),
     diagnosis="the driven body moves without velocity, or the contact sticks or springs back",
 )
-def _pushed_ball(lab: Lab) -> Reading:
-    return Reading(measured=_speeds(lab.once(_collision), BEFORE_S)[0], expected=PUSH_M_PER_S)
+def _pushed_ball(lab: Lab) -> Measurement:
+    return Measurement(measured=_speeds(lab.once(_collision), BEFORE_S)[0], expected=PUSH_M_PER_S)
 
 
 @check(
@@ -262,15 +267,15 @@ def _pushed_ball(lab: Lab) -> Reading:
     law="m1 v1 + m2 v2 = const",
     source="Newton",
     unit="1",
-    mark=Mark(absolute=1e-3, because="nothing but rounding and damping can change it"),
+    tolerance=Tolerance(absolute=1e-3, rationale="nothing but rounding and damping can change it"),
     diagnosis="the masses are not the scene's, or the bodies are damped, or one of them feels the contact alone",
 )
-def _collision_momentum(lab: Lab) -> Reading:
+def _collision_momentum(lab: Lab) -> Measurement:
     course = lab.once(_collision)
     (before, still), (left, right) = _speeds(course, BEFORE_S), _speeds(course, AFTER_S)
     if hint := _not_pushed(before, still):
-        return Reading(measured=float("nan"), expected=1.0, hint=hint)
-    return Reading(measured=(LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before), expected=1.0)
+        return Measurement(measured=float("nan"), expected=1.0, hint=hint)
+    return Measurement(measured=(LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before), expected=1.0)
 
 
 @check(
@@ -280,15 +285,15 @@ def _collision_momentum(lab: Lab) -> Reading:
     law="v2' - v1' = e (v1 - v2)",
     source="Newton's law of restitution",
     unit="1",
-    mark=Mark(absolute=0.01, because="it is (1 + e) / 2 that a cradle's balls hand on: 0.5 % a collision"),
+    tolerance=Tolerance(absolute=0.01, rationale="it is (1 + e) / 2 that a cradle's balls hand on: 0.5 % a collision"),
     diagnosis="restitution is not that of the pair, or depends on the bodies' masses, as a damped contact's may",
 )
-def _collision_rebound(lab: Lab) -> Reading:
+def _collision_rebound(lab: Lab) -> Measurement:
     course = lab.once(_collision)
     (before, still), (left, right) = _speeds(course, BEFORE_S), _speeds(course, AFTER_S)
     if hint := _not_pushed(before, still):
-        return Reading(measured=float("nan"), expected=RESTITUTION, hint=hint)
-    return Reading(measured=(right - left) / before, expected=RESTITUTION)
+        return Measurement(measured=float("nan"), expected=RESTITUTION, hint=hint)
+    return Measurement(measured=(right - left) / before, expected=RESTITUTION)
 
 
 # --- which pairs collide ---------------------------------------------------------------------------------------------
@@ -316,15 +321,15 @@ def _pairs(lab: Lab) -> Course:
     law="g t^2 / 2",
     source="contract (scene.Contact)",
     unit="m",
-    mark=Mark(relative=0.01, because="it is a fall; any touch shows"),
+    tolerance=Tolerance(relative=0.01, rationale="it is a fall; any touch shows"),
     diagnosis="the engine's own collision filter lets bodies collide that no contact of the scene pairs",
 )
-def _contact_unlisted(lab: Lab) -> Reading:
+def _contact_unlisted(lab: Lab) -> Measurement:
     course = lab.once(_pairs)
     fallen = {name: float(course.position(name)[0, 2] - course.position(name)[-1, 2]) for name in ("unlisted", "upper")}
     slow = min(fallen, key=lambda name: fallen[name])
     what = {"unlisted": "the plane", "upper": "the plane or the other ball"}[slow]
-    return Reading(measured=fallen[slow], expected=0.5 * G * 0.5**2, hint=f"ball {slow!r} is held by {what}")
+    return Measurement(measured=fallen[slow], expected=0.5 * G * 0.5**2, hint=f"ball {slow!r} is held by {what}")
 
 
 @check(
@@ -334,12 +339,12 @@ def _contact_unlisted(lab: Lab) -> Reading:
     law="height = 0",
     source="contract (scene.Contact)",
     unit="mm",
-    mark=Mark(absolute=0.5, because="the real trials' scatter is about 1 mm"),
+    tolerance=Tolerance(absolute=0.5, rationale="the real trials' scatter is about 1 mm"),
     diagnosis="the pair does not collide, or its contact is so soft that a body of 0.1 kg sinks in",
 )
-def _contact_listed(lab: Lab) -> Reading:
+def _contact_listed(lab: Lab) -> Measurement:
     height = lab.once(_pairs).position("listed")[-1, 2] - 0.03
-    return Reading(measured=1e3 * float(height), expected=0.0)
+    return Measurement(measured=1e3 * float(height), expected=0.0)
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
@@ -358,16 +363,16 @@ def _energy_j(course: Course) -> NDArray[np.float64]:
     return total
 
 
-def _largest_gain(course: Course) -> Reading:
+def _largest_gain(course: Course) -> Measurement:
     energy = _energy_j(course)
     gain = 100.0 * float((energy - energy[0]).max() / energy[0])
     at = float(course.times_s[int(energy.argmax())])
-    return Reading(measured=gain, expected=0.0, hint=f"the energy is highest at {at:.3g} s")
+    return Measurement(measured=gain, expected=0.0, hint=f"the energy is highest at {at:.3g} s")
 
 
-ENERGY_MARK = Mark(
+ENERGY_TOLERANCE = Tolerance(
     absolute=1.0,
-    because="contacts only take energy; 1 % is 3 mm of the height of fall, for what a stiff contact stores",
+    rationale="contacts only take energy; 1 % is 3 mm of the height of fall, for what a stiff contact stores",
 )
 ENERGY_DIAGNOSIS = (
     "the engine makes energy: contacts too stiff for the step, a capped solver, or penetration that is pushed out with "
@@ -388,10 +393,10 @@ def _tumble(lab: Lab) -> Course:
     law="T + V <= its start",
     source="contacts are passive",
     unit="%",
-    mark=ENERGY_MARK,
+    tolerance=ENERGY_TOLERANCE,
     diagnosis=ENERGY_DIAGNOSIS,
 )
-def _drop_energy(lab: Lab) -> Reading:
+def _drop_energy(lab: Lab) -> Measurement:
     return _largest_gain(lab.once(_tumble))
 
 
@@ -420,10 +425,10 @@ def _pile(lab: Lab) -> Course:
     law="T + V <= its start",
     source="contacts are passive",
     unit="%",
-    mark=ENERGY_MARK,
+    tolerance=ENERGY_TOLERANCE,
     diagnosis=ENERGY_DIAGNOSIS,
 )
-def _pile_energy(lab: Lab) -> Reading:
+def _pile_energy(lab: Lab) -> Measurement:
     return _largest_gain(lab.once(_pile))
 
 
@@ -434,13 +439,13 @@ def _pile_energy(lab: Lab) -> Reading:
     law="v <= 3 sqrt(2 g h)",
     source="energy; the bound by which an episode counts as diverged",
     unit="1",
-    mark=Mark(absolute=1.0, because="beyond it, an environment ends the episode as diverged"),
+    tolerance=Tolerance(absolute=1.0, rationale="beyond it, an environment ends the episode as diverged"),
     diagnosis=ENERGY_DIAGNOSIS,
 )
-def _pile_bounds(lab: Lab) -> Reading:
+def _pile_bounds(lab: Lab) -> Measurement:
     course = lab.once(_pile)
     speeds = [np.linalg.norm(course.velocity(one.name), axis=1).max() for one in course.scene.dynamic_bodies]
-    return Reading(measured=float(max(speeds)) / course.scene.speed_limit_m_per_s, expected=0.0)
+    return Measurement(measured=float(max(speeds)) / course.scene.speed_limit_m_per_s, expected=0.0)
 
 
 @check(
@@ -450,14 +455,14 @@ def _pile_bounds(lab: Lab) -> Reading:
     law="height >= 0",
     source="bodies are rigid",
     unit="mm",
-    mark=Mark(
+    tolerance=Tolerance(
         absolute=0.5,
-        because="the real trials' scatter is about 1 mm. The moment of landing is left out: there a compliant contact "
+        rationale="the real trials' scatter is about 1 mm. The moment of landing is left out: there a soft contact "
         "gives way by speed times its time constant, and comes back",
     ),
     diagnosis="contacts are too soft, or boxes tunnel through the plane",
 )
-def _pile_sinks(lab: Lab) -> Reading:
+def _pile_sinks(lab: Lab) -> Measurement:
     course = lab.once(_pile)
     corners = Box(size_m=PILE_BOX_M).corners_m
     deepest = 0.0
@@ -466,4 +471,4 @@ def _pile_sinks(lab: Lab) -> Reading:
         turn = Rotation.from_quat(states[:, 3:7], scalar_first=True).as_matrix()
         heights = states[:, 2, None] + turn[:, 2] @ corners.T
         deepest = max(deepest, -float(heights.min()))
-    return Reading(measured=1e3 * deepest, expected=0.0)
+    return Measurement(measured=1e3 * deepest, expected=0.0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import Simulation
-from gauge_envs.checks.conformance.kit import Mark, Reading, check
+from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.parts import ball, body, box, driver, fixed_box, ground, ramp, strip_on_rod
 from gauge_envs.checks.rollout import Course, PathsOfDrivers, record, states_now
@@ -17,7 +17,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 __all__: list[str] = []
 
-EXACT = Mark(absolute=0.0, because="the contract says the same, bit for bit")
+EXACT = Tolerance(absolute=0.0, rationale="the contract says the same, bit for bit")
 
 # --- conventions -----------------------------------------------------------------------------------------------------
 
@@ -60,14 +60,14 @@ def _as_built(lab: Lab) -> tuple[Scene, NDArray[np.float64], NDArray[np.float64]
     law="RigidBody.pose",
     source="contract (Backend.build)",
     unit="mm",
-    mark=Mark(absolute=1e-3, because="a float's rounding at 1 m is 0.1 um"),
+    tolerance=Tolerance(absolute=1e-3, rationale="a float's rounding at 1 m is 0.1 um"),
     diagnosis="body_states must give the body origin in metres in the world frame, before any step is done",
 )
-def _start_position(lab: Lab) -> Reading:
+def _start_position(lab: Lab) -> Measurement:
     scene, states, _ = lab.once(_as_built)
     expected = np.array([one.pose.position_m for one in scene.bodies])
     hint = "positions are in mm" if np.allclose(states[:, :3], 1e3 * expected, atol=1.0) else ""
-    return Reading(
+    return Measurement(
         measured=1e3 * float(np.linalg.norm(states[:, :3] - expected, axis=1).max()), expected=0.0, hint=hint
     )
 
@@ -79,10 +79,10 @@ def _start_position(lab: Lab) -> Reading:
     law="RigidBody.pose",
     source="contract (Simulation.body_states)",
     unit="1",
-    mark=Mark(absolute=1e-5, because="a float's rounding is 1e-7"),
+    tolerance=Tolerance(absolute=1e-5, rationale="a float's rounding is 1e-7"),
     diagnosis="columns 3 to 6 of body_states are a unit quaternion, scalar first, body to world",
 )
-def _start_orientation(lab: Lab) -> Reading:
+def _start_orientation(lab: Lab) -> Measurement:
     scene, states, _ = lab.once(_as_built)
     expected = np.array([one.pose.quaternion for one in scene.bodies])
 
@@ -96,7 +96,7 @@ def _start_orientation(lab: Lab) -> Reading:
         "it is the inverse: world to body": reported * [1.0, -1.0, -1.0, -1.0],
     }
     hint = next((text for text, values in explanations.items() if miss(values) < 1e-4), "")
-    return Reading(measured=miss(reported), expected=0.0, hint=hint)
+    return Measurement(measured=miss(reported), expected=0.0, hint=hint)
 
 
 @check(
@@ -106,11 +106,11 @@ def _start_orientation(lab: Lab) -> Reading:
     law="v = 0, omega = 0",
     source="contract (scene.py has no start velocities)",
     unit="1",
-    mark=Mark(absolute=1e-9, because="nothing has moved yet"),
+    tolerance=Tolerance(absolute=1e-9, rationale="nothing has moved yet"),
     diagnosis="build must not step the engine, or must go back to the start after it",
 )
-def _start_rest(lab: Lab) -> Reading:
-    return Reading(measured=float(np.abs(lab.once(_as_built)[1][:, 7:]).max()), expected=0.0)
+def _start_rest(lab: Lab) -> Measurement:
+    return Measurement(measured=float(np.abs(lab.once(_as_built)[1][:, 7:]).max()), expected=0.0)
 
 
 @check(
@@ -120,12 +120,12 @@ def _start_rest(lab: Lab) -> Reading:
     law="row i is that of names[i]",
     source="contract (Simulation.body_states)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="body_states must return one row for each name in the order asked for, not in the scene's",
 )
-def _order_of_names(lab: Lab) -> Reading:
+def _order_of_names(lab: Lab) -> Measurement:
     _, forward, backward = lab.once(_as_built)
-    return Reading(measured=float(np.abs(forward - backward).max()), expected=0.0)
+    return Measurement(measured=float(np.abs(forward - backward).max()), expected=0.0)
 
 
 # --- time ------------------------------------------------------------------------------------------------------------
@@ -176,10 +176,10 @@ def _bounce(lab: Lab) -> Course:
     law="advance(6 dt) = 6 advance(dt)",
     source="contract (Simulation.advance)",
     unit="1",
-    mark=Mark(absolute=1e-4, because="steps are the same; only rounding differs"),
+    tolerance=Tolerance(absolute=1e-4, rationale="steps are the same; only rounding differs"),
     diagnosis="advance(seconds) must simulate that time whatever its length: count steps, do not step once a call",
 )
-def _time(lab: Lab) -> Reading:
+def _time(lab: Lab) -> Measurement:
     scene = Scene(bodies=(box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),), duration_s=1.0)
     fallen = []
     for interval, count in ((1 / 30, 9), (SAMPLE_INTERVAL_S, 54)):
@@ -192,8 +192,8 @@ def _time(lab: Lab) -> Reading:
         finally:
             simulation.close()
     if not fallen[1] > 0.0:
-        return Reading(measured=float("nan"), expected=1.0, hint="the brick does not fall")
-    return Reading(measured=fallen[0] / fallen[1], expected=1.0)
+        return Measurement(measured=float("nan"), expected=1.0, hint="the brick does not fall")
+    return Measurement(measured=fallen[0] / fallen[1], expected=1.0)
 
 
 @check(
@@ -203,10 +203,10 @@ def _time(lab: Lab) -> Reading:
     law="= advance, then body_states",
     source="contract (Simulation.sample_positions)",
     unit="mm",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="an override of sample_positions must advance first and read then, the same bodies in the same order",
 )
-def _sample_positions(lab: Lab) -> Reading:
+def _sample_positions(lab: Lab) -> Measurement:
     scene = Scene(
         bodies=(ball("ball", (0.1, 0.2, 2.0)), box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03))), duration_s=1.0
     )
@@ -226,7 +226,7 @@ def _sample_positions(lab: Lab) -> Reading:
             read.append(np.array(rows))
         finally:
             simulation.close()
-    return Reading(measured=1e3 * float(np.abs(read[0] - read[1]).max()), expected=0.0)
+    return Measurement(measured=1e3 * float(np.abs(read[0] - read[1]).max()), expected=0.0)
 
 
 # --- repeatability ---------------------------------------------------------------------------------------------------
@@ -293,12 +293,12 @@ def _start_hint(first: Course, second: Course) -> str:
     law="state after reset = state after build",
     source="contract (Simulation.reset)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="reset must restore positions, orientations and velocities of all bodies, driven ones included",
 )
-def _reset_start(lab: Lab) -> Reading:
+def _reset_start(lab: Lab) -> Measurement:
     first, second = lab.once(_bounce_again)
-    return Reading(
+    return Measurement(
         measured=_difference(_first_samples(first), _first_samples(second)),
         expected=0.0,
         hint=_start_hint(first, second),
@@ -312,11 +312,11 @@ def _reset_start(lab: Lab) -> Reading:
     law="same seed, same course",
     source="contract (Simulation.reset)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="something outlives reset: velocities, warm starts, contact caches, forces on driven bodies, or time",
 )
-def _reset_course(lab: Lab) -> Reading:
-    return Reading(measured=_difference(*lab.once(_bounce_again)), expected=0.0)
+def _reset_course(lab: Lab) -> Measurement:
+    return Measurement(measured=_difference(*lab.once(_bounce_again)), expected=0.0)
 
 
 @check(
@@ -326,11 +326,11 @@ def _reset_course(lab: Lab) -> Reading:
     law="same scene, same course",
     source="contract (Simulation.reset); a benchmark must be repeatable",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="unseeded random numbers, or sums in an order that changes, as of atomic additions on a GPU",
 )
-def _determinism(lab: Lab) -> Reading:
-    return Reading(measured=_difference(lab.once(_bounce), _bounce(lab)), expected=0.0)
+def _determinism(lab: Lab) -> Measurement:
+    return Measurement(measured=_difference(lab.once(_bounce), _bounce(lab)), expected=0.0)
 
 
 def _continued(lab: Lab, scene: Scene, *, in_copy: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -370,12 +370,12 @@ def _continued(lab: Lab, scene: Scene, *, in_copy: bool = False) -> tuple[NDArra
     law="same state, same course",
     source="contract (Simulation.state)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="state() must hold velocities, warm starts and whatever else the next step reads, as copies",
 )
-def _restore(lab: Lab) -> Reading:
+def _restore(lab: Lab) -> Measurement:
     first, second = _continued(lab, _bounces(lab))
-    return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
+    return Measurement(measured=float(np.abs(first - second).max()), expected=0.0)
 
 
 @check(
@@ -385,12 +385,12 @@ def _restore(lab: Lab) -> Reading:
     law="same state, same course",
     source="contract (Simulation.state)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="state() must pickle, and hold what the next step reads, not where this one simulation keeps it",
 )
-def _copy(lab: Lab) -> Reading:
+def _copy(lab: Lab) -> Measurement:
     first, second = _continued(lab, _bounces(lab), in_copy=True)
-    return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
+    return Measurement(measured=float(np.abs(first - second).max()), expected=0.0)
 
 
 @check(
@@ -400,11 +400,11 @@ def _copy(lab: Lab) -> Reading:
     law="same seed, same course",
     source="contract (Simulation.reset)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="reset must restore positions and velocities of the nodes, and whatever the solver keeps between steps",
 )
-def _cloth_reset(lab: Lab) -> Reading:
-    return Reading(measured=_difference(*lab.once(_cloth_again)), expected=0.0)
+def _cloth_reset(lab: Lab) -> Measurement:
+    return Measurement(measured=_difference(*lab.once(_cloth_again)), expected=0.0)
 
 
 @check(
@@ -414,11 +414,11 @@ def _cloth_reset(lab: Lab) -> Reading:
     law="same scene, same course",
     source="contract (Simulation.reset); a benchmark must be repeatable",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="unseeded random numbers, or sums in an order that changes, as of atomic additions on a GPU",
 )
-def _cloth_determinism(lab: Lab) -> Reading:
-    return Reading(measured=_difference(lab.once(_cloth_again)[0], lab.course(strip_on_rod(), 0.2)), expected=0.0)
+def _cloth_determinism(lab: Lab) -> Measurement:
+    return Measurement(measured=_difference(lab.once(_cloth_again)[0], lab.course(strip_on_rod(), 0.2)), expected=0.0)
 
 
 @check(
@@ -428,12 +428,12 @@ def _cloth_determinism(lab: Lab) -> Reading:
     law="same state, same course",
     source="contract (Simulation.state)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="state() must hold the nodes' velocities and whatever else the next step reads, as copies",
 )
-def _cloth_restore(lab: Lab) -> Reading:
+def _cloth_restore(lab: Lab) -> Measurement:
     first, second = _continued(lab, strip_on_rod())
-    return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
+    return Measurement(measured=float(np.abs(first - second).max()), expected=0.0)
 
 
 @check(
@@ -443,9 +443,9 @@ def _cloth_restore(lab: Lab) -> Reading:
     law="same state, same course",
     source="contract (Simulation.state)",
     unit="1",
-    mark=EXACT,
+    tolerance=EXACT,
     diagnosis="state() must pickle, and hold what the next step reads, not where this one simulation keeps it",
 )
-def _cloth_copy(lab: Lab) -> Reading:
+def _cloth_copy(lab: Lab) -> Measurement:
     first, second = _continued(lab, strip_on_rod(), in_copy=True)
-    return Reading(measured=float(np.abs(first - second).max()), expected=0.0)
+    return Measurement(measured=float(np.abs(first - second).max()), expected=0.0)

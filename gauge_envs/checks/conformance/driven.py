@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.checks.conformance.glue import following_reading
-from gauge_envs.checks.conformance.kit import Mark, Reading, check
+from gauge_envs.checks.conformance.attachments import following_reading
+from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.parts import body, box, driver, ramp
 from gauge_envs.checks.rollout import Course
@@ -65,11 +65,11 @@ def _on_the_plate(course: Course) -> NDArray[np.float64]:
     law="pose = the driver's",
     source="contract (Simulation.drive)",
     unit="mm",
-    mark=Mark(absolute=0.1, because="a tenth of the real trials' scatter"),
+    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
     diagnosis="the pose is set too early or too late by an interval, contacts push the driven body, or its path is not "
     "integrated with the acceleration that drive() gives",
 )
-def _driven_path(lab: Lab) -> Reading:
+def _driven_path(lab: Lab) -> Measurement:
     course = lab.once(_turntable)
     corners = Box(size_m=PLATE_M).corners_m
 
@@ -88,16 +88,16 @@ def _driven_path(lab: Lab) -> Reading:
     law="v = the driver's",
     source="contract (Simulation.drive)",
     unit="1",
-    mark=Mark(absolute=0.01, because="it is what friction on the plate sees; 1 % as for a slide"),
+    tolerance=Tolerance(absolute=0.01, rationale="it is what friction on the plate sees; 1 % as for a slide"),
     diagnosis="the driven body is teleported: it has no velocity, so that it carries nothing",
 )
-def _driven_velocity(lab: Lab) -> Reading:
+def _driven_velocity(lab: Lab) -> Measurement:
     course = lab.once(_carry)
     cruise = course.scene.drivers[0].motions[0].rate(0.6)
-    return Reading(measured=float(course.velocity("plate")[course.between(0.6, 0.6), 0][0] / cruise), expected=1.0)
+    return Measurement(measured=float(course.velocity("plate")[course.between(0.6, 0.6), 0][0] / cruise), expected=1.0)
 
 
-CARRY_MARK = Mark(absolute=1.0, because="the real trials' scatter is about 1 mm")
+CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")
 CARRY_DIAGNOSIS = (
     "the driven body must have a velocity in every step, so that friction carries the cube; piecewise constant speed "
     "jolts it at each change"
@@ -111,12 +111,12 @@ CARRY_DIAGNOSIS = (
     law="0 while the acceleration is below mu g",
     source="Coulomb",
     unit="mm",
-    mark=CARRY_MARK,
+    tolerance=CARRY_TOLERANCE,
     diagnosis=CARRY_DIAGNOSIS,
 )
-def _carry_line(lab: Lab) -> Reading:
+def _carry_line(lab: Lab) -> Measurement:
     way = np.linalg.norm(_on_the_plate(lab.once(_carry)), axis=1)
-    return Reading(measured=1e3 * float(way.max()), expected=0.0)
+    return Measurement(measured=1e3 * float(way.max()), expected=0.0)
 
 
 @check(
@@ -126,12 +126,12 @@ def _carry_line(lab: Lab) -> Reading:
     law="0 while omega^2 r is below mu g",
     source="Coulomb",
     unit="mm",
-    mark=CARRY_MARK,
+    tolerance=CARRY_TOLERANCE,
     diagnosis=CARRY_DIAGNOSIS + "; look at angular velocity's sign and frame, and at outward creep",
 )
-def _carry_turn(lab: Lab) -> Reading:
+def _carry_turn(lab: Lab) -> Measurement:
     way = np.linalg.norm(_on_the_plate(lab.once(_turntable)), axis=1)
-    return Reading(measured=1e3 * float(way.max()), expected=0.0)
+    return Measurement(measured=1e3 * float(way.max()), expected=0.0)
 
 
 @check(
@@ -141,12 +141,14 @@ def _carry_turn(lab: Lab) -> Reading:
     law="a = mu g",
     source="Coulomb",
     unit="m/s^2",
-    mark=Mark(relative=0.02, because="as for a slide, and as much for the plate's speed changing within an interval"),
+    tolerance=Tolerance(
+        relative=0.02, rationale="as for a slide, and as much for the plate's speed changing within an interval"
+    ),
     diagnosis="friction on a driven body is not that of the pair, or sees another velocity than the driver's",
 )
-def _carry_slip(lab: Lab) -> Reading:
+def _carry_slip(lab: Lab) -> Measurement:
     start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
     course = _on_plate(lab, motion, friction=0.05, x_m=0.0, seconds=0.4)
     fit = np.polyfit(course.times_s, course.position("cube")[:, 0], 2)
-    return Reading(measured=float(2.0 * fit[0]), expected=0.05 * GRAVITY_M_PER_S2)
+    return Measurement(measured=float(2.0 * fit[0]), expected=0.05 * GRAVITY_M_PER_S2)

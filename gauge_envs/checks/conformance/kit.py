@@ -19,9 +19,9 @@ from gauge_envs.files import json_ready
 
 __all__ = [
     "Check",
-    "Finding",
-    "Mark",
-    "Reading",
+    "CheckResult",
+    "Tolerance",
+    "Measurement",
     "Status",
     "check",
     "checks",
@@ -43,16 +43,16 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mark:
+class Tolerance:
     """How far from the law a measured value may be: `absolute + relative * |expected|`, the same for every engine.
 
     Attributes:
-        because: Why it is this wide; a reason of physics or of the benchmark, never of an engine.
+        rationale: Why it is this wide; a reason of physics or of the benchmark, never of an engine.
         absolute: Part in the unit of the measured value.
         relative: Part as a share of the expected value.
     """
 
-    because: str
+    rationale: str
     absolute: float = 0.0
     relative: float = 0.0
 
@@ -62,7 +62,7 @@ class Mark:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
+class Measurement:
     """What a check measured.
 
     Attributes:
@@ -87,7 +87,7 @@ class Check:
         law: The formula that gives the expected value.
         source: Where the law is from.
         unit: Unit of the measured value; "1" for a pure number.
-        mark: How far from the law a backend may be.
+        tolerance: How far from the law a backend may be.
         diagnosis: Where to look when it fails.
         measure: Measures it; builds its scene through the `Lab` that it gets.
     """
@@ -98,13 +98,13 @@ class Check:
     law: str
     source: str
     unit: str
-    mark: Mark
+    tolerance: Tolerance
     diagnosis: str
-    measure: Callable[[Lab], Reading]
+    measure: Callable[[Lab], Measurement]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class CheckResult:
     """What became of one check on one backend.
 
     Attributes:
@@ -119,7 +119,7 @@ class Finding:
         expected: What the law says; None where nothing was measured.
         measured: What was measured; None where nothing was. May be infinite or NaN, which fails.
         width: Largest admissible difference of the two; None where nothing was measured.
-        because: Why the pass mark is that wide.
+        rationale: Why the tolerance is that wide.
         diagnosis: Where to look, when it failed; the exception's text for an error; empty otherwise.
         missing: What the backend says it lacks, when it declined.
         wall_s: Time that the check took [s]; checks that share a run count it once.
@@ -135,7 +135,7 @@ class Finding:
     law: str
     source: str
     unit: str
-    because: str
+    rationale: str
     expected: float | None = None
     measured: float | None = None
     width: float | None = None
@@ -167,16 +167,16 @@ def check(
     law: str,
     source: str,
     unit: str,
-    mark: Mark,
+    tolerance: Tolerance,
     diagnosis: str,
-) -> Callable[[Callable[[Lab], Reading]], Callable[[Lab], Reading]]:
+) -> Callable[[Callable[[Lab], Measurement]], Callable[[Lab], Measurement]]:
     """Decorator that makes a function a check; see `Check` for the arguments.
 
     Raises:
         ParameterError: A check of that id exists already.
     """
 
-    def register(measure: Callable[[Lab], Reading]) -> Callable[[Lab], Reading]:
+    def register(measure: Callable[[Lab], Measurement]) -> Callable[[Lab], Measurement]:
         if id in _CHECKS:
             raise ParameterError(f"check {id!r} exists already")
         _CHECKS[id] = Check(
@@ -186,7 +186,7 @@ def check(
             law=law,
             source=source,
             unit=unit,
-            mark=mark,
+            tolerance=tolerance,
             diagnosis=diagnosis,
             measure=measure,
         )
@@ -210,7 +210,7 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
 
 def run_checks(
     backend: Backend | str, *, settings: Mapping[str, Any] | None = None, only: Sequence[str] = ()
-) -> Iterator[Finding]:
+) -> Iterator[CheckResult]:
     """Run checks on a backend, each finding as its check ends.
 
     Args:
@@ -224,15 +224,15 @@ def run_checks(
         RefusedSettingsError: The backend refuses the settings; raised by the iterator.
     """
     engine = find_backend(backend) if isinstance(backend, str) else backend
-    return _findings(engine, Lab(engine, settings), checks(only))
+    return _results(engine, Lab(engine, settings), checks(only))
 
 
-def _findings(engine: Backend, lab: Lab, chosen: Sequence[Check]) -> Iterator[Finding]:
+def _results(engine: Backend, lab: Lab, chosen: Sequence[Check]) -> Iterator[CheckResult]:
     versions = engine.versions()
     for one in chosen:
         started = time.perf_counter()
         outcome = _outcome(lab, one)
-        yield Finding(
+        yield CheckResult(
             check=one.id,
             backend=engine.name,
             title=one.title,
@@ -240,7 +240,7 @@ def _findings(engine: Backend, lab: Lab, chosen: Sequence[Check]) -> Iterator[Fi
             law=one.law,
             source=one.source,
             unit=one.unit,
-            because=one.mark.because,
+            rationale=one.tolerance.rationale,
             wall_s=time.perf_counter() - started,
             settings=lab.settings_in_force,
             versions=versions,
@@ -260,7 +260,7 @@ def _outcome(lab: Lab, one: Check) -> dict[str, Any]:
     except Exception as error:
         return {"status": Status.ERROR, "diagnosis": f"{type(error).__name__}: {error}"}
     expected, measured = float(reading.expected), float(reading.measured)
-    width = one.mark.width(expected)
+    width = one.tolerance.width(expected)
     passed = math.isfinite(measured) and abs(measured - expected) <= width
     text = "; ".join(part for part in (reading.hint, one.diagnosis) if part)
     return {

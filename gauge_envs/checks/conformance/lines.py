@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.checks.conformance.kit import Mark, Reading, check
+from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import cantilever_load_over_stiffness, hann_mean
 from gauge_envs.checks.conformance.parts import fixed_box
@@ -59,12 +59,12 @@ def _along(course: Course) -> NDArray[np.float64]:
     law="L",
     source="inextensible (scene.Rope)",
     unit="mm",
-    mark=Mark(relative=0.01, because="1 % of the length is 0.5 % of a swing's period"),
+    tolerance=Tolerance(relative=0.01, rationale="1 % of the length is 0.5 % of a swing's period"),
     diagnosis="distance constraints are too soft, or the rope has its Young's modulus as stretch stiffness",
 )
-def _rope_length(lab: Lab) -> Reading:
+def _rope_length(lab: Lab) -> Measurement:
     lengths = np.linalg.norm(np.diff(_along(lab.once(_falling_rope)), axis=1), axis=2).sum(axis=1)
-    return Reading(measured=1e3 * float(lengths[np.abs(lengths - ROPE_M).argmax()]), expected=1e3 * ROPE_M)
+    return Measurement(measured=1e3 * float(lengths[np.abs(lengths - ROPE_M).argmax()]), expected=1e3 * ROPE_M)
 
 
 @check(
@@ -74,10 +74,12 @@ def _rope_length(lab: Lab) -> Reading:
     law="T + V <= its start",
     source="an inextensible rope stores nothing",
     unit="%",
-    mark=Mark(absolute=5.0, because="speeds are differences over 11 ms, and masses are those of equal pieces"),
+    tolerance=Tolerance(
+        absolute=5.0, rationale="speeds are differences over 11 ms, and masses are those of equal pieces"
+    ),
     diagnosis="the solver makes energy: step too long, iterations capped, or constraints corrected with speed",
 )
-def _rope_energy(lab: Lab) -> Reading:
+def _rope_energy(lab: Lab) -> Measurement:
     course = lab.once(_falling_rope)
     nodes = _along(course)
     shares = np.gradient(nodes[0, :, 0])
@@ -86,7 +88,7 @@ def _rope_energy(lab: Lab) -> Reading:
     speed = np.gradient(nodes, course.times_s, axis=0)
     potential = G * (nodes[:, :, 2] - nodes[0, :, 2]) @ shares
     total = potential + 0.5 * np.square(speed).sum(axis=2) @ shares
-    return Reading(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
+    return Measurement(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
 
 
 # --- rod -------------------------------------------------------------------------------------------------------------
@@ -120,10 +122,10 @@ def _drooping_rod(lab: Lab) -> Course:
     law="E I w'' = rho A g (L - s)^2 / 2, I = pi r^4 / 4",
     source="Euler and Bernoulli",
     unit="N m^2",
-    mark=Mark(relative=0.1, because="a mesh's clamp acts up to half a segment off, 3 % of the length"),
+    tolerance=Tolerance(relative=0.1, rationale="a mesh's clamp acts up to half a segment off, 3 % of the length"),
     diagnosis="look at how E and the radius become the engine's bending constant, and whether the grip holds the slope",
 )
-def _rod_bending(lab: Lab) -> Reading:
+def _rod_bending(lab: Lab) -> Measurement:
     course = lab.once(_drooping_rod)
     nodes = course.nodes_m["rod"]
     droop = (nodes[0] - hann_mean(nodes[course.between(SETTLED_S, ROD_S)]))[:, 2]
@@ -131,6 +133,6 @@ def _rod_bending(lab: Lab) -> Reading:
     slope = cantilever_load_over_stiffness(s, droop, length_m=FREE_M, weights=np.ones(len(s)))
     load, expected = ROD_DENSITY * SECTION_M2 * ROD_GRAVITY, YOUNG_PA * INERTIA_M4
     if not slope > 0.0:
-        return Reading(measured=float("inf"), expected=expected, hint="under its weight, it does not bend")
+        return Measurement(measured=float("inf"), expected=expected, hint="under its weight, it does not bend")
     hint = f"it bends {expected * slope / load:.3g} times as much as it should"
-    return Reading(measured=float(load / slope), expected=float(expected), hint=hint)
+    return Measurement(measured=float(load / slope), expected=float(expected), hint=hint)

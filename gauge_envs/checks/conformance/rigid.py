@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.checks.conformance.kit import Mark, Reading, check
+from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import (
     box_inertia_kg_m2,
@@ -68,9 +68,9 @@ def _gravity_hint(measured: float, expected: float) -> str:
     return ""
 
 
-FALL_MARK = Mark(
+FALL_TOLERANCE = Tolerance(
     relative=1e-3,
-    because="a fall has no model error; 0.1 % is 0.4 mm at the ball's first impact, its real scatter is 1 mm",
+    rationale="a fall has no model error; 0.1 % is 0.4 mm at the ball's first impact, its real scatter is 1 mm",
 )
 
 
@@ -81,12 +81,12 @@ FALL_MARK = Mark(
     law="a = g",
     source="Galilei",
     unit="m/s^2",
-    mark=FALL_MARK,
+    tolerance=FALL_TOLERANCE,
     diagnosis="look at gravity's size and sign, at damping of free bodies, and at the length of advance()",
 )
-def _free_fall(lab: Lab) -> Reading:
+def _free_fall(lab: Lab) -> Measurement:
     measured = _fall_acceleration(lab.once(_earth_fall))
-    return Reading(measured=measured, expected=G, hint=_gravity_hint(measured, G))
+    return Measurement(measured=measured, expected=G, hint=_gravity_hint(measured, G))
 
 
 @check(
@@ -96,12 +96,12 @@ def _free_fall(lab: Lab) -> Reading:
     law="a = Scene.gravity_m_per_s2",
     source="contract (scene.py)",
     unit="m/s^2",
-    mark=FALL_MARK,
+    tolerance=FALL_TOLERANCE,
     diagnosis="the backend must take gravity from the scene instead of the engine's default",
 )
-def _gravity_of_scene(lab: Lab) -> Reading:
+def _gravity_of_scene(lab: Lab) -> Measurement:
     measured = _fall_acceleration(_fall(lab, 1.62))
-    return Reading(measured=measured, expected=1.62, hint=_gravity_hint(measured, 1.62))
+    return Measurement(measured=measured, expected=1.62, hint=_gravity_hint(measured, 1.62))
 
 
 @check(
@@ -111,15 +111,15 @@ def _gravity_of_scene(lab: Lab) -> Reading:
     law="x, y = const",
     source="Galilei",
     unit="mm",
-    mark=Mark(
+    tolerance=Tolerance(
         absolute=0.01,
-        because="nothing acts sideways; 10 um is the rounding of single precision over some hundred steps",
+        rationale="nothing acts sideways; 10 um is the rounding of single precision over some hundred steps",
     ),
     diagnosis="gravity is tilted, world axes are swapped, or another body pushes it",
 )
-def _free_fall_drift(lab: Lab) -> Reading:
+def _free_fall_drift(lab: Lab) -> Measurement:
     way = lab.once(_earth_fall).position("brick")
-    return Reading(measured=1e3 * float(np.abs(way[:, :2] - way[0, :2]).max()), expected=0.0)
+    return Measurement(measured=1e3 * float(np.abs(way[:, :2] - way[0, :2]).max()), expected=0.0)
 
 
 @check(
@@ -129,15 +129,15 @@ def _free_fall_drift(lab: Lab) -> Reading:
     law="orientation = const",
     source="Euler's equations without torque",
     unit="deg",
-    mark=Mark(
-        absolute=0.01, because="nothing turns it; single precision keeps an orientation to about 1e-5 degrees a step"
+    tolerance=Tolerance(
+        absolute=0.01, rationale="nothing turns it; single precision keeps an orientation to about 1e-5 degrees a step"
     ),
     diagnosis="gravity does not act at the centre of mass, or the orientation is read or set in another convention",
 )
-def _free_fall_turn(lab: Lab) -> Reading:
+def _free_fall_turn(lab: Lab) -> Measurement:
     states = lab.once(_earth_fall).states["brick"]
     turns = _rotations(states) * _rotations(states)[0].inv()
-    return Reading(measured=float(np.degrees(turns.magnitude().max())), expected=0.0)
+    return Measurement(measured=float(np.degrees(turns.magnitude().max())), expected=0.0)
 
 
 WEDGE_M = tuple((x, y, z) for x, y, z in [(0, 0, 0), (0.1, 0, 0), (0, 0.06, 0), (0, 0, 0.04)])
@@ -156,10 +156,10 @@ KINDS: dict[str, Shape] = {
     law="z0 - z = g t^2 / 2",
     source="contract (scene.py)",
     unit="1",
-    mark=Mark(absolute=0.0, because="a count"),
+    tolerance=Tolerance(absolute=0.0, rationale="a count"),
     diagnosis="a body that the backend cannot build must be declined by supports(), not dropped or frozen",
 )
-def _all_bodies_move(lab: Lab) -> Reading:
+def _all_bodies_move(lab: Lab) -> Measurement:
     bodies = tuple(
         body(name, shape, Pose(position_m=(0.2 * index, 0.0, 2.0))) for index, (name, shape) in enumerate(KINDS.items())
     )
@@ -168,7 +168,7 @@ def _all_bodies_move(lab: Lab) -> Reading:
     fallen = {name: float(course.position(name)[0, 2] - course.position(name)[-1, 2]) for name in KINDS}
     wrong = [name for name, way in fallen.items() if not abs(way - expected) < 0.02 * expected]
     hint = "; ".join(f"the {name} fell {fallen[name]:.3g} m instead of {expected:.3g} m" for name in wrong)
-    return Reading(measured=len(KINDS) - len(wrong), expected=len(KINDS), hint=hint)
+    return Measurement(measured=len(KINDS) - len(wrong), expected=len(KINDS), hint=hint)
 
 
 # --- pendulum --------------------------------------------------------------------------------------------------------
@@ -206,16 +206,18 @@ def _period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float
     law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2))",
     source="physical pendulum, complete elliptic integral",
     unit="s",
-    mark=Mark(relative=2e-3, because="after the benchmark's 100 periods, 0.2 % is a fifth of a period out of step"),
+    tolerance=Tolerance(
+        relative=2e-3, rationale="after the benchmark's 100 periods, 0.2 % is a fifth of a period out of step"
+    ),
     diagnosis="look at the bob's own inertia (2/5 m r^2 is 2.5 % of it), the hinge's place, damping and armature",
 )
-def _pendulum_period(lab: Lab) -> Reading:
+def _pendulum_period(lab: Lab) -> Measurement:
     course = lab.once(_pendulum)
     gyration = float(np.sqrt(0.4) * BOB_M)
     expected = pendulum_period_s(
         length_m=PENDULUM_M, gyration_m=gyration, amplitude_rad=float(AMPLITUDE_RAD), gravity_m_per_s2=G
     )
-    return Reading(measured=_period_s(course.times_s, _pendulum_angle(course)), expected=expected)
+    return Measurement(measured=_period_s(course.times_s, _pendulum_angle(course)), expected=expected)
 
 
 @check(
@@ -225,18 +227,18 @@ def _pendulum_period(lab: Lab) -> Reading:
     law="T + V = const",
     source="frictionless hinge (scene.py)",
     unit="%",
-    mark=Mark(
-        absolute=1.0, because="EL, the benchmark's energy score, reads per cent over 100 s; 1 % in 3 s would swamp it"
+    tolerance=Tolerance(
+        absolute=1.0, rationale="EL, the benchmark's energy score, reads per cent over 100 s; 1 % in 3 s would swamp it"
     ),
     diagnosis="the hinge or the body is damped (joint damping, friction, angular damping), or the integrator is lossy",
 )
-def _pendulum_energy(lab: Lab) -> Reading:
+def _pendulum_energy(lab: Lab) -> Measurement:
     course = lab.once(_pendulum)
     kinetic = 0.5 * (np.square(course.velocity("bob")) + 0.4 * BOB_M**2 * np.square(course.spin("bob"))).sum(axis=1)
     energy = kinetic + G * course.position("bob")[:, 2]
     lost = energy[0] - energy
     worst = float(lost[np.abs(lost).argmax()])
-    return Reading(measured=100.0 * worst / (G * PENDULUM_M * (1.0 - np.cos(AMPLITUDE_RAD))), expected=0.0)
+    return Measurement(measured=100.0 * worst / (G * PENDULUM_M * (1.0 - np.cos(AMPLITUDE_RAD))), expected=0.0)
 
 
 @check(
@@ -246,13 +248,13 @@ def _pendulum_energy(lab: Lab) -> Reading:
     law="|r - anchor| = l",
     source="hinge (scene.py)",
     unit="mm",
-    mark=Mark(absolute=0.2, because="0.1 % of the arm, 0.05 % of the period"),
+    tolerance=Tolerance(absolute=0.2, rationale="0.1 % of the arm, 0.05 % of the period"),
     diagnosis="the joint is a soft constraint that gives way: stiffen it, or use reduced coordinates",
 )
-def _hinge_radius(lab: Lab) -> Reading:
+def _hinge_radius(lab: Lab) -> Measurement:
     arm = lab.once(_pendulum).position("bob") - np.asarray(PIVOT_M)
     miss = np.maximum(np.abs(np.hypot(arm[:, 0], arm[:, 2]) - PENDULUM_M), np.abs(arm[:, 1]))
-    return Reading(measured=1e3 * float(miss.max()), expected=0.0)
+    return Measurement(measured=1e3 * float(miss.max()), expected=0.0)
 
 
 # --- string ----------------------------------------------------------------------------------------------------------
@@ -274,14 +276,14 @@ def _tether(lab: Lab) -> Course:
     law="a = g",
     source="tether (scene.py): it only pulls",
     unit="m/s^2",
-    mark=Mark(relative=0.01, because="the fit is over 23 samples only"),
+    tolerance=Tolerance(relative=0.01, rationale="the fit is over 23 samples only"),
     diagnosis="the string pushes: a rod or a spring stands for it",
 )
-def _tether_slack(lab: Lab) -> Reading:
+def _tether_slack(lab: Lab) -> Measurement:
     course = lab.once(_tether)
     falling = course.between(0.0, 0.13)
     fit = np.polyfit(course.times_s[falling], course.position("bob")[falling, 2], 2)
-    return Reading(measured=float(-2.0 * fit[0]), expected=G)
+    return Measurement(measured=float(-2.0 * fit[0]), expected=G)
 
 
 @check(
@@ -291,12 +293,12 @@ def _tether_slack(lab: Lab) -> Reading:
     law="|r - anchor| <= l",
     source="tether (scene.py): inextensible",
     unit="mm",
-    mark=Mark(relative=0.01, because="1 % of the length is 0.5 % of a swing's period"),
+    tolerance=Tolerance(relative=0.01, rationale="1 % of the length is 0.5 % of a swing's period"),
     diagnosis="the string is too soft, or it is missing",
 )
-def _tether_length(lab: Lab) -> Reading:
+def _tether_length(lab: Lab) -> Measurement:
     distance = np.linalg.norm(lab.once(_tether).position("bob") - [0.0, 0.0, 1.0], axis=1)
-    return Reading(measured=1e3 * float(distance.max()), expected=1e3 * STRING_M)
+    return Measurement(measured=1e3 * float(distance.max()), expected=1e3 * STRING_M)
 
 
 # --- torque-free spin ------------------------------------------------------------------------------------------------
@@ -357,14 +359,14 @@ def _rotations(states: NDArray[np.float64]) -> Rotation:
     return Rotation.from_quat(states[:, 3:7], scalar_first=True)
 
 
-def _not_spinning(course: Course) -> Reading | None:
+def _not_spinning(course: Course) -> Measurement | None:
     """A failed reading if the hit did not set the body spinning, since nothing can be measured then."""
     turn = _rotations(course.states["brick"][course.between(HIT_S, SPIN_END_S)])
     turned = float(np.degrees((turn[1:] * turn[:-1].inv()).magnitude().sum()))
     if turned > 60.0:
         return None
     hint = f"the driven ball did not set the body spinning: it turned by {turned:.2g} degrees within 0.5 s"
-    return Reading(measured=float("nan"), expected=0.0, hint=hint)
+    return Measurement(measured=float("nan"), expected=0.0, hint=hint)
 
 
 @check(
@@ -374,13 +376,13 @@ def _not_spinning(course: Course) -> Reading | None:
     law="L = R I R' omega = const",
     source="Euler",
     unit="%",
-    mark=Mark(
+    tolerance=Tolerance(
         absolute=1.0,
-        because="a tumbling body falls for about 0.3 s before it lands; 1 % is 2 degrees of its turn by then",
+        rationale="a tumbling body falls for about 0.3 s before it lands; 1 % is 2 degrees of its turn by then",
     ),
     diagnosis="look at angular damping, the gyroscopic term, the inertia, and the frame of the angular velocity",
 )
-def _spin_momentum(lab: Lab) -> Reading:
+def _spin_momentum(lab: Lab) -> Measurement:
     course = lab.once(_spinning_brick)
     if failed := _not_spinning(course):
         return failed
@@ -388,7 +390,7 @@ def _spin_momentum(lab: Lab) -> Reading:
     inertia = world_inertia_kg_m2(box_inertia_kg_m2(Box(size_m=BRICK_M), BRICK_KG), _rotations(states))
     momentum = np.einsum("tij,tj->ti", inertia, states[:, 10:])
     change = np.linalg.norm(momentum - momentum[0], axis=1).max() / np.linalg.norm(momentum[0])
-    return Reading(measured=100.0 * float(change), expected=0.0)
+    return Measurement(measured=100.0 * float(change), expected=0.0)
 
 
 @check(
@@ -398,10 +400,12 @@ def _spin_momentum(lab: Lab) -> Reading:
     law="I domega/dt + omega x I omega = 0",
     source="Euler, integrated by scipy's DOP853",
     unit="deg",
-    mark=Mark(absolute=3.0, because="it has turned by several hundred degrees: 1 %, as for its angular momentum"),
+    tolerance=Tolerance(
+        absolute=3.0, rationale="it has turned by several hundred degrees: 1 %, as for its angular momentum"
+    ),
     diagnosis="the gyroscopic term, the inertia, or the sign or frame of the reported angular velocity is wrong",
 )
-def _spin_orientation(lab: Lab) -> Reading:
+def _spin_orientation(lab: Lab) -> Measurement:
     course = lab.once(_spinning_brick)
     if failed := _not_spinning(course):
         return failed
@@ -414,12 +418,12 @@ def _spin_orientation(lab: Lab) -> Reading:
         seconds=SPIN_END_S - HIT_S,
     )
     miss = float(np.degrees((turn[-1] * expected.inv()).magnitude()))
-    return Reading(measured=miss, expected=0.0)
+    return Measurement(measured=miss, expected=0.0)
 
 
-DERIVATIVE_MARK = Mark(
+DERIVATIVE_TOLERANCE = Tolerance(
     absolute=2.0,
-    because="central differences over 11 ms are 0.3 % off at this spin; a wrong frame or sign is 10 to 200 %",
+    rationale="central differences over 11 ms are 0.3 % off at this spin; a wrong frame or sign is 10 to 200 %",
 )
 
 
@@ -430,10 +434,10 @@ DERIVATIVE_MARK = Mark(
     law="dR/dt = [omega] R",
     source="contract (Simulation.body_states)",
     unit="%",
-    mark=DERIVATIVE_MARK,
+    tolerance=DERIVATIVE_TOLERANCE,
     diagnosis="columns 10 to 12 of body_states are the angular velocity in rad/s in the world frame",
 )
-def _angular_velocity(lab: Lab) -> Reading:
+def _angular_velocity(lab: Lab) -> Measurement:
     course = lab.once(_spinning_brick)
     if failed := _not_spinning(course):
         return failed
@@ -452,7 +456,7 @@ def _angular_velocity(lab: Lab) -> Reading:
         "it is in degrees": np.radians(reported),
     }
     hint = next((text for text, values in explanations.items() if miss(values) < 0.03), "")
-    return Reading(measured=100.0 * miss(reported), expected=0.0, hint=hint)
+    return Measurement(measured=100.0 * miss(reported), expected=0.0, hint=hint)
 
 
 @check(
@@ -463,10 +467,10 @@ def _angular_velocity(lab: Lab) -> Reading:
     law="v = dr/dt",
     source="contract (Simulation.body_states)",
     unit="%",
-    mark=DERIVATIVE_MARK,
+    tolerance=DERIVATIVE_TOLERANCE,
     diagnosis="columns 7 to 9 of body_states are the velocity of the body's origin in m/s in the world frame",
 )
-def _velocity_of_origin(lab: Lab) -> Reading:
+def _velocity_of_origin(lab: Lab) -> Measurement:
     course = lab.once(_spinning_solid)
     if failed := _not_spinning(course):
         return failed
@@ -487,7 +491,7 @@ def _velocity_of_origin(lab: Lab) -> Reading:
         "it is in mm/s": 1e-3 * reported,
     }
     hint = next((text for text, values in explanations.items() if miss(values) < 0.03), "")
-    return Reading(measured=100.0 * miss(reported), expected=0.0, hint=hint)
+    return Measurement(measured=100.0 * miss(reported), expected=0.0, hint=hint)
 
 
 @check(
@@ -497,10 +501,10 @@ def _velocity_of_origin(lab: Lab) -> Reading:
     law="centre of mass moves uniformly",
     source="Newton; uniform density (scene.py)",
     unit="mm",
-    mark=Mark(absolute=0.5, because="the real trials' scatter is about 1 mm"),
+    tolerance=Tolerance(absolute=0.5, rationale="the real trials' scatter is about 1 mm"),
     diagnosis="the centre of mass is not that of the solid's volume: the origin of its frame was taken for it",
 )
-def _solid_spin_centre(lab: Lab) -> Reading:
+def _solid_spin_centre(lab: Lab) -> Measurement:
     course = lab.once(_spinning_solid)
     if failed := _not_spinning(course):
         return failed
@@ -509,4 +513,4 @@ def _solid_spin_centre(lab: Lab) -> Reading:
     centre = states[:, :3] + _rotations(states).apply(-SOLID_ORIGIN_M)
     line = np.polynomial.polynomial.polyfit(times, centre, 1)
     miss = np.linalg.norm(centre - (line[0] + np.outer(times, line[1])), axis=1).max()
-    return Reading(measured=1e3 * float(miss), expected=0.0)
+    return Measurement(measured=1e3 * float(miss), expected=0.0)

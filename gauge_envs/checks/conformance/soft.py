@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.checks.conformance.glue import pinned_reading
-from gauge_envs.checks.conformance.kit import Mark, Reading, check
+from gauge_envs.checks.conformance.attachments import pinned_reading
+from gauge_envs.checks.conformance.kit import Measurement, Tolerance, check
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import PLACE_TOLERANCE_M, hann_mean
 from gauge_envs.checks.conformance.parts import body, driver, fixed_box, ramp
@@ -77,14 +77,14 @@ def _strain_rate_per_m(rest: NDArray[np.float64], moved: NDArray[np.float64]) ->
     law="SoftBody.shape, SoftBody.pose",
     source="contract (Simulation.nodes)",
     unit="mm",
-    mark=Mark(absolute=0.01, because="a float's rounding at 1 m is 0.1 um"),
+    tolerance=Tolerance(absolute=0.01, rationale="a float's rounding at 1 m is 0.1 um"),
     diagnosis="nodes are world positions in metres and reach the body's surface",
 )
-def _foam_start(lab: Lab) -> Reading:
+def _foam_start(lab: Lab) -> Measurement:
     nodes = lab.once(_hanging).nodes_m["foam"][0] - np.asarray(CENTRE.position_m)
     half = 0.5 * np.array([EDGE_M, EDGE_M, LENGTH_M])
     miss = float(np.abs(np.concatenate([nodes.min(axis=0) + half, nodes.max(axis=0) - half])).max())
-    return Reading(measured=1e3 * miss, expected=0.0)
+    return Measurement(measured=1e3 * miss, expected=0.0)
 
 
 @check(
@@ -94,17 +94,18 @@ def _foam_start(lab: Lab) -> Reading:
     law="u_z = rho g (z^2 + nu r^2 - L^2) / (2 E)",
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
     unit="Pa",
-    mark=Mark(
-        relative=0.05, because="nonlinear laws differ by as much as the largest strain, 2 % at rest, 4 % in full swing"
+    tolerance=Tolerance(
+        relative=0.05,
+        rationale="nonlinear laws differ by as much as the largest strain, 2 % at rest, 4 % in full swing",
     ),
     diagnosis="look at how E and nu become the engine's constants, at the mass of the nodes, and at elements that lock",
 )
-def _foam_tension(lab: Lab) -> Reading:
+def _foam_tension(lab: Lab) -> Measurement:
     rate = _strain_rate_per_m(*_equilibrium(lab.once(_hanging)))
     if not rate > 0.0:
-        return Reading(measured=float("inf"), expected=YOUNG_PA, hint="it does not stretch under its weight")
+        return Measurement(measured=float("inf"), expected=YOUNG_PA, hint="it does not stretch under its weight")
     ratio = rate * YOUNG_PA / LOAD_N_PER_M3
-    return Reading(
+    return Measurement(
         measured=LOAD_N_PER_M3 / rate, expected=YOUNG_PA, hint=f"it stretches {ratio:.3g} times as much as it should"
     )
 
@@ -116,18 +117,18 @@ def _foam_tension(lab: Lab) -> Reading:
     law="u_x = -nu rho g z x / E",
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
     unit="1",
-    mark=Mark(
-        relative=0.1, because="displacements across are a tenth of a millimetre, and the clamp's reach is one width"
+    tolerance=Tolerance(
+        relative=0.1, rationale="displacements across are a tenth of a millimetre, and the clamp's reach is one width"
     ),
     diagnosis="look at the engine's second constant (lambda, bulk modulus); with nu = 0 nothing contracts",
 )
-def _foam_poisson(lab: Lab) -> Reading:
+def _foam_poisson(lab: Lab) -> Measurement:
     rest, moved = _equilibrium(lab.once(_hanging))
     height = rest[:, 2] + 0.5 * LENGTH_M
     lever = height[:, None] * rest[:, :2]
     contraction = -float((lever * moved[:, :2]).sum() / np.square(lever).sum())
     rate = _strain_rate_per_m(rest, moved)
-    return Reading(measured=contraction / rate if rate > 0.0 else float("nan"), expected=POISSON)
+    return Measurement(measured=contraction / rate if rate > 0.0 else float("nan"), expected=POISSON)
 
 
 @check(
@@ -137,10 +138,10 @@ def _foam_poisson(lab: Lab) -> Reading:
     law="place on the driven body = const",
     source="contract (scene.Attachment)",
     unit="mm",
-    mark=Mark(absolute=0.1, because="a tenth of the real trials' scatter"),
+    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
     diagnosis="glued nodes lag or lead by an interval, hang on soft springs, or do not turn with the body",
 )
-def _foam_pinned_face(lab: Lab) -> Reading:
+def _foam_pinned_face(lab: Lab) -> Measurement:
     plate = body(
         "plate",
         Box(size_m=(0.06, 0.06, 0.01)),

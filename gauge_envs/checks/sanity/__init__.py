@@ -10,27 +10,27 @@ Example:
 from gauge_envs.checks.sanity.check import check
 from gauge_envs.checks.sanity.model import (
     Cause,
-    Configuration,
     ContactGroup,
     Curve,
+    PhenomenonResult,
     Reality,
     Report,
-    Row,
-    Trial,
+    SettingTrial,
+    TrainingConfiguration,
     Verdict,
 )
 from gauge_envs.checks.sanity.target import Target, configuration
 
 __all__ = [
     "Cause",
-    "Configuration",
+    "TrainingConfiguration",
     "ContactGroup",
     "Curve",
     "Reality",
     "Report",
-    "Row",
+    "PhenomenonResult",
     "Target",
-    "Trial",
+    "SettingTrial",
     "Verdict",
     "check",
     "configuration",

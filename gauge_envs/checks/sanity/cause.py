@@ -8,9 +8,9 @@ from itertools import combinations
 from typing import Any
 
 from gauge_envs.checks.sanity.measure import INSIDE_WITHIN, Measured, Measurements
-from gauge_envs.checks.sanity.model import Cause, Trial, Verdict
+from gauge_envs.checks.sanity.model import Cause, SettingTrial, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon
-from gauge_envs.checks.sanity.stage import Stage
+from gauge_envs.checks.sanity.scenario import Scenario
 
 __all__ = [
     "differing_settings",
@@ -31,7 +31,7 @@ NOT_NUMERICAL = ("preset", "drive_interval_s")
 
 
 def differing_settings(
-    measurements: Measurements, stage: Stage, settings: Mapping[str, Any]
+    measurements: Measurements, stage: Scenario, settings: Mapping[str, Any]
 ) -> dict[str, tuple[Any, Any]]:
     """Settings in force on a stage that differ from the backend's default there: theirs, and the default.
 
@@ -96,7 +96,7 @@ class _Search:
         self._configured = configured
         self._default = default
         self._differing = differing_settings(measurements, phenomenon.stage, settings)
-        self._tried: list[Trial] = []
+        self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
         self._alone: dict[str, Measured] = {}
 
@@ -188,13 +188,13 @@ class _Search:
     def _with_put_back(self, names: tuple[str, ...]) -> Measured:
         changes = {name: self._differing[name][1] for name in names}
         measured = self._measurements.measure(self._phenomenon, {**self._settings, **changes})
-        self._tried.append(Trial(changes=changes, value=measured.value))
+        self._tried.append(SettingTrial(changes=changes, value=measured.value))
         return measured
 
     def _on_default(self, name: str) -> Measured:
         changes = {name: self._differing[name][0]}
         measured = self._measurements.measure(self._phenomenon, changes)
-        self._tried.append(Trial(changes=changes, value=measured.value, on_default=True))
+        self._tried.append(SettingTrial(changes=changes, value=measured.value, on_default=True))
         return measured
 
     def _matters(self, name: str) -> bool:

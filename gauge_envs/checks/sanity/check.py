@@ -11,7 +11,7 @@ import numpy as np
 from gauge_envs.backends import backend as find_backend
 from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.measure import Measured, Measurements
-from gauge_envs.checks.sanity.model import Configuration, Curve, Report, Row, Verdict
+from gauge_envs.checks.sanity.model import Curve, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
 from gauge_envs.checks.sanity.phenomena.kit import FloatArray
 from gauge_envs.errors import ParameterError
@@ -30,12 +30,12 @@ def check(
     *,
     only: Sequence[str] = (),
     include_deformables: bool = False,
-    notify: Callable[[Row], None] | None = None,
+    notify: Callable[[PhenomenonResult], None] | None = None,
 ) -> Report:
     """Tell what physics a training configuration gets wrong, and which of its settings are responsible.
 
     Args:
-        target: A `Configuration`, or what `gauge_envs.checks.sanity.configuration` takes.
+        target: A `TrainingConfiguration`, or what `gauge_envs.checks.sanity.configuration` takes.
         only: Ids of phenomena or patterns as `creep-*`; all when empty.
         include_deformables: Measure phenomena of deformable bodies too.
         notify: Called with each row as it is done.
@@ -66,19 +66,21 @@ def check(
     )
 
 
-def _configuration(target: Any) -> Configuration:
-    if isinstance(target, Configuration):
+def _configuration(target: Any) -> TrainingConfiguration:
+    if isinstance(target, TrainingConfiguration):
         return target
     from gauge_envs.checks.sanity.target import configuration
 
     return configuration(target)
 
 
-def _rows(measurements: Measurements, configuration: Configuration, chosen: Sequence[Phenomenon]) -> Iterator[Row]:
+def _rows(
+    measurements: Measurements, configuration: TrainingConfiguration, chosen: Sequence[Phenomenon]
+) -> Iterator[PhenomenonResult]:
     for phenomenon in chosen:
         configured = measurements.measure(phenomenon, configuration.settings)
         default = measurements.measure(phenomenon, {})
-        yield Row(
+        yield PhenomenonResult(
             phenomenon=phenomenon.id,
             title=phenomenon.title,
             experiment=phenomenon.stage.id,

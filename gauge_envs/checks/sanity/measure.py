@@ -11,8 +11,8 @@ from typing import Any
 from gauge_envs.backends import Backend
 from gauge_envs.checks.rollout import DeclinedError, DivergedError
 from gauge_envs.checks.sanity.model import Reality, Verdict
-from gauge_envs.checks.sanity.phenomena import Phenomenon, Reading
-from gauge_envs.checks.sanity.stage import Rollout, Stage, rollout, settings_in_force
+from gauge_envs.checks.sanity.phenomena import Phenomenon, PhenomenonValue
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario, rollout, settings_in_force
 from gauge_envs.files import json_ready
 
 __all__ = [
@@ -63,7 +63,7 @@ class Measurements:
         self._in_force: dict[tuple[str, str], dict[str, Any] | DeclinedError] = {}
         self._runs: dict[tuple[str, str], Rollout | DeclinedError | DivergedError] = {}
 
-    def in_force(self, stage: Stage, settings: Mapping[str, Any]) -> dict[str, Any]:
+    def in_force(self, stage: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Every numerical setting that a stage runs with.
 
         Raises:
@@ -89,7 +89,7 @@ class Measurements:
             return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=f"diverged: {run}")
         return _judged(phenomenon.read(run), phenomenon.reality, run)
 
-    def _run(self, stage: Stage, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
+    def _run(self, stage: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
         key = _key(stage, settings)
         if key not in self._runs:
             try:
@@ -101,11 +101,11 @@ class Measurements:
         return self._runs[key]
 
 
-def _key(stage: Stage, settings: Mapping[str, Any]) -> tuple[str, str]:
+def _key(stage: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
     return stage.name, json.dumps(json_ready(settings), sort_keys=True)
 
 
-def _judged(reading: Reading, reality: Reality, run: Rollout) -> Measured:
+def _judged(reading: PhenomenonValue, reality: Reality, run: Rollout) -> Measured:
     if not math.isfinite(reading.value):
         remark = reading.failure or "it does not happen"
         return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=remark, run=run)

@@ -11,13 +11,13 @@ from gauge_envs.files import json_ready
 
 __all__ = [
     "Cause",
-    "Configuration",
+    "TrainingConfiguration",
     "ContactGroup",
     "Curve",
     "Reality",
     "Report",
-    "Row",
-    "Trial",
+    "PhenomenonResult",
+    "SettingTrial",
     "Verdict",
 ]
 
@@ -53,7 +53,7 @@ class ContactGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Configuration:
+class TrainingConfiguration:
     """Numerical settings that a policy is trained with.
 
     Attributes:
@@ -116,7 +116,7 @@ class Curve:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
+class SettingTrial:
     """One change that was tried to find out what is responsible.
 
     Attributes:
@@ -142,11 +142,11 @@ class Cause:
 
     settings: tuple[str, ...]
     line: str
-    tried: tuple[Trial, ...] = ()
+    tried: tuple[SettingTrial, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class PhenomenonResult:
     """One phenomenon.
 
     Attributes:
@@ -201,8 +201,8 @@ class Report:
         wall_s: Time that it took [s].
     """
 
-    configuration: Configuration
-    rows: tuple[Row, ...]
+    configuration: TrainingConfiguration
+    rows: tuple[PhenomenonResult, ...]
     versions: Mapping[str, str]
     wall_s: float
 

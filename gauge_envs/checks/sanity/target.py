@@ -13,11 +13,11 @@ import mujoco
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.backends import Simulation, backend, backend_names
-from gauge_envs.checks.sanity.model import Configuration
+from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.mujoco_settings import model_settings
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.variants import variants
 
 __all__ = [
     "Target",
@@ -49,7 +49,9 @@ class _SettingsFile(BaseModel):
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
-def configuration(target: Target | Configuration, *, pair: tuple[str, str] | None = None) -> Configuration:
+def configuration(
+    target: Target | TrainingConfiguration, *, pair: tuple[str, str] | None = None
+) -> TrainingConfiguration:
     """Read a training configuration.
 
     Args:
@@ -70,7 +72,7 @@ def configuration(target: Target | Configuration, *, pair: tuple[str, str] | Non
         ParameterError: A setting does not exist or has an impossible value.
         MissingExtraError: The backend's engine is not installed.
     """
-    if isinstance(target, Configuration):
+    if isinstance(target, TrainingConfiguration):
         return target
     if isinstance(target, mujoco.MjModel):
         return _of_model(target, name=_model_name(target), source="mujoco.MjModel", pair=pair)
@@ -99,10 +101,10 @@ def _of_model(
     source: str,
     pair: tuple[str, str] | None,
     frame_skip: int | None = None,
-) -> Configuration:
+) -> TrainingConfiguration:
     read = model_settings(model, pair=pair)
     settings = _checked("mujoco", read.settings)
-    return Configuration(
+    return TrainingConfiguration(
         name=name,
         source=source,
         backend="mujoco",
@@ -118,7 +120,7 @@ def _model_name(model: mujoco.MjModel) -> str:
     return model.names.split(b"\0", 1)[0].decode() or "unnamed model"
 
 
-def _of_model_file(path: Path, pair: tuple[str, str] | None) -> Configuration:
+def _of_model_file(path: Path, pair: tuple[str, str] | None) -> TrainingConfiguration:
     if not path.is_file():
         raise TargetError(f"{path}: there is no such file")
     try:
@@ -128,7 +130,7 @@ def _of_model_file(path: Path, pair: tuple[str, str] | None) -> Configuration:
     return _of_model(model, name=path.name, source=f"model file {path}", pair=pair)
 
 
-def _of_id(name: str, pair: tuple[str, str] | None) -> Configuration:
+def _of_id(name: str, pair: tuple[str, str] | None) -> TrainingConfiguration:
     own = {variant.name: variant.id for variant in variants()}
     try:
         env = gymnasium.make(own.get(name, name))
@@ -147,14 +149,14 @@ def _env_name(env: gymnasium.Env) -> str:
     return type(env.unwrapped).__name__ if env.spec is None else env.spec.id
 
 
-def _of_env(env: gymnasium.Env, *, name: str, pair: tuple[str, str] | None) -> Configuration:
+def _of_env(env: gymnasium.Env, *, name: str, pair: tuple[str, str] | None) -> TrainingConfiguration:
     inner: Any = env.unwrapped
     simulation = getattr(inner, "simulation", None)
     if isinstance(simulation, Simulation):
         if pair is not None:
             raise TargetError(f"{name}: an environment of this suite has no geoms to choose from")
         settings = {key: value for key, value in simulation.settings.items() if key != "drive_interval_s"}
-        return Configuration(
+        return TrainingConfiguration(
             name=name,
             source="environment of this suite",
             backend=inner.backend_name,
@@ -172,13 +174,13 @@ def _of_env(env: gymnasium.Env, *, name: str, pair: tuple[str, str] | None) -> C
 # --- settings --------------------------------------------------------------------------------------------------------
 
 
-def _of_backend(text: str) -> Configuration | None:
-    """Configuration of `backend` or `backend:preset`; None where it is no backend that is named."""
+def _of_backend(text: str) -> TrainingConfiguration | None:
+    """TrainingConfiguration of `backend` or `backend:preset`; None where it is no backend that is named."""
     name, _, preset = text.partition(":")
     if name not in backend_names():
         return None
     settings = {"preset": preset} if preset else {}
-    return Configuration(
+    return TrainingConfiguration(
         name=text,
         source=f"backend {name}, {f'preset {preset}' if preset else 'default settings'}",
         backend=name,
@@ -187,7 +189,7 @@ def _of_backend(text: str) -> Configuration | None:
     )
 
 
-def _of_settings_file(path: Path) -> Configuration:
+def _of_settings_file(path: Path) -> TrainingConfiguration:
     try:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text) if path.suffix.lower() == ".toml" else json.loads(text)
@@ -206,7 +208,7 @@ def _of_settings_file(path: Path) -> Configuration:
         checked = _checked(file.backend, settings)
     except ParameterError as error:
         raise TargetError(f"{path}: {error}") from error
-    return Configuration(
+    return TrainingConfiguration(
         name=path.name,
         source=f"settings file {path}",
         backend=file.backend,

@@ -21,8 +21,7 @@ from gauge_envs.envs.rendering.lazy import RENDER_MODES, Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.task_files import find_variant
-from gauge_envs.experiments.task_format import Variant
+from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.scene import Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ

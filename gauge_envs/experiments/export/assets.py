@@ -22,7 +22,7 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.export.mjcf import mjcf_text
 from gauge_envs.experiments.export.usd_layer import usd_layer_text
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.meshes import hull_faces
@@ -138,7 +138,7 @@ def _same(one: str, other: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Solid:
+class SharedSolid:
     """A shape and the bodies that have it, as `SlopeSlider/cube`."""
 
     shape: Shape
@@ -146,7 +146,7 @@ class Solid:
 
 
 @cache
-def solid_shapes() -> dict[str, Solid]:
+def solid_shapes() -> dict[str, SharedSolid]:
     """Every distinct solid of the scenes, by name: primitives by their dimensions, polyhedra by their body's name."""
     users: dict[Shape, dict[str, str]] = {}
     for variant in variants():
@@ -164,12 +164,12 @@ def solid_shapes() -> dict[str, Solid]:
             # Counted bodies share one entry of the task file.
             label = name if name in listed else name.rpartition("-")[0]
             users.setdefault(shape, {}).setdefault(f"{variant.family}/{label}", label)
-    solids: dict[str, Solid] = {}
+    solids: dict[str, SharedSolid] = {}
     for solid, bodies in users.items():
         title = _shape_name(solid, next(iter(bodies.values())))
         if title in solids:
             title = next(iter(bodies)).replace("/", "-")
-        solids[title] = Solid(solid, tuple(bodies))
+        solids[title] = SharedSolid(solid, tuple(bodies))
     return dict(sorted(solids.items()))
 
 

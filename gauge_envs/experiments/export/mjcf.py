@@ -11,7 +11,7 @@ from gauge_envs.backends.mujoco.mjcf_writer import add_stiffness_tables, exact_x
 from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.export.usd_layer import SOURCE
-from gauge_envs.experiments.task_files import task_path
+from gauge_envs.experiments.variants import task_path
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 

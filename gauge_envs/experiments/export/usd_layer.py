@@ -8,7 +8,8 @@ from pathlib import Path
 from pxr import Usd
 
 from gauge_envs.experiments.experiment import TaskExperiment
-from gauge_envs.experiments.task_files import task_path, task_sha256
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.variants import task_path
 from gauge_envs.scene.usd.writer import export_stage, scene_stage
 
 __all__ = [

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gauge_envs.analysis.budget_fit import Stage
+from gauge_envs.analysis.budget_fit import BudgetStage
 from gauge_envs.analysis.error_budget import Diagnosis
 from gauge_envs.errors import ShapeError
 from gauge_envs.report import result_label, score_text
@@ -27,7 +27,7 @@ DIAGNOSIS = "diagnosis"
 """Name of the picture of error budgets."""
 
 
-STAGE_COLORS = {Stage.RELEASE: OURS[0], Stage.OFFSET: OURS[5], Stage.RATE: OURS[4]}
+STAGE_COLORS = {BudgetStage.RELEASE: OURS[0], BudgetStage.OFFSET: OURS[5], BudgetStage.RATE: OURS[4]}
 
 
 def save_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]], folder: Path) -> Path:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.analysis.comparison import (
-    Spread,
+    ScoreSpread,
     distances_over_time,
     group_by_configuration,
 )
@@ -340,7 +340,7 @@ class _Bar:
 
     label: str
     color: str
-    spread: Spread | None
+    spread: ScoreSpread | None
     missing: str
 
 
@@ -353,12 +353,14 @@ def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
         bars = []
         for one in series:
             values = [getattr(result.score, f"{metric}_normalized") for result in one.results]
-            spread = Spread.of([value for value in values if value is not None])
+            spread = ScoreSpread.of([value for value in values if value is not None])
             diverged = any(result.diverged for result in one.results)
             bars.append(_Bar(one.label, one.color, spread, "diverged" if diverged else "no reference"))
         for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
             value = line.engines[engine]
-            bars.append(_Bar(f"{title}, paper", color, None if value is None else Spread.of([value]), "not published"))
+            bars.append(
+                _Bar(f"{title}, paper", color, None if value is None else ScoreSpread.of([value]), "not published")
+            )
         groups[METRIC_TITLES[metric]] = bars
     return groups
 

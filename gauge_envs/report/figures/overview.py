@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gauge_envs.analysis.comparison import METRICS, Comparison, ExperimentComparison, Spread, compare
+from gauge_envs.analysis.comparison import METRICS, Comparison, ExperimentComparison, ScoreSpread, compare
 from gauge_envs.report import ALIGNED_TITLE, ENGINE_TITLES, METRIC_TITLES, configuration_labels
 from gauge_envs.report.figures.experiment import save_figures
 from gauge_envs.report.figures.style import (
@@ -107,7 +107,7 @@ def draw_overview(comparison: Comparison, *, metric: str = "rmse") -> Figure | N
     return figure
 
 
-def _draw_dots(axis: Axes, one: ExperimentComparison, spreads: Sequence[Spread | None], place: int) -> None:
+def _draw_dots(axis: Axes, one: ExperimentComparison, spreads: Sequence[ScoreSpread | None], place: int) -> None:
     """Scores of one experiment as a row of dots, crosses at the right edge for what diverged."""
     for index, (cell, spread) in enumerate(zip(one.cells, spreads, strict=True)):
         # Configurations side by side within the row, so that equal scores do not hide each other.

@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
-from gauge_envs.scene.usd.source import Reading, Source, vector
+from gauge_envs.scene.usd.source import Source, StoredValue, vector
 
 __all__ = [
     "is_welded",
@@ -117,7 +117,7 @@ def _rotations(prim: Usd.Prim) -> tuple[Usd.Attribute, Usd.Attribute]:
     return joint.GetLocalRot0Attr(), joint.GetLocalRot1Attr()
 
 
-def _in_world(source: Source, prim: Usd.Prim | None, attribute: Usd.Attribute) -> Reading | None:
+def _in_world(source: Source, prim: Usd.Prim | None, attribute: Usd.Attribute) -> StoredValue | None:
     """A point given in a prim's space, or in the world's, in the world [m]."""
     return source.reading(attribute, (3,), source.world_m if prim is None else lambda p: source.to_world(prim, p))
 
@@ -165,7 +165,7 @@ def _hinge(
     frames = _rotations(prim)
     letter = source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
     stated = _axis(source, _target(source, prim, 1 - side), frames[1 - side], letter)
-    standard = Reading(place=str(frames[1 - side].GetPath()), raw=stated, value=stated)
+    standard = StoredValue(place=str(frames[1 - side].GetPath()), raw=stated, value=stated)
     own = prim.GetAttribute("gauge:axis")
     axis = source.counted(own, [standard], (3,), rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))))
     assert axis is not None

@@ -130,11 +130,11 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
-class _Record(BaseModel):
+class _ProfileTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True)
 
 
-class _Trapezoid(_Record):
+class _Trapezoid(_ProfileTable):
     kind: Literal["trapezoid"] = "trapezoid"
     start_s: Finite
     duration_s: Positive
@@ -149,14 +149,14 @@ class _Trapezoid(_Record):
         return self
 
 
-class _Cosine(_Record):
+class _Cosine(_ProfileTable):
     kind: Literal["cosine"] = "cosine"
     start_s: Finite
     duration_s: Positive
     amount: Finite
 
 
-class _Sampled(_Record):
+class _Sampled(_ProfileTable):
     kind: Literal["sampled"] = "sampled"
     times_s: tuple[Finite, ...] = Field(min_length=2)
     values: tuple[Finite, ...]
@@ -168,14 +168,14 @@ class _Sampled(_Record):
         return self
 
 
-PROFILES: dict[type[Profile], type[_Record]] = {
+PROFILES: dict[type[Profile], type[_ProfileTable]] = {
     TrapezoidProfile: _Trapezoid,
     CosineProfile: _Cosine,
     SampledProfile: _Sampled,
 }
 
 
-class _Motion(_Record):
+class _Motion(_ProfileTable):
     kind: Literal["translate", "rotate"]
     axis: tuple[Finite, Finite, Finite]
     point_m: tuple[Finite, Finite, Finite]
@@ -199,7 +199,7 @@ class _Motion(_Record):
         )
 
 
-class _Driver(_Record):
+class _Driver(_ProfileTable):
     index: Annotated[int, Field(ge=0)]
     motions: tuple[_Motion, ...]
 

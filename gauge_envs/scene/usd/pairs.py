@@ -11,7 +11,7 @@ from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import Contact, ContactMode
 from gauge_envs.scene.usd.layer import names_digest
-from gauge_envs.scene.usd.source import Reading, Source
+from gauge_envs.scene.usd.source import Source, StoredValue
 
 __all__ = [
     "PairOptions",
@@ -323,7 +323,7 @@ def _material_constants(source: Source, prim: Usd.Prim, options: PairOptions) ->
         "dynamic": source.reading(api.GetDynamicFrictionAttr()),
         "static": source.reading(api.GetStaticFrictionAttr()),
     }
-    present: dict[str, Reading] = {name: reading for name, reading in readings.items() if reading is not None}
+    present: dict[str, StoredValue] = {name: reading for name, reading in readings.items() if reading is not None}
     if not present:
         raise source.fault(prim, "has neither physics:dynamicFriction nor physics:staticFriction")
     values = {name: float(reading.value) for name, reading in present.items()}

@@ -33,7 +33,7 @@ from gauge_envs.scene.usd.joints import is_welded, joint_prims, read_joint
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import mass_kg, solid_of
-from gauge_envs.scene.usd.source import LARGEST, Reading, Source, usd_reason
+from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
 
 __all__ = [
     "UsdScene",
@@ -225,7 +225,7 @@ class _Reader:
         stated = None
         if stage.HasAuthoredTimeCodeRange():
             length = np.array(source.seconds(stage.GetEndTimeCode()))
-            stated = Reading(place="endTimeCode", raw=length, value=length)
+            stated = StoredValue(place="endTimeCode", raw=length, value=length)
         own = attribute.HasAuthoredValue() if attribute else False
         if self.duration_s is not None and not own:
             stated = None

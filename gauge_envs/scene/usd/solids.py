@@ -16,7 +16,7 @@ from gauge_envs.scene.bodies import Motion
 from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Plane, Shape, Sphere
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.usd.layer import FloatArray
-from gauge_envs.scene.usd.source import Frame, Reading, Source, single
+from gauge_envs.scene.usd.source import Frame, Source, StoredValue, single
 
 __all__ = [
     "Solid",
@@ -261,7 +261,7 @@ def mass_kg(
     return mass
 
 
-def _authored(source: Source, attribute: Usd.Attribute, unit: float) -> Reading | None:
+def _authored(source: Source, attribute: Usd.Attribute, unit: float) -> StoredValue | None:
     """A reading of a mass or density; None where it is 0, which UsdPhysics takes for not given."""
     reading = source.reading(attribute, (), lambda value: value * unit)
     return None if reading is None or float(reading.raw) == 0.0 else reading

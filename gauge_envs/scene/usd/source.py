@@ -20,7 +20,7 @@ from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxy
 __all__ = [
     "LARGEST",
     "Frame",
-    "Reading",
+    "StoredValue",
     "Source",
     "single",
     "usd_reason",
@@ -73,7 +73,7 @@ class Frame:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
+class StoredValue:
     """A standard value in SI units.
 
     Attributes:
@@ -243,7 +243,7 @@ class Source:
         attribute: Usd.Attribute,
         shape: tuple[int, ...] = (),
         convert: Callable[[FloatArray], FloatArray] = lambda values: values,
-    ) -> Reading | None:
+    ) -> StoredValue | None:
         """An authored standard value in SI units; None where it is not authored.
 
         Args:
@@ -257,14 +257,14 @@ class Source:
         if raw is None:
             return None
         is_single = attribute.GetTypeName().cppTypeName in SINGLES
-        return Reading(
+        return StoredValue(
             place=str(attribute.GetPath()), raw=convert(raw), value=convert(_decimals(raw) if is_single else raw)
         )
 
     def counted(
         self,
         gauge: Usd.Attribute,
-        readings: Sequence[Reading | None],
+        readings: Sequence[StoredValue | None],
         shape: tuple[int, ...] = (),
         rounded: Callable[[FloatArray], FloatArray] = single,
     ) -> FloatArray | None:
@@ -307,13 +307,13 @@ class Source:
             return standard.value
         return np.where(rounded(own) == standard.raw, own, standard.value)
 
-    def _both(self, gauge: Usd.Attribute, own: FloatArray, other: Reading, why: str) -> AssetError:
+    def _both(self, gauge: Usd.Attribute, own: FloatArray, other: StoredValue, why: str) -> AssetError:
         return self.fault(
             gauge,
             f"is {_shown(own)} and {other.place} {_shown(other.value)}: {why}; make them agree, or delete the first",
         )
 
-    def _agreed(self, readings: Sequence[Reading]) -> Reading:
+    def _agreed(self, readings: Sequence[StoredValue]) -> StoredValue:
         first = readings[0]
         for other in readings[1:]:
             if not _agree(first.raw, other.raw):

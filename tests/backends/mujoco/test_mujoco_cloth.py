@@ -12,8 +12,8 @@ from scipy.integrate import solve_bvp
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.cloth import ClothPart, add_cloth
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, add_cloth
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene
 from gauge_envs.scene.driver_path import DriverPath
@@ -30,8 +30,8 @@ def fabric(name: str, size_m: tuple[float, float], pose: Pose = ORIGIN) -> Cloth
     return replace(cloth, size_m=size_m, pose=pose)
 
 
-def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> Glue:
-    return Glue(
+def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> RigidAttachment:
+    return RigidAttachment(
         region=Region(axis=axis, side=side, depth_m=depth_m),  # type: ignore[arg-type]
         body="frame",
         motion=Motion.FIXED,
@@ -45,7 +45,7 @@ class Rig:
     def __init__(
         self,
         cloth: Cloth,
-        glued: Sequence[Glue] = (),
+        glued: Sequence[RigidAttachment] = (),
         *,
         bending_n_m: float = 1e-6,
         gravity: float = 0.0,
@@ -59,7 +59,7 @@ class Rig:
         self.spec.option.gravity = [0.0, 0.0, -gravity]
         for name in {glue.body for glue in glued}:
             self.spec.worldbody.add_body(name=name)
-        self.part: ClothPart = add_cloth(
+        self.part: ClothPartMuJoCo = add_cloth(
             self.spec,
             cloth,
             glued=glued,
@@ -93,7 +93,7 @@ class Rig:
         return self.part.nodes()
 
 
-def line_shares(part: ClothPart, axis: int, at_m: float) -> np.ndarray:
+def line_shares(part: ClothPartMuJoCo, axis: int, at_m: float) -> np.ndarray:
     """Length of cloth that each vertex of a line across an axis stands for [m]; zero elsewhere."""
     rest, other = part.rest_m, 1 - axis
     ends = np.isclose(np.abs(rest[:, other]), np.abs(rest[:, other]).max())

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.line import LinePart, add_rod, add_rope
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Region, Rod, Rope
 
@@ -47,7 +47,7 @@ class Bench:
             body.ipos = [0.0, 0.0, 0.0]
         return body
 
-    def finish(self, part: LinePart) -> None:
+    def finish(self, part: LinePartMuJoCo) -> None:
         self.part = part
         self.model = self.spec.compile()
         part.complete(self.model)
@@ -87,8 +87,8 @@ def ball_on_rope(direction: tuple[float, float, float], motion: Motion = Motion.
     bench.add_body("top", TOP, motion)
     bench.add_body("ball", pose, Motion.DYNAMIC, BALL_KG)
     glued = [
-        Glue(region=Region(axis="x", side="low"), body="top", motion=motion, pose=TOP),
-        Glue(region=Region(axis="x", side="high"), body="ball", motion=Motion.DYNAMIC, pose=pose),
+        RigidAttachment(region=Region(axis="x", side="low"), body="top", motion=motion, pose=TOP),
+        RigidAttachment(region=Region(axis="x", side="high"), body="ball", motion=Motion.DYNAMIC, pose=pose),
     ]
     bench.finish(add_rope(bench.spec, rope, glued=glued))
     return bench
@@ -143,7 +143,7 @@ def test_two_balls_hang_over_a_beam() -> None:
     for name, side, sign in (("a", "low", -1.0), ("b", "high", 1.0)):
         pose = Pose(position_m=(sign * (0.5 * ROPE_M + BALL_M), 0.0, 0.0))
         bench.add_body(name, pose, Motion.DYNAMIC, BALL_KG)
-        glued.append(Glue(region=Region(axis="x", side=side), body=name, motion=Motion.DYNAMIC, pose=pose))
+        glued.append(RigidAttachment(region=Region(axis="x", side=side), body=name, motion=Motion.DYNAMIC, pose=pose))
     part = add_rope(bench.spec, rope, glued=glued)
     part.flex.contype, part.flex.condim, part.flex.friction = 1, 3, [0.467, 0.0, 0.0]
     bench.finish(part)
@@ -170,7 +170,7 @@ def rod(young_pa: float, motion: Motion, *, step_s: float = 1 / 900, damping_s: 
         young_modulus_pa=young_pa,
         poisson_ratio=0.49,
     )
-    glued = [Glue(region=Region(axis="z", side="high"), body="base", motion=motion, pose=TOP)]
+    glued = [RigidAttachment(region=Region(axis="z", side="high"), body="base", motion=motion, pose=TOP)]
     bench.finish(add_rod(bench.spec, body, glued=glued, damping_s=damping_s))
     return bench
 
@@ -267,6 +267,8 @@ def test_what_cannot_be_built_is_named() -> None:
     rope = Rope(name="rope", pose=TOP, length_m=1.0, radius_m=0.002, mass_kg=0.01, young_modulus_pa=1.0)
     wrong = {"x": (0.1, "over a length"), "y": (0.0, "elsewhere")}
     for axis, (depth, message) in wrong.items():
-        glue = Glue(region=Region(axis=axis, side="low", depth_m=depth), body="top", motion=Motion.FIXED, pose=TOP)
+        glue = RigidAttachment(
+            region=Region(axis=axis, side="low", depth_m=depth), body="top", motion=Motion.FIXED, pose=TOP
+        )
         with pytest.raises(UnsupportedSceneError, match=message):
             add_rope(bench.spec, rope, glued=[glue])

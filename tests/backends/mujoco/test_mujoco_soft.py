@@ -11,8 +11,8 @@ from hexahedra import extrapolated_end_force
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.soft import SoftPart, add_soft
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Box, Motion, Pose, Region, SoftBody
 
@@ -44,9 +44,9 @@ def block(
     )
 
 
-def glue(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> Glue:
+def glue(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
     """To a plate at the world's origin: `low` and `high` are their names."""
-    return Glue(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
+    return RigidAttachment(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
 
 
 class Bench:
@@ -78,7 +78,7 @@ class Bench:
         more(spec)
         glued = {bodies[0].name: [glue("low", Motion.FIXED, depth_m, axis)]}
         glued.setdefault(bodies[-1].name, []).append(glue("high", high, depth_m, axis))
-        self.part: SoftPart = add_soft(spec, bodies, glued=glued, damping_s=damping_s, cells=cells)
+        self.part: SoftPartMuJoCo = add_soft(spec, bodies, glued=glued, damping_s=damping_s, cells=cells)
         self.part.flex.conaffinity, self.part.flex.condim = conaffinity, 1
         self.model = spec.compile()
         self.part.complete(self.model)

@@ -30,13 +30,13 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 newton = pytest.importorskip("newton")
 
-from gauge_envs.backends.newton.cloth import ClothPart, add_cloth  # noqa: E402
+from gauge_envs.backends.newton.cloth import ClothPartNewton, add_cloth  # noqa: E402
 from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsVBD  # noqa: E402
 from gauge_envs.backends.newton.stability import longest_timestep_s  # noqa: E402
 from gauge_envs.backends.newton.surface import surface_contacts  # noqa: E402
 from gauge_envs.backends.newton.vbd import LoopVBD, SelfContact, apply_contacts, stiffness_ratio  # noqa: E402
-from gauge_envs.backends.shared.attachments import Glue, glue_of  # noqa: E402
+from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments  # noqa: E402
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 CELL_M = 0.025
@@ -58,9 +58,9 @@ def weight_n_per_m2(cloth: Cloth) -> float:
     return cloth.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
 
 
-def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> Glue:
+def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> RigidAttachment:
     region = Region(axis=axis, side=side, depth_m=depth_m)  # type: ignore[arg-type]
-    return Glue(region=region, body="frame", motion=Motion.FIXED, pose=ORIGIN)
+    return RigidAttachment(region=region, body="frame", motion=Motion.FIXED, pose=ORIGIN)
 
 
 class Rig:
@@ -69,7 +69,7 @@ class Rig:
     def __init__(
         self,
         cloth: Cloth,
-        glued: Sequence[Glue] = (),
+        glued: Sequence[RigidAttachment] = (),
         *,
         gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_PER_S2),
         rate_hz: int = 1440,
@@ -77,7 +77,7 @@ class Rig:
         cell_m: float = CELL_M,
     ) -> None:
         builder = newton.ModelBuilder(gravity=gravity_m_per_s2)
-        self.part: ClothPart = add_cloth(builder, cloth, glued=glued, cell_m=cell_m)
+        self.part: ClothPartNewton = add_cloth(builder, cloth, glued=glued, cell_m=cell_m)
         builder.color(include_bending=True)
         self.model = builder.finalize(device="cpu")
         self.loop = LoopVBD(self.model, driven=[], timestep_s=1 / rate_hz, iterations=iterations, predict=True)
@@ -114,14 +114,14 @@ class Bench:
         contacts = surface_contacts(scene)
         self.scene = scene
         self.indices: list[RigidIndex] = []
-        self.parts: list[dict[str, ClothPart]] = []
+        self.parts: list[dict[str, ClothPartNewton]] = []
         for _ in range(worlds):
             builder.begin_world()
             index = add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0))
             parts = {}
             for cloth in scene.deformables:
                 assert isinstance(cloth, Cloth)
-                glued = glue_of(scene, cloth.name)
+                glued = rigid_attachments(scene, cloth.name)
                 parts[cloth.name] = add_cloth(builder, cloth, glued=glued, bodies=index.bodies, cell_m=CELL_M)
             apply_contacts(contacts, builder, index.shapes)
             builder.end_world()
@@ -170,7 +170,7 @@ class Bench:
             path.reset()
 
 
-def strains(part: ClothPart, nodes_m: np.ndarray) -> np.ndarray:
+def strains(part: ClothPartNewton, nodes_m: np.ndarray) -> np.ndarray:
     """Strain of each edge of the mesh along warp and weft."""
     edges = np.unique(np.sort(part.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     rest = np.linalg.norm(part.rest_m[edges[:, 1]] - part.rest_m[edges[:, 0]], axis=1)
@@ -240,7 +240,9 @@ def heavy_elastica_sag_m(load_per_bending: float, length_m: float, bare_m: float
     return float(state[2, -1])
 
 
-@pytest.mark.parametrize(("axis", "tolerance"), [("x", 0.01), pytest.param("y", 0.035, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("axis", "tolerance"), [("x", 0.01), pytest.param("y", 0.035, marks=pytest.mark.slow)]
+)
 def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None:
     """A strip clamped at one end, by more than half its length.
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation, World
-from gauge_envs.backends.shared.attachments import Glue
+from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ParameterError, ShapeError, UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -37,7 +37,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
-from gauge_envs.backends.newton.line import LinePart, add_line  # noqa: E402
+from gauge_envs.backends.newton.line import LinePartNewton, add_line  # noqa: E402
 from gauge_envs.backends.newton.vbd import LoopVBD  # noqa: E402
 
 ROPE_M, ROPE_RADIUS_M, ROPE_KG = 0.34, 0.002, 0.005
@@ -200,7 +200,9 @@ class Bench:
         top = -1
         if motion is Motion.KINEMATIC:
             top = builder.add_body(is_kinematic=True, mass=1.0, inertia=wp.mat33(np.eye(3)))
-        grip = Glue(region=Region(axis="z", side="high", depth_m=depth_m), body="top", motion=motion, pose=TOP)
+        grip = RigidAttachment(
+            region=Region(axis="z", side="high", depth_m=depth_m), body="top", motion=motion, pose=TOP
+        )
         body = replace(rod(young_pa), length_m=ROD_M + depth_m)
         body = replace(body, pose=Pose(position_m=(0.0, 0.0, 0.5 * (depth_m - ROD_M))))
         self.part = self._add(builder, body, grip, top, damping_s)
@@ -212,7 +214,7 @@ class Bench:
         self.loop.record()
 
     @staticmethod
-    def _add(builder, body: Rod, grip: Glue, top: int, damping_s: float) -> LinePart:
+    def _add(builder, body: Rod, grip: RigidAttachment, top: int, damping_s: float) -> LinePartNewton:
         return add_line(
             builder,
             body,
@@ -470,7 +472,9 @@ def test_what_cannot_be_built_is_named() -> None:
         assert bool(support) == (not message)
         assert message in " ".join(support.missing)
     with pytest.raises(UnsupportedSceneError, match="over all"):
-        glue = Glue(region=Region(axis="z", side="high", depth_m=ROD_M), body="top", motion=Motion.FIXED, pose=TOP)
+        glue = RigidAttachment(
+            region=Region(axis="z", side="high", depth_m=ROD_M), body="top", motion=Motion.FIXED, pose=TOP
+        )
         add_line(
             newton.ModelBuilder(),
             rod(),

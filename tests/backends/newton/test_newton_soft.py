@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
-from gauge_envs.backends.newton.loop import warp_transform  # noqa: E402
 from gauge_envs.backends.newton.mpm import LoopMPM, add_soft_mpm, fitted_voxel_m  # noqa: E402
 from gauge_envs.backends.newton.soft import add_soft  # noqa: E402
+from gauge_envs.backends.newton.stepper import warp_transform  # noqa: E402
 from gauge_envs.backends.newton.surface import SurfaceContacts  # noqa: E402
 from gauge_envs.backends.newton.vbd import LoopVBD, apply_contacts  # noqa: E402
-from gauge_envs.backends.shared.attachments import Glue  # noqa: E402
+from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
 from gauge_envs.errors import ShapeError, UnsupportedSceneError  # noqa: E402
 from gauge_envs.scene import Box, Motion, Pose, Region, SoftBody  # noqa: E402
 
@@ -32,8 +32,8 @@ ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 COARSE_M = EDGE_M / 3
 
 
-def plate(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> Glue:
-    return Glue(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
+def plate(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
+    return RigidAttachment(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
 
 
 def block(

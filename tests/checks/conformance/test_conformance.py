@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.backends import Backend, Simulation, Support, backend, registry
-from gauge_envs.checks.conformance import Finding, Status, checks, run_checks
+from gauge_envs.checks.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.checks.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError
@@ -546,7 +546,7 @@ def test_every_check_says_what_it_is() -> None:
     for check in checks():
         for text in (check.title, check.measures, check.law, check.source, check.unit, check.diagnosis):
             assert text
-        assert check.mark.because
+        assert check.tolerance.rationale
         assert check.id == check.id.lower().replace(" ", "-").replace("_", "-")
 
 
@@ -555,7 +555,9 @@ def test_an_id_is_used_once() -> None:
     from gauge_envs.checks.conformance import check
 
     with pytest.raises(ParameterError, match=first.id):
-        check(first.id, title="", measures="", law="", source="", unit="", mark=first.mark, diagnosis="")(first.measure)
+        check(first.id, title="", measures="", law="", source="", unit="", tolerance=first.tolerance, diagnosis="")(
+            first.measure
+        )
 
 
 # --- the command ---
@@ -620,7 +622,7 @@ def test_command_refuses_unknown_names(gauge: Callable[..., Any], arguments: tup
 
 def test_bars_in_laws_do_not_break_the_markdown_table() -> None:
     finding = next(run_checks("mujoco", only=["hinge-radius"]))
-    assert isinstance(finding, Finding)
+    assert isinstance(finding, CheckResult)
     assert "\\|r - anchor\\| = l" in findings_markdown([finding])
 
 

@@ -12,7 +12,7 @@ from gauge_envs.backends import backend
 from gauge_envs.checks.sanity import check
 from gauge_envs.checks.sanity.cause import differing_settings, find_cause
 from gauge_envs.checks.sanity.measure import Measured, Measurements
-from gauge_envs.checks.sanity.model import Cause, Configuration, Report, Row, Verdict
+from gauge_envs.checks.sanity.model import Cause, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
 from gauge_envs.errors import ParameterError
 
@@ -47,10 +47,10 @@ PLANTS = {
 
 
 def report(settings: Mapping[str, Any], only: Sequence[str] = QUICK) -> Report:
-    return check(Configuration(name="planted", source="test", backend="mujoco", settings=settings), only=only)
+    return check(TrainingConfiguration(name="planted", source="test", backend="mujoco", settings=settings), only=only)
 
 
-def flagged(rows: Sequence[Row]) -> dict[str, Row]:
+def flagged(rows: Sequence[PhenomenonResult]) -> dict[str, PhenomenonResult]:
     return {row.phenomenon: row for row in rows if row.verdict in (Verdict.VISIBLE, Verdict.WRONG)}
 
 
@@ -86,7 +86,7 @@ def test_good_configuration_raises_no_flag() -> None:
 def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
     seen = []
     found = check(
-        Configuration(name="HalfCheetah", source="test", backend="mujoco", settings=CHEETAH),
+        TrainingConfiguration(name="HalfCheetah", source="test", backend="mujoco", settings=CHEETAH),
         only=["creep-wood", "rest-height", "rebound", "slide-wood"],
         notify=seen.append,
     )

@@ -15,7 +15,7 @@ from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
-from gauge_envs.checks.sanity.stage import Rollout, rollout
+from gauge_envs.checks.sanity.scenario import Rollout, rollout
 from gauge_envs.scene import Rope
 
 MUJOCO = backend("mujoco")

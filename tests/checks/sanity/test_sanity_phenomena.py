@@ -16,7 +16,7 @@ from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
 from gauge_envs.checks.sanity.phenomena.friction import PRINTED_MM, creep_scatter_mm_per_s
-from gauge_envs.checks.sanity.stage import Rollout, Stage, rollout
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario, rollout
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
@@ -46,7 +46,7 @@ def value(name: str, settings: dict[str, object]) -> float:
     return measured.value
 
 
-def moved(stage: Stage, times_s: NDArray, **ways_m: NDArray) -> Rollout:
+def moved(stage: Scenario, times_s: NDArray, **ways_m: NDArray) -> Rollout:
     """Rollout in which bodies have moved by given ways from their start [m], shape [sample_count, 3]."""
     states = {}
     for body in stage.scene.bodies:

@@ -18,13 +18,13 @@ from typer.testing import CliRunner
 from gauge_envs.checks import sanity
 from gauge_envs.checks.sanity.model import (
     Cause,
-    Configuration,
     ContactGroup,
     Curve,
+    PhenomenonResult,
     Reality,
     Report,
-    Row,
-    Trial,
+    SettingTrial,
+    TrainingConfiguration,
     Verdict,
 )
 from gauge_envs.cli.app import app
@@ -43,7 +43,7 @@ CONSTANTS = {
     "margin": 0.0,
     "gap": 0.0,
 }
-CONFIGURATION = Configuration(
+CONFIGURATION = TrainingConfiguration(
     name="Robot-v0",
     source="a <model> of [mine]",
     backend="mujoco",
@@ -57,7 +57,7 @@ CONFIGURATION = Configuration(
     notes=("not used: arms with each other & more",),
 )
 TIMES = (0.0, 0.5, 1.0)
-CREEP = Row(
+CREEP = PhenomenonResult(
     phenomenon="creep-wood",
     title="creep of a <cube> [of wood]",
     experiment="GAUGE/SlopeSlider-1-wood",
@@ -71,8 +71,8 @@ CREEP = Row(
         settings=("cone",),
         line="cone: elliptic instead of pyramidal brings creep from 28 to 0.02 mm/s",
         tried=(
-            Trial(changes={"cone": "elliptic"}, value=0.02),
-            Trial(changes={"timestep_s": 0.001}, value=None, on_default=True),
+            SettingTrial(changes={"cone": "elliptic"}, value=0.02),
+            SettingTrial(changes={"timestep_s": 0.001}, value=None, on_default=True),
         ),
     ),
     curve=Curve(
@@ -103,7 +103,7 @@ WALL = replace(
 )
 
 
-def report(*rows: Row) -> Report:
+def report(*rows: PhenomenonResult) -> Report:
     return Report(configuration=CONFIGURATION, rows=rows, versions={"mujoco": "4.0.0"}, wall_s=12.3)
 
 
@@ -295,7 +295,7 @@ def test_the_command_on_a_real_configuration(tmp_path) -> None:
         ((WALL,), "never", 1),
     ],
 )
-def test_exit_codes(monkeypatch, rows: tuple[Row, ...], fail_on: str, code: int) -> None:
+def test_exit_codes(monkeypatch, rows: tuple[PhenomenonResult, ...], fail_on: str, code: int) -> None:
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report(*rows))
     assert RUNNER.invoke(app, ["sanity", "mujoco", "--fail-on", fail_on]).exit_code == code
 

@@ -27,7 +27,7 @@ from gauge_envs.experiments.export import assets
 from gauge_envs.experiments.export.assets import asset_texts, assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.experiments.export.mjcf import mjcf_text, write_mjcf
 from gauge_envs.experiments.export.usd_layer import usd_layer_text, write_usd_layer
-from gauge_envs.experiments.task_files import task_path, variants
+from gauge_envs.experiments.variants import task_path, variants
 from gauge_envs.scene import (
     Box,
     Cloth,

@@ -16,7 +16,7 @@ from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.experiments.export.usd_layer import write_usd_layer
-from gauge_envs.experiments.task_files import variants
+from gauge_envs.experiments.variants import variants
 from gauge_envs.scene import (
     Attachment,
     Box,

@@ -17,12 +17,12 @@ from gauge_envs.checks.sanity.phenomena import (
     swing,
     textile,
 )
-from gauge_envs.checks.sanity.phenomena.kit import Phenomenon, Reading, Trace
+from gauge_envs.checks.sanity.phenomena.kit import Phenomenon, PhenomenonValue, Trace
 from gauge_envs.errors import UnknownNameError
 
 __all__ = [
     "Phenomenon",
-    "Reading",
+    "PhenomenonValue",
     "Trace",
     "phenomena",
 ]

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, position_scatter_mm, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 
 __all__ = [
     "phenomena",
@@ -39,7 +39,7 @@ def _on_plate_mm(run: Rollout) -> FloatArray:
 
 
 def _carried(material: str) -> Phenomenon:
-    stage = Stage(name=f"turn-{material}", variant=f"Turntable-1-{material}", seconds=TURN_S)
+    stage = Scenario(name=f"turn-{material}", variant=f"Turntable-1-{material}", seconds=TURN_S)
 
     def slip_mm(run: Rollout) -> FloatArray:
         place = _on_plate_mm(run)[:, :2]
@@ -59,13 +59,13 @@ def _carried(material: str) -> Phenomenon:
             source="Coulomb, omega^2 r < mu g; scatter: of a place in the plane of the table, of real trials (paper, "
             "Table 5)",
         ),
-        read=lambda run: Reading(value=float(slip_mm(run)[-1])),
+        read=lambda run: PhenomenonValue(value=float(slip_mm(run)[-1])),
         trace=Trace(label="slip on the plate [mm]", values=slip_mm, is_level=True),
     )
 
 
 def _slip() -> Phenomenon:
-    stage = Stage(name="stop", variant="Turntable-3-metal", seconds=TURN_S)
+    stage = Scenario(name="stop", variant="Turntable-3-metal", seconds=TURN_S)
     real = recorded("turntable", "slip_after_first_stop_deg")
     radius = recorded("turntable", "radius_at_start_mm")
 
@@ -87,6 +87,6 @@ def _slip() -> Phenomenon:
             source=f"one recorded trial ({RECORDINGS}); scatter: of a place along the circle of {stage.variant} "
             "(paper, Table 5)",
         ),
-        read=lambda run: Reading(value=float(slip_deg(run)[run.between(*STEADY_S)].mean())),
+        read=lambda run: PhenomenonValue(value=float(slip_deg(run)[run.between(*STEADY_S)].mean())),
         trace=Trace(label="slip on the plate [deg]", values=slip_deg),
     )

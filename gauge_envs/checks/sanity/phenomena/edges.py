@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, facts, placing_scatter_mm, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 from gauge_envs.scene import ConvexUnion
 
 __all__ = [
@@ -32,7 +32,7 @@ def phenomena() -> Iterator[Phenomenon]:
 
 
 def _seam() -> Phenomenon:
-    stage = Stage(name="seam", variant="SlopeContact-wood", seconds=SEAM_S[1])
+    stage = Scenario(name="seam", variant="SlopeContact-wood", seconds=SEAM_S[1])
     scene = stage.scene
     layout = facts("recordings/recordings")["layouts"]["seam"]["coordinates"][0]
     seam = np.array(layout["direction"])
@@ -43,9 +43,9 @@ def _seam() -> Phenomenon:
     def way_mm(run: Rollout) -> FloatArray:
         return np.asarray(1e3 * (run.position("teh") - run.position("teh")[0]) @ seam)
 
-    def read(run: Rollout) -> Reading:
+    def read(run: Rollout) -> PhenomenonValue:
         part = run.between(*SEAM_S)
-        return Reading(value=2e-3 * float(np.polyfit(run.times_s[part], way_mm(run)[part], 2)[0]))
+        return PhenomenonValue(value=2e-3 * float(np.polyfit(run.times_s[part], way_mm(run)[part], 2)[0]))
 
     return Phenomenon(
         id="seam",
@@ -65,7 +65,7 @@ def _seam() -> Phenomenon:
 
 
 def _point() -> Phenomenon:
-    stage = Stage(name="point", variant="NonsmoothContact-1-wood", seconds=FALL_S)
+    stage = Scenario(name="point", variant="NonsmoothContact-1-wood", seconds=FALL_S)
 
     def depth_mm(run: Rollout) -> FloatArray:
         return _depths_mm(run, "pyramid", "squarebase")
@@ -78,7 +78,7 @@ def _point() -> Phenomenon:
         stage=stage,
         unit="mm",
         reality=Reality(value=0.0, scatter=scatter, source=f"rigid bodies do not overlap; scatter: {origin}"),
-        read=lambda run: Reading(value=float(depth_mm(run).max())),
+        read=lambda run: PhenomenonValue(value=float(depth_mm(run).max())),
         trace=Trace(label="depth of the point [mm]", values=depth_mm, is_level=True),
     )
 

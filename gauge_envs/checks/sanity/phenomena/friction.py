@@ -8,8 +8,8 @@ import numpy as np
 
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import facts, position_scatter_mm
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Box, Scene
@@ -39,8 +39,8 @@ def phenomena() -> Iterator[Phenomenon]:
         yield _slide(material)
 
 
-def _hold_stage(material: str) -> Stage:
-    return Stage(name=f"hold-{material}", variant=f"SlopeSlider-1-{material}", seconds=HOLD_S)
+def _hold_stage(material: str) -> Scenario:
+    return Scenario(name=f"hold-{material}", variant=f"SlopeSlider-1-{material}", seconds=HOLD_S)
 
 
 def _on_board_mm(run: Rollout) -> FloatArray:
@@ -72,9 +72,9 @@ def creep_scatter_mm_per_s(variant: str) -> float:
 def _creep(material: str) -> Phenomenon:
     stage = _hold_stage(material)
 
-    def read(run: Rollout) -> Reading:
+    def read(run: Rollout) -> PhenomenonValue:
         late = run.between(SETTLED_S, HOLD_S)
-        return Reading(value=float(np.polyfit(run.times_s[late], _downhill_mm(run)[late], 1)[0]))
+        return PhenomenonValue(value=float(np.polyfit(run.times_s[late], _downhill_mm(run)[late], 1)[0]))
 
     scatter = creep_scatter_mm_per_s(stage.variant)
 
@@ -104,8 +104,8 @@ def _rest(material: str) -> Phenomenon:
     def heights_mm(run: Rollout) -> FloatArray:
         return _gap_mm(run.scene) + _on_board_mm(run)[:, 2]
 
-    def read(run: Rollout) -> Reading:
-        return Reading(value=float(heights_mm(run)[run.between(SETTLED_S, HOLD_S)].mean()))
+    def read(run: Rollout) -> PhenomenonValue:
+        return PhenomenonValue(value=float(heights_mm(run)[run.between(SETTLED_S, HOLD_S)].mean()))
 
     scatter = position_scatter_mm(stage.variant)
     return Phenomenon(
@@ -136,7 +136,7 @@ def _gap_mm(scene: Scene) -> float:
 
 
 def _slide(material: str) -> Phenomenon:
-    stage = Stage(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S)
+    stage = Scenario(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S)
     scene = stage.scene
     friction = next(c.friction for c in scene.contacts if "board" in c.second)
     downhill = scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
@@ -144,10 +144,10 @@ def _slide(material: str) -> Phenomenon:
     trials = facts("slope_slider_30deg_summary")[material]
     seen, scatter = trials["acceleration_m_s2"]["mean"], trials["acceleration_m_s2"]["std"]
 
-    def read(run: Rollout) -> Reading:
+    def read(run: Rollout) -> PhenomenonValue:
         # As the paper fits real slides, from rest: what a cube gains while it sinks into soft ground counts, since a
         # camera would see it.
-        return Reading(value=1e-3 * fitted_acceleration(run.times_s, _downhill_mm(run)))
+        return PhenomenonValue(value=1e-3 * fitted_acceleration(run.times_s, _downhill_mm(run)))
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return 500.0 * law * times_s**2, 500.0 * scatter * times_s**2

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import facts
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 from gauge_envs.evaluation.metrics import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Scene, Sphere
@@ -84,16 +84,16 @@ def _top_mm(run: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float
 
 
 def _rebound() -> Phenomenon:
-    stage = Stage(name="drop", variant="BouncingBall-rubber", seconds=DROP_S, change=_several_balls)
+    stage = Scenario(name="drop", variant="BouncingBall-rubber", seconds=DROP_S, change=_several_balls)
     restitution = next(c.restitution for c in stage.scene.contacts)
     trials = facts("bouncing_ball_summary")
     names = [ball.name for ball in stage.scene.dynamic_bodies]
 
-    def read(run: Rollout) -> Reading:
+    def read(run: Rollout) -> PhenomenonValue:
         ratios = [_rebound_ratio(run, name) for name in names]
         stuck = ratios.count(0.0)
         failure = f"{stuck} of {len(ratios)} drops do not leave the ground again" if stuck else ""
-        return Reading(value=float(np.mean(ratios)), failure=failure)
+        return PhenomenonValue(value=float(np.mean(ratios)), failure=failure)
 
     return Phenomenon(
         id="rebound",
@@ -149,7 +149,7 @@ def _shifted(place_m: tuple[float, float, float], along_m: float) -> tuple[float
 
 
 def _cradle() -> Phenomenon:
-    stage = Stage(
+    stage = Scenario(
         name="cradle",
         variant="NewtonsCradle-metal",
         seconds=SWING_S,
@@ -166,7 +166,7 @@ def _cradle() -> Phenomenon:
     def rise_mm(run: Rollout, name: str) -> FloatArray:
         return 1e3 * run.position(name)[:, 2] - rest[name]
 
-    def read(run: Rollout) -> Reading:
+    def read(run: Rollout) -> PhenomenonValue:
         after = run.times_s > PASSED_S
         leaving = [n for n in names if rise_mm(run, n)[after].max() > SHARE_OF_SPEED**2 * drop]
         others = f"{len(leaving)} of {len(names)} balls swing out, in reality the last one"
@@ -176,7 +176,9 @@ def _cradle() -> Phenomenon:
             rest_height_mm=rest[names[-1]],
             leave_height_mm=SHARE_OF_SPEED**2 * drop,
         )
-        return Reading(value=value if np.isfinite(value) else 0.0, failure="" if leaving == names[-1:] else others)
+        return PhenomenonValue(
+            value=value if np.isfinite(value) else 0.0, failure="" if leaving == names[-1:] else others
+        )
 
     return Phenomenon(
         id="momentum",
@@ -195,5 +197,5 @@ def _cradle() -> Phenomenon:
     )
 
 
-def _arm_m(stage: Stage, hinge: Hinge) -> float:
+def _arm_m(stage: Scenario, hinge: Hinge) -> float:
     return float(np.linalg.norm(np.asarray(stage.scene.body(hinge.body).pose.position_m) - hinge.anchor_m))

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.checks.sanity.model import Reality
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 
 __all__ = [
     "FloatArray",
     "Phenomenon",
-    "Reading",
+    "PhenomenonValue",
     "Trace",
 ]
 
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
+class PhenomenonValue:
     """What a rollout shows of a phenomenon.
 
     Attributes:
@@ -72,8 +72,8 @@ class Phenomenon:
     id: str
     title: str
     quantity: str
-    stage: Stage
+    stage: Scenario
     unit: str
     reality: Reality
-    read: Callable[[Rollout], Reading]
+    read: Callable[[Rollout], PhenomenonValue]
     trace: Trace | None = None

@@ -8,8 +8,8 @@ import numpy as np
 
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, placing_scatter_mm, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 
 __all__ = [
     "phenomena",
@@ -34,16 +34,16 @@ def _rope() -> Phenomenon:
         lengths = np.linalg.norm(np.diff(run.nodes_m["rope"], axis=1), axis=2).sum(axis=1)
         return np.asarray(1e3 * (lengths - lengths[0]))
 
-    def read(run: Rollout) -> Reading:
+    def read(run: Rollout) -> PhenomenonValue:
         stretch = stretch_mm(run)
-        return Reading(value=float(stretch[np.abs(stretch).argmax()]))
+        return PhenomenonValue(value=float(stretch[np.abs(stretch).argmax()]))
 
     scatter, origin = placing_scatter_mm()
     return Phenomenon(
         id="rope-length",
         title="rope: largest change of its length while two balls fall into it",
         quantity="stretch",
-        stage=Stage(name="rope", variant="RopeWinding-rubber", seconds=JERK_S, nodes_of=("rope",)),
+        stage=Scenario(name="rope", variant="RopeWinding-rubber", seconds=JERK_S, nodes_of=("rope",)),
         unit="mm",
         reality=Reality(value=0.0, scatter=scatter, source=f"the rope does not visibly stretch; scatter: {origin}"),
         read=read,
@@ -64,7 +64,7 @@ def _foot() -> Phenomenon:
         id="foot-lag",
         title="elastic rod, dragged over a board: how far its foot stays behind",
         quantity="lag",
-        stage=Stage(name="foot", variant="StickStack-soft", seconds=DRAG_S),
+        stage=Scenario(name="foot", variant="StickStack-soft", seconds=DRAG_S),
         unit="mm",
         reality=Reality(
             value=0.5 * (low + high),
@@ -72,6 +72,6 @@ def _foot() -> Phenomenon:
             source=f"one recorded trial, between {low:g} and {high:g} mm; scatter: of an even distribution "
             f"({RECORDINGS})",
         ),
-        read=lambda run: Reading(value=float(lag_mm(run)[run.between(STEADY_S, DRAG_S)].mean())),
+        read=lambda run: PhenomenonValue(value=float(lag_mm(run)[run.between(STEADY_S, DRAG_S)].mean())),
         trace=Trace(label="lag of the foot [mm]", values=lag_mm),
     )

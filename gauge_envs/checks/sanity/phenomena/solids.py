@@ -9,8 +9,8 @@ from scipy.signal import argrelextrema
 
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, facts, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 from gauge_envs.observables.functions import face_areas_mm2
 
 __all__ = [
@@ -46,14 +46,14 @@ def _area(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
         id=f"foam-{name}",
         title=f"foam, {verb} by {abs(grip):.0f} mm: change of the area of its marked face",
         quantity="change",
-        stage=Stage(name=f"foam-{name}", variant=variant, seconds=GRIPPED_S),
+        stage=Scenario(name=f"foam-{name}", variant=variant, seconds=GRIPPED_S),
         unit="%",
         reality=Reality(
             value=100.0 * recorded(recording, "area_change_ratio")["value"],
             scatter=100.0 * facts("recordings/recordings")[recording]["uncertainty"]["relative"],
             source=f"one recorded trial of soft or hard foam; scatter: of the measurement ({RECORDINGS})",
         ),
-        read=lambda run: Reading(value=float(change(run)[-1])),
+        read=lambda run: PhenomenonValue(value=float(change(run)[-1])),
         trace=Trace(label="change of the area [%]", values=change),
     )
 
@@ -67,14 +67,14 @@ def _beam() -> Phenomenon:
         tip = reach > reach.max() - TIP_M
         return np.asarray(1e3 * run.markers_m[:, tip, 2].mean(axis=1))
 
-    def read(run: Rollout) -> Reading:
-        return Reading(value=_frequency_hz(run.times_s, height_mm(run)))
+    def read(run: Rollout) -> PhenomenonValue:
+        return PhenomenonValue(value=_frequency_hz(run.times_s, height_mm(run)))
 
     return Phenomenon(
         id="beam",
         title="beam of rubber blocks: frequency of its swing",
         quantity="frequency",
-        stage=Stage(name="beam", variant="CantileverBeam-soft", seconds=SWING_S),
+        stage=Scenario(name="beam", variant="CantileverBeam-soft", seconds=SWING_S),
         unit="Hz",
         reality=Reality(
             value=real["value"],

@@ -9,8 +9,8 @@ import numpy as np
 
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import placing_scatter_mm
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 from gauge_envs.scene import Scene
 
 __all__ = [
@@ -32,7 +32,7 @@ def _without_ball(scene: Scene) -> Scene:
 
 def phenomena() -> Iterator[Phenomenon]:
     """Settling and drift of the wall."""
-    stage = Stage(name="wall", variant="WallBreaking-wood", seconds=STAND_S, change=_without_ball)
+    stage = Scenario(name="wall", variant="WallBreaking-wood", seconds=STAND_S, change=_without_ball)
     bricks = [body.name for body in stage.scene.dynamic_bodies]
 
     def ways_mm(run: Rollout) -> FloatArray:
@@ -63,5 +63,5 @@ def phenomena() -> Iterator[Phenomenon]:
         )
 
 
-def _last_of(values: Callable[[Rollout], FloatArray]) -> Callable[[Rollout], Reading]:
-    return lambda run: Reading(value=float(values(run)[-1]))
+def _last_of(values: Callable[[Rollout], FloatArray]) -> Callable[[Rollout], PhenomenonValue]:
+    return lambda run: PhenomenonValue(value=float(values(run)[-1]))

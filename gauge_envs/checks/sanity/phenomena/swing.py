@@ -9,8 +9,8 @@ import numpy as np
 from gauge_envs.checks.conformance.laws import pendulum_period_s
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 from gauge_envs.evaluation.metrics import energy_loss
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Sphere
@@ -34,7 +34,7 @@ PRINTED = 0.01
 def phenomena() -> Iterator[Phenomenon]:
     """Period and energy."""
     real = published_baselines(VARIANT)["el"]
-    stage = Stage(
+    stage = Scenario(
         name="pendulum", variant=VARIANT, seconds=(real.frames - 1) / FRAME_RATE_HZ, interval_s=SAMPLE_INTERVAL_S
     )
     hinge = next(joint for joint in stage.scene.joints if isinstance(joint, Hinge))
@@ -46,13 +46,13 @@ def phenomena() -> Iterator[Phenomenon]:
     def aside_mm(run: Rollout) -> FloatArray:
         return np.asarray(1e3 * (run.position(ball.name)[:, 0] - hinge.anchor_m[0]))
 
-    def read_period(run: Rollout) -> Reading:
+    def read_period(run: Rollout) -> PhenomenonValue:
         part = run.between(0.0, PERIOD_S)
-        return Reading(value=_period_s(run.times_s[part], aside_mm(run)[part]))
+        return PhenomenonValue(value=_period_s(run.times_s[part], aside_mm(run)[part]))
 
-    def read_energy(run: Rollout) -> Reading:
+    def read_energy(run: Rollout) -> PhenomenonValue:
         height = 1e3 * run.position(ball.name)[:, 2]
-        return Reading(value=energy_loss(height, rest_height_mm=1e3 * (hinge.anchor_m[2] - length)))
+        return PhenomenonValue(value=energy_loss(height, rest_height_mm=1e3 * (hinge.anchor_m[2] - length)))
 
     period = recorded("pendulum", "period_s")
     yield Phenomenon(

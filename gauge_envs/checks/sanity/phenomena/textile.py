@@ -10,8 +10,8 @@ import numpy as np
 from gauge_envs.checks.conformance.laws import hann_mean
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, placing_scatter_mm, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, Reading, Trace
-from gauge_envs.checks.sanity.stage import Rollout, Stage
+from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Rollout, Scenario
 from gauge_envs.scene import Cloth, Scene
 
 __all__ = [
@@ -62,10 +62,10 @@ def _carry() -> Phenomenon:
         id="cloth-carry",
         title="tablecloth: how far the metal cube stays behind the rod that pulls",
         quantity="lag",
-        stage=Stage(name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S),
+        stage=Scenario(name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S),
         unit="mm",
         reality=Reality(value=real["value"], scatter=real["sigma"], source=f"one recorded trial ({RECORDINGS})"),
-        read=lambda run: Reading(value=float(lag_mm(run)[-1])),
+        read=lambda run: PhenomenonValue(value=float(lag_mm(run)[-1])),
         trace=Trace(label="lag behind the rod [mm]", values=lag_mm),
     )
 
@@ -79,7 +79,7 @@ def _held(scene: Scene) -> Scene:
 
 
 def _sag() -> Phenomenon:
-    stage = Stage(name="hang", variant=HUNG, seconds=HANG_S, change=_held)
+    stage = Scenario(name="hang", variant=HUNG, seconds=HANG_S, change=_held)
     (cloth,) = stage.scene.deformables
     assert isinstance(cloth, Cloth)
     load = cloth.areal_density_kg_per_m2 * stage.scene.gravity_m_per_s2
@@ -106,7 +106,7 @@ def _sag() -> Phenomenon:
             source="rho g (L s - s^2 / 2) / K_s with the measured K_s = "
             f"{cloth.stretch_stiffness_n_per_m:.1f} N/m; scatter: {origin}",
         ),
-        read=lambda run: Reading(value=float(hann_mean(sag_mm(run)[run.between(SETTLED_S, HANG_S)]))),
+        read=lambda run: PhenomenonValue(value=float(hann_mean(sag_mm(run)[run.between(SETTLED_S, HANG_S)]))),
         trace=Trace(label="sag of the lowest markers [mm]", values=sag_mm, is_level=True),
     )
 
@@ -116,7 +116,7 @@ def _sag() -> Phenomenon:
 
 def _fling() -> Phenomenon:
     real = recorded("textile_flinging", "chord_lags_by_deg")
-    stage = Stage(name="fling", variant=HUNG, seconds=FLING_S)
+    stage = Scenario(name="fling", variant=HUNG, seconds=FLING_S)
 
     def angle_deg(run: Rollout) -> FloatArray:
         chord = _low_m(run) - run.position("rod")
@@ -134,6 +134,6 @@ def _fling() -> Phenomenon:
             source=f"one recorded trial of an unknown fabric ({RECORDINGS}); satin, and leather of 28 times "
             "the mass, swing alike",
         ),
-        read=lambda run: Reading(value=float(angle_deg(run).max())),
+        read=lambda run: PhenomenonValue(value=float(angle_deg(run).max())),
         trace=Trace(label="angle of the cloth [deg]", values=angle_deg),
     )

@@ -21,7 +21,7 @@ from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
 __all__ = [
-    "Loop",
+    "Stepper",
     "warp_transform",
 ]
 
@@ -37,7 +37,7 @@ def warp_transform(pose: Pose) -> wp.transform:
     return wp.transform(wp.vec3(*pose.position_m), wp.quat(x, y, z, w))
 
 
-class Loop(ABC):
+class Stepper(ABC):
     """Steps one model with one solver.
 
     Args:

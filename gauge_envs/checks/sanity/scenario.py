@@ -16,7 +16,7 @@ from gauge_envs.checks.rollout import DeclinedError, DivergedError
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.task_files import find_variant
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
@@ -25,7 +25,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 __all__ = [
     "Rollout",
-    "Stage",
+    "Scenario",
     "rollout",
     "settings_in_force",
 ]
@@ -36,7 +36,7 @@ def _unchanged(scene: Scene) -> Scene:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
+class Scenario:
     """A scene of the suite and how long it is watched.
 
     Attributes:
@@ -102,7 +102,7 @@ class Rollout:
         return (self.times_s >= start_s - 1e-9) & (self.times_s <= end_s + 1e-9)
 
 
-def rollout(backend: Backend, stage: Stage, settings: Mapping[str, Any]) -> Rollout:
+def rollout(backend: Backend, stage: Scenario, settings: Mapping[str, Any]) -> Rollout:
     """Build a stage's scene and run it.
 
     It is driven and sampled every few steps, as many as fit in the stage's interval, or every step. Settings without
@@ -125,7 +125,7 @@ def rollout(backend: Backend, stage: Stage, settings: Mapping[str, Any]) -> Roll
         simulation.close()
 
 
-def settings_in_force(backend: Backend, stage: Stage, settings: Mapping[str, Any]) -> dict[str, Any]:
+def settings_in_force(backend: Backend, stage: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Every numerical setting that a stage would run with, preset included.
 
     Raises:
@@ -138,7 +138,7 @@ def settings_in_force(backend: Backend, stage: Stage, settings: Mapping[str, Any
         simulation.close()
 
 
-def _built(backend: Backend, stage: Stage, settings: Mapping[str, Any]) -> Simulation:
+def _built(backend: Backend, stage: Scenario, settings: Mapping[str, Any]) -> Simulation:
     support = backend.supports(stage.scene)
     if not support:
         raise DeclinedError(support.missing)
@@ -159,7 +159,7 @@ def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, A
     return {**settings, "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6))}
 
 
-def _recorded(simulation: Simulation, stage: Stage) -> Rollout:
+def _recorded(simulation: Simulation, stage: Scenario) -> Rollout:
     scene = stage.scene
     interval = float(simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S))
     count = round(stage.seconds / interval)
@@ -206,7 +206,7 @@ class _SoftRecord:
         count: How many samples will follow.
     """
 
-    def __init__(self, simulation: Simulation, stage: Stage, count: int) -> None:
+    def __init__(self, simulation: Simulation, stage: Scenario, count: int) -> None:
         scene = stage.scene
         self._simulation = simulation
         self._limit_m_per_s = scene.speed_limit_m_per_s

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.checks.conformance.kit import Reading
+from gauge_envs.checks.conformance.kit import Measurement
 from gauge_envs.checks.conformance.laws import PLACE_TOLERANCE_M
 from gauge_envs.checks.rollout import Course
 
@@ -17,7 +17,7 @@ __all__ = [
 ]
 
 
-def following_reading(course: Course, points_m: Callable[[int], NDArray[np.float64]]) -> Reading:
+def following_reading(course: Course, points_m: Callable[[int], NDArray[np.float64]]) -> Measurement:
     """Largest distance [mm] of points from where the scene's only driver would carry them.
 
     Args:
@@ -39,10 +39,10 @@ def following_reading(course: Course, points_m: Callable[[int], NDArray[np.float
         "it comes one interval (1/180 s) early": worst_mm(actual[:-1], asked[1:]),
     }
     hint = next((text for text, left in shifted.items() if left < 0.2 * miss), "")
-    return Reading(measured=miss, expected=0.0, hint=hint)
+    return Measurement(measured=miss, expected=0.0, hint=hint)
 
 
-def pinned_reading(course: Course, name: str) -> Reading:
+def pinned_reading(course: Course, name: str) -> Measurement:
     """Largest distance [mm] of a node of a hanging body's upper end from its place on the body that drives it."""
     nodes = course.nodes_m[name]
     held = nodes[0, :, 2] > nodes[0, :, 2].max() - PLACE_TOLERANCE_M
