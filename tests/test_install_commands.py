@@ -61,7 +61,7 @@ def commands_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("environment", "page"), list(RUNS), ids="-".join)
+@pytest.mark.parametrize(("environment", "page"), list(RUNS), ids=map("-".join, RUNS))
 def test_commands_of_a_page(
     commands_of: Callable[[str], Path], environment: str, page: str, tmp_path: Path, gauge_data_dir: Path
 ) -> None:
@@ -112,7 +112,8 @@ def test_blocks_give_commands_without_comments_and_prompts() -> None:
 def test_the_first_rule_decides(tmp_path: Path) -> None:
     file = tmp_path / "table.toml"
     file.write_text(
-        'pages = ["*.md"]\n[environments]\ndefault = []\nplot = ["plot"]\n[page_environments]\n[page_folders]\n[scripts]\n'
+        'pages = ["*.md"]\n[page_environments]\n[page_folders]\n[scripts]\n'
+        '[environments]\ndefault = []\nplot = ["plot"]\n'
         '[[rules]]\ncommand = "gauge plot --live*"\nskip = "needs a screen"\n'
         '[[rules]]\ncommand = "gauge plot*"\nenvironment = "plot"\n',
         encoding="utf-8",
