@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import shutil
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -48,16 +49,23 @@ def import_edges(root: Path) -> dict[str, set[str]]:
 
 def _imported(name: str, file: Path, found: Mapping[str, Path]) -> Iterator[str]:
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            targets = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            parents = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            base = ".".join([*parents, *([node.module] if node.module else [])])
-            targets = [f"{base}.{a.name}" if f"{base}.{a.name}" in found else base for a in node.names]
-        else:
-            continue
+    for level, module, names in _statements(file.read_text(encoding="utf-8")):
+        parents = package.split(".")[: len(package.split(".")) - level + 1] if level else []
+        base = ".".join([*parents, *([module] if module else [])])
+        targets = [f"{base}.{one}" if f"{base}.{one}" in found else base for one in names] or [base]
         yield from (target for target in targets if target in found)
+
+
+@cache
+def _statements(text: str) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
+    """Every import in a file: dots before the module, the module, and the names that are taken from it."""
+    statements: list[tuple[int, str, tuple[str, ...]]] = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            statements += [(0, alias.name, ()) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            statements.append((node.level, node.module or "", tuple(alias.name for alias in node.names)))
+    return tuple(statements)
 
 
 def first_level(name: str) -> str:
