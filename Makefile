@@ -16,7 +16,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 	tests/experiments/test_scene_source.py tests/experiments/test_task_files.py tests/experiments/test_task_rigid.py \
 	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene
 
-.PHONY: demo test check lint slow test-matrix bench clean
+.PHONY: demo test check lint slow test-matrix bench docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -51,6 +51,10 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/import_time.py
 	$(BIN)/python benchmarks/step.py
 	$(BIN)/python benchmarks/dtw.py
+
+docs: $(VENV)/.installed
+	$(BIN)/pip install --quiet -e ".[docs]"
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 
 # Running needs no engine but MuJoCo; the tests want them all.
 $(VENV)/.runs: pyproject.toml

@@ -28,8 +28,8 @@ INDIRECT = {
 }
 """Declared, and not imported by this package's own modules: the reason for each."""
 
-NOT_OF_USERS = {"bench", "dev", "rl"}
-"""Extras of benchmarks, development and examples; the package imports nothing of theirs."""
+NOT_OF_USERS = {"bench", "dev", "docs", "rl"}
+"""Extras of benchmarks, development, guides and examples; the package imports nothing of theirs."""
 
 
 def canonical(name: str) -> str:
