@@ -51,14 +51,16 @@ class Table:
             rules=tuple(content["rules"]),
         )
 
+    def rule(self, page: str, text: str) -> Mapping[str, str] | None:
+        """Find the first rule that matches a command."""
+        fitting = (one for one in self.rules if one.get("page", page) == page and fnmatchcase(text, one["command"]))
+        return next(fitting, None)
+
     def command(self, page: str, text: str) -> Command:
-        """Find what a command needs: the first rule that matches decides."""
-        usual = self.page_environments.get(page, DEFAULT)
-        for rule in self.rules:
-            if rule.get("page", page) == page and fnmatchcase(text, rule["command"]):
-                chosen = usual if usual != DEFAULT else rule.get("environment", DEFAULT)
-                return Command(page, text, chosen, rule.get("skip"))
-        return Command(page, text, usual)
+        """Find what a command needs; the environment of a page goes before that of a rule."""
+        rule = self.rule(page, text) or {}
+        environment = self.page_environments.get(page, rule.get("environment", DEFAULT))
+        return Command(page, text, environment, rule.get("skip"))
 
     def commands(self, root: Path) -> tuple[Command, ...]:
         """Every command of every page in a checkout, in the order of the pages, and the scripts last."""

@@ -94,6 +94,11 @@ def test_the_first_command_of_a_reader_is_run() -> None:
     assert [command.text for command in RUNS["plot", "scripts"]] == ["python examples/quickstart.py"]
 
 
+def test_every_rule_is_of_use() -> None:
+    used = {id(TABLE.rule(command.page, command.text)) for command in COMMANDS}
+    assert [rule["command"] for rule in TABLE.rules if id(rule) not in used] == []
+
+
 def test_every_environment_of_the_table_is_defined() -> None:
     named = {rule["environment"] for rule in TABLE.rules if "environment" in rule}
     named |= set(TABLE.page_environments.values()) | set(TABLE.scripts.values())
