@@ -44,7 +44,7 @@ slow: $(VENV)/.installed
 # The built wheel on other versions of Python, and the guides' commands as a reader installs and runs them.
 test-matrix: $(VENV)/.installed
 	$(BIN)/python scripts/test_matrix.py $(MATRIX) --tests $(MATRIX_TESTS)
-	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "README or getting_started or scripts"
+	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "(README or getting_started or scripts) and not point_engine"
 
 bench: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[bench]"

@@ -7,6 +7,7 @@ the built wheel; `-k default` chooses those without extras.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -92,6 +93,17 @@ def test_the_first_command_of_a_reader_is_run() -> None:
     texts = [command.text for command in RUNS["default", "README.md"]]
     assert "gauge sanity HalfCheetah-v5" in texts
     assert [command.text for command in RUNS["plot", "scripts"]] == ["python examples/quickstart.py"]
+
+
+def test_a_page_names_the_extras_that_its_commands_need() -> None:
+    missing = [
+        f"{page}: {extra}"
+        for environment, page in RUNS
+        if page != "scripts"
+        for extra in TABLE.environments[environment]
+        if not re.search(rf"`{extra}`|\[[\w,]*\b{extra}\b[\w,]*\]", (ROOT / page).read_text(encoding="utf-8"))
+    ]
+    assert missing == []
 
 
 def test_every_rule_is_of_use() -> None:
