@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.analysis.comparison import RunConfiguration
+from gauge_envs.analysis.configuration import RunConfiguration
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.report.text import (
