@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,7 +9,8 @@ from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import data_folder, json_ready
+from gauge_envs.files import json_ready
+from gauge_envs.references.bands import bundled_sidecar
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import published_baselines
 
@@ -74,9 +74,6 @@ def _own(variant: Variant) -> dict[str, tuple[float | None, float | None]]:
     imported = load_imported(variant.name)
     if imported is not None:
         return {metric: (spread.mean, spread.std) for metric, spread in imported.record.metrics.items()}
-    file = data_folder("scoring") / "bands" / f"{variant.name}.toml"
-    if not file.is_file():
-        return {}
-    facts = tomllib.loads(file.read_text(encoding="utf-8"))
-    tables = {metric: facts.get(metric) for metric in ("rmse", "dtw")}
-    return {metric: (table.get("mean"), table.get("std")) for metric, table in tables.items() if table}
+    sidecar = bundled_sidecar(variant.name)
+    scores = {} if sidecar is None else {"rmse": sidecar.rmse, "dtw": sidecar.dtw}
+    return {metric: (score.mean, score.std) for metric, score in scores.items() if score is not None}

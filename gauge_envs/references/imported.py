@@ -13,8 +13,6 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-import sys
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,10 +25,13 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from platformdirs import user_data_path
+from pydantic import ValidationError
 
-from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError
+from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, first_fault
+from gauge_envs.files import write_whole
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.tables import Table
 from gauge_envs.scene.drivers import Driver, SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -80,11 +81,7 @@ BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUN
 """Record of a result that rests on no import."""
 
 
-class _StoredTable(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SpreadRecord(_StoredTable):
+class SpreadRecord(Table):
     """Mean and sample standard deviation (n - 1) over trials of one metric, in its unit."""
 
     unit: str
@@ -93,7 +90,7 @@ class SpreadRecord(_StoredTable):
     trial_count: int
 
 
-class DriverRecord(_StoredTable):
+class DriverRecord(Table):
     """A recorded driver: what the mean over trials leaves out.
 
     Attributes:
@@ -115,7 +112,7 @@ class DriverRecord(_StoredTable):
     scatter_deg: float | None
 
 
-class VariantRecord(_StoredTable):
+class VariantRecord(Table):
     """What one imported variant is, and where it is from.
 
     Attributes:
@@ -183,15 +180,9 @@ class ImportedVariant:
 
 
 def user_data_folder() -> Path:
-    """Folder of imported data; it need not exist."""
+    """Return the folder of imported data, which need not exist."""
     given = os.environ.get("GAUGE_DATA_DIR")
-    if given:
-        return Path(given).expanduser()
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "gauge-envs"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Application Support" / "gauge-envs"
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "gauge-envs"
+    return Path(given).expanduser() if given else user_data_path("gauge-envs", appauthor=False)
 
 
 def _trials_folder() -> Path:
@@ -254,30 +245,17 @@ def write_imported(
         gauge_envs=version("gauge-envs"),
     )
     folder = _trials_folder()
-    _write(folder / record.arrays, content)
-    _write(folder / f"{variant}.json", record.model_dump_json(indent=1).encode() + b"\n")
+    text = record.model_dump_json(indent=1) + "\n"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / record.arrays, content)
+        write_whole(folder / f"{variant}.json", text.encode())
+    except OSError as error:
+        raise DatasetError(f"{folder}: {variant} cannot be written: {error.strerror or error}") from error
     for stale in folder.glob(f"{variant}.*.npz"):
         if stale.name != record.arrays:
             stale.unlink(missing_ok=True)
     return record
-
-
-def _write(file: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
-    part: Path | None = None
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=f".{file.name}.", delete=False) as stream:
-            part = Path(stream.name)
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(file)
-    except OSError as error:
-        raise DatasetError(f"{file}: cannot be written: {error.strerror or error}") from error
-    finally:
-        if part is not None:
-            part.unlink(missing_ok=True)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------
@@ -325,10 +303,9 @@ def _record(file: Path) -> VariantRecord:
     try:
         record = VariantRecord.model_validate_json(file.read_bytes())
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
+        place, reason = first_fault(error)
         raise ReferenceFileError(
-            file, None, f"is no import of this version: {place}: {first['msg']}; gauge data import renews it"
+            file, None, f"is no import of this version: {place}: {reason}; gauge data import renews it"
         ) from None
     except OSError as error:
         raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None

@@ -8,12 +8,16 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
-from gauge_envs.references.bands import Band, BandGrade, SigmaSource, _count, _field, _folder, _number, _rows, _toml
+from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.metrics import MetricKey
+from gauge_envs.references.tables import Count, Table, read_rows, read_toml, scoring_folder
 
 __all__ = [
     "ENGINES",
@@ -29,12 +33,6 @@ __all__ = [
 
 ENGINES = ("isaacsim", "genesis", "newton")
 """Engines whose scores were published."""
-
-
-_BASELINE_COLUMNS = ("variant", "frames", "metric", "unit", "baseline_mean", "baseline_std", *ENGINES)
-
-
-_METRICS = ("rmse", "dtw", "lsd", "mte", "pd", "el")
 
 
 @dataclass(frozen=True)
@@ -67,39 +65,51 @@ def published_baselines(variant: str) -> dict[str, Baseline]:
     Raises:
         ReferenceFileError: The table is damaged.
     """
-    return dict(_all_baselines(_folder("published")).get(variant, {}))
+    return dict(_all_baselines(scoring_folder("published")).get(variant, {}))
 
 
 def published_variants() -> tuple[str, ...]:
     """Variants with a published baseline, in the order of the paper's Table 5."""
-    return tuple(_all_baselines(_folder("published")))
+    return tuple(_all_baselines(scoring_folder("published")))
+
+
+class _BaselineRow(Table):
+    """One row of `engine_results.csv`; its fields are the columns."""
+
+    variant: str
+    frames: Count
+    metric: MetricKey
+    unit: str
+    baseline_mean: float
+    baseline_std: float | None
+    isaacsim: float | None
+    genesis: float | None
+    newton: float | None
+
+    def baseline(self) -> Baseline:
+        """Return the row with percentages as ratios."""
+        percent = self.unit == "percent"
+        mean, std = self.baseline_mean, self.baseline_std
+        return Baseline(
+            variant=self.variant,
+            metric=self.metric,
+            frames=self.frames,
+            unit="1" if percent else self.unit,
+            mean=mean / 100 if percent else mean,
+            std=std / 100 if percent and std is not None else std,
+            engines={engine: getattr(self, engine) for engine in ENGINES},
+        )
 
 
 @cache
 def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
     file = folder / "engine_results.csv"
     table: dict[str, dict[str, Baseline]] = {}
-    for line, row in _rows(file, _BASELINE_COLUMNS):
-        variant, metric, unit = row["variant"], row["metric"], row["unit"]
-        if metric not in _METRICS:
-            raise ReferenceFileError(file, line, f"metric {metric!r} is none of {', '.join(_METRICS)}")
-        if metric in table.setdefault(variant, {}):
-            raise ReferenceFileError(file, line, f"{variant} has a second row for {metric}")
-        number = {name: _number(file, line, name, row[name]) for name in _BASELINE_COLUMNS[4:] if row[name]}
-        if "baseline_mean" not in number:
-            raise ReferenceFileError(file, line, "baseline_mean is empty")
-        mean, std = number["baseline_mean"], number.get("baseline_std")
-        if unit == "percent":
-            mean, std, unit = mean / 100, None if std is None else std / 100, "1"
-        table[variant][metric] = Baseline(
-            variant=variant,
-            metric=metric,
-            frames=_count(file, line, "frames", row["frames"]),
-            unit=unit,
-            mean=mean,
-            std=std,
-            engines={engine: number.get(engine) for engine in ENGINES},
-        )
+    for line, row in read_rows(file, list(_BaselineRow.model_fields), _BaselineRow):
+        metrics = table.setdefault(row.variant, {})
+        if row.metric in metrics:
+            raise ReferenceFileError(file, line, f"{row.variant} has a second row for {row.metric}")
+        metrics[row.metric] = row.baseline()
     return table
 
 
@@ -116,14 +126,7 @@ class Reference:
     baselines: Mapping[str, Baseline]
 
 
-_LAW_KEYS = ("variants", "kind", "body", "carrier", "condition", "evidence")
-
-
-_LAW_KINDS = ("carried",)
-
-
-@dataclass(frozen=True)
-class Law:
+class Law(Table):
     """A closed form that gives the real outcome of some variants (`scoring/bands/laws.toml`).
 
     Attributes:
@@ -136,11 +139,17 @@ class Law:
     """
 
     variants: str
-    kind: str
+    kind: Literal["carried"]
     body: str
     carrier: str
     condition: str
     evidence: str
+
+
+class _Laws(Table):
+    """The file `laws.toml`."""
+
+    law: Annotated[tuple[Law, ...], Field(min_length=1)]
 
 
 def law_for(variant: str) -> Law | None:
@@ -149,7 +158,7 @@ def law_for(variant: str) -> Law | None:
     Raises:
         ReferenceFileError: The table of laws is damaged.
     """
-    return next((law for law in _all_laws(_folder("bands")) if fnmatchcase(variant, law.variants)), None)
+    return next((law for law in _all_laws(scoring_folder("bands")) if fnmatchcase(variant, law.variants)), None)
 
 
 def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
@@ -198,13 +207,4 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
 
 @cache
 def _all_laws(folder: Path) -> tuple[Law, ...]:
-    file = folder / "laws.toml"
-    laws = []
-    for table in _field(file, _toml(file), "law", list):
-        if not isinstance(table, dict) or set(table) != set(_LAW_KEYS):
-            raise ReferenceFileError(file, None, f"law {table!r}: expected a table of {', '.join(_LAW_KEYS)}")
-        law = Law(**{key: _field(file, table, key, str) for key in _LAW_KEYS})
-        if law.kind not in _LAW_KINDS:
-            raise ReferenceFileError(file, None, f"kind {law.kind!r} is none of {', '.join(_LAW_KINDS)}")
-        laws.append(law)
-    return tuple(laws)
+    return read_toml(folder / "laws.toml", _Laws).law
