@@ -20,8 +20,8 @@ from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 
 __all__ = [
     "CoordinateMean",
-    "TrialSpread",
     "TrialSpool",
+    "TrialSpread",
     "TrialStatistics",
 ]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gauge_envs.errors import ParameterError, TaskFileError
+from gauge_envs.errors import ParameterError, TaskFileError, first_fault
 from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
@@ -103,8 +103,7 @@ class SceneBuilder:
                 known = ", ".join([*self.constants.get(name, {}), *Placement.model_fields])
                 raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; it has: {known}")
         except ValidationError as error:
-            reason = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
-            raise ParameterError(f"{self.variant.name}: override {key!r} = {value!r}: {reason}") from error
+            raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error
 
     def spec_name(self, body: str) -> str:
         """Name in the task file of a scene body: counted bodies share one entry."""
@@ -154,7 +153,7 @@ class SceneBuilder:
         for index, pose in enumerate(poses):
             yield RigidBody(
                 name=f"{name}-{index + 1}" if body.count else name,
-                shape=body.shape.build(),
+                shape=body.shape,
                 motion=motion,
                 pose=pose,
                 mass_kg=mass,

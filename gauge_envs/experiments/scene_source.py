@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.experiment import Asset, AssetKind
+from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Hinge, Motion
 from gauge_envs.scene.diff import scene_changes
 
@@ -156,7 +157,7 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
         if len(found.coordinates) != count:
             raise AssetError(path, "markers", f"{len(found.coordinates)} coordinates, {found.name} has {count}")
     hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
-    if {"lsd", "mte", "pd", "el"} & set(found.score.metrics) and found.recorded[0] not in hinged:
+    if not set(EVENT_METRICS).isdisjoint(found.score.metrics) and found.recorded[0] not in hinged:
         raise AssetError(path, found.recorded[0], f"no hinge, which {', '.join(found.score.metrics)} are measured from")
 
 

@@ -15,10 +15,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gauge_envs.errors import TaskFileError, UnknownNameError
-from gauge_envs.experiments.tables import PlaneSpec
-from gauge_envs.experiments.task_format import PROVENANCES, TaskSpec
+from gauge_envs.errors import TaskFileError, UnknownNameError, first_fault
+from gauge_envs.experiments.tables import PROVENANCES
+from gauge_envs.experiments.task_format import TaskSpec
 from gauge_envs.experiments.variants import task_path
+from gauge_envs.scene import Plane
 
 __all__ = ["load_task", "task_file_error", "task_sha256", "task_spec"]
 
@@ -45,16 +46,9 @@ def load_task(path: Path) -> TaskSpec:
 
 
 def task_file_error(path: Path, error: ValidationError, prefix: str = "") -> TaskFileError:
-    first = error.errors(include_url=False)[0]
-    key = ".".join([*([prefix] if prefix else []), *(str(part) for part in first["loc"])])
-    if first["type"] == "extra_forbidden":
-        return TaskFileError(path, key, "unknown key")
-    if first["type"] == "missing":
-        return TaskFileError(path, key, "missing key")
-    reason = first["msg"].removeprefix("Value error, ")
-    given = first["input"]
-    shown = f" (given: {given!r})" if isinstance(given, int | float | str) else ""
-    return TaskFileError(path, key, reason + shown)
+    """Return the error of a task file for what pydantic found below a key."""
+    key, reason = first_fault(error)
+    return TaskFileError(path, ".".join(filter(None, (prefix, key))), reason)
 
 
 def _check_names(path: Path, spec: TaskSpec) -> None:
@@ -115,7 +109,7 @@ def _check_constants(path: Path, spec: TaskSpec) -> None:
         if name not in spec.names:
             raise TaskFileError(path, f"constants.{name}", f"no body of that name; known: {', '.join(spec.names)}")
     for name in spec.names:
-        if name in spec.bodies and isinstance(spec.bodies[name].shape, PlaneSpec):
+        if name in spec.bodies and isinstance(spec.bodies[name].shape, Plane):
             continue
         owner = spec.owner(name)
         needed = [owner.material] if owner.material else list(spec.materials)

@@ -10,23 +10,15 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.experiments.tables import (
-    DriverSpec,
-    Finite,
-    Fraction,
-    NonNegative,
-    Positive,
-    ShapeSpec,
-    Table,
-    UnitVector,
-    Vector3,
-)
+from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.metrics import MetricKey
+from gauge_envs.references.tables import Table
 from gauge_envs.scene import ContactMode, Motion, Pose
+from gauge_envs.scene.geometry import NonNegative, Positive, UnitVector, Vector
 
 __all__ = [
-    "PROVENANCES",
     "ClothConstants",
     "ContactSpec",
     "Group",
@@ -38,10 +30,6 @@ __all__ = [
     "SolidConstants",
     "TaskSpec",
 ]
-
-
-PROVENANCES = ("metadata", "paper", "video", "mocap", "derived", "nominal")
-"""Where a number can be from; each is explained in the README."""
 
 
 class Group(StrEnum):
@@ -65,7 +53,7 @@ PoissonRatio = Annotated[float, AfterValidator(_admissible_poisson)]
 class BodySpec(Table):
     """A rigid body, or `count` equal ones named `<name>-1`, `<name>-2`, ..."""
 
-    shape: ShapeSpec
+    shape: ShapeTable
     motion: Motion
     recorded: bool = False
     material: str | None = None
@@ -97,8 +85,8 @@ class LineSpec(Table):
 class Substituted(Table):
     """A calibrated constant that no simulation can use as it stands, and what is used in its place."""
 
-    calibrated: Finite
-    used: Finite
+    calibrated: float
+    used: float
     reason: str
 
 
@@ -142,11 +130,11 @@ class Placement(Table):
     light rod, whose hanging position is then turned about the anchor by `euler_deg`.
     """
 
-    position_m: Vector3 | None = None
-    positions_m: tuple[Vector3, ...] | None = None
-    hangs_from_m: Vector3 | None = None
+    position_m: Vector | None = None
+    positions_m: tuple[Vector, ...] | None = None
+    hangs_from_m: Vector | None = None
     length_m: Positive | None = None
-    euler_deg: Vector3 = (0.0, 0.0, 0.0)
+    euler_deg: Vector = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _one_way(self) -> Placement:
@@ -211,7 +199,7 @@ class MarkersSpec(Table):
     """Motion-capture markers; `positions_m` in the published order."""
 
     bodies: tuple[str, ...] = Field(min_length=1)
-    positions_m: tuple[Vector3, ...] = Field(min_length=1)
+    positions_m: tuple[Vector, ...] = Field(min_length=1)
     faces: tuple[tuple[int, int, int], ...] = ()
     lines: tuple[tuple[int, int], ...] = ()
     corner: tuple[int, ...] = ()
@@ -232,7 +220,7 @@ class ScoreSpec(Table):
     """How the experiment is observed and scored."""
 
     observable: Observable
-    metrics: tuple[Literal["rmse", "dtw", "lsd", "mte", "pd", "el"], ...] = ()
+    metrics: tuple[MetricKey, ...] = ()
     period_axis: Literal["x", "y", "z"] | None = None
 
 
@@ -257,8 +245,8 @@ class SubtaskSpec(Table):
     title: str
     frames: dict[str, Annotated[int, Field(ge=2)]]
     bodies: tuple[str, ...] = ()
-    motion: dict[str, Motion] = {}
-    initial: dict[str, dict[str, Placement]] = {}
+    motion: dict[str, Motion] = Field(default_factory=dict)
+    initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
     contacts: tuple[ContactSpec, ...] | None = None
     drivers: tuple[DriverSpec, ...] | None = None
 
@@ -272,25 +260,25 @@ class TaskSpec(Table):
     summary: str
     evaluates: tuple[str, ...]
     materials: tuple[str, ...] = Field(min_length=1)
-    metadata_materials: dict[str, str] = {}
+    metadata_materials: dict[str, str] = Field(default_factory=dict)
     decisions: tuple[str, ...] = ()
     source: SourceSpec
-    bodies: dict[str, BodySpec] = {}
-    cloths: dict[str, ClothSpec] = {}
-    soft_bodies: dict[str, SoftBodySpec] = {}
-    ropes: dict[str, LineSpec] = {}
-    rods: dict[str, LineSpec] = {}
+    bodies: dict[str, BodySpec] = Field(default_factory=dict)
+    cloths: dict[str, ClothSpec] = Field(default_factory=dict)
+    soft_bodies: dict[str, SoftBodySpec] = Field(default_factory=dict)
+    ropes: dict[str, LineSpec] = Field(default_factory=dict)
+    rods: dict[str, LineSpec] = Field(default_factory=dict)
     constants: dict[str, dict[str, dict[str, float | Substituted | dict[str, float]]]]
-    initial: dict[str, dict[str, Placement]] = {}
+    initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...] = ()
     attachments: tuple[AttachmentSpec, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec
-    frames: dict[str, Annotated[int, Field(ge=2)]] = {}
+    frames: dict[str, Annotated[int, Field(ge=2)]] = Field(default_factory=dict)
     drivers: tuple[DriverSpec, ...] = ()
     markers: MarkersSpec | None = None
-    parameters: dict[str, ParameterSetSpec] = {}
-    subtasks: dict[str, SubtaskSpec] = {}
+    parameters: dict[str, ParameterSetSpec] = Field(default_factory=dict)
+    subtasks: dict[str, SubtaskSpec] = Field(default_factory=dict)
     provenance: dict[str, str]
 
     @property

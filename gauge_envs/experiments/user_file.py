@@ -18,14 +18,17 @@ from pydantic import Field, ValidationError, model_validator
 from gauge_envs.errors import AssetError, TaskFileError
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
-from gauge_envs.experiments.tables import DriverSpec, Fraction, NonNegative, Positive, Table, Vector3
+from gauge_envs.experiments.tables import DriverSpec, Fraction
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band, read_band
+from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
+from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import ENGINES, Baseline, Reference
+from gauge_envs.references.tables import Table
 from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
@@ -53,7 +56,7 @@ class FileMarkersSpec(MarkersSpec):
         prim: Path of a Points or Mesh prim, in the place of `positions_m`.
     """
 
-    positions_m: tuple[Vector3, ...] = ()
+    positions_m: tuple[Vector, ...] = ()
     prim: str | None = None
 
     @model_validator(mode="after")
@@ -64,19 +67,10 @@ class FileMarkersSpec(MarkersSpec):
         return self
 
 
-class BandSpec(Table):
-    """Table of mean and scatter, and what is to be said of it; keys as in scoring/README.md."""
+class FileBandSpec(BandSpec):
+    """The table of a band, relative to the experiment file, and the statements about it (scoring/README.md)."""
 
     file: str
-    grade: Literal["trials", "recording", "law"]
-    sigma_source: Literal["trials", "baseline", "measurement"]
-    coordinates: tuple[str, ...] = Field(min_length=1)
-    projection: tuple[tuple[float, ...], ...] | None = None
-    indices: tuple[int, ...] | None = None
-    width: Annotated[int, Field(ge=1)] | None = None
-    sigma: Positive | None = None
-    trial_count: Annotated[int, Field(ge=1)] | None = None
-    source: str
 
 
 class BaselineSpec(Table):
@@ -119,8 +113,8 @@ class ExperimentFile(Table):
     markers: FileMarkersSpec | None = None
     contacts: tuple[PairSpec, ...] = ()
     drivers: tuple[DriverSpec, ...] = ()
-    band: BandSpec | None = None
-    baseline: dict[Literal["rmse", "dtw", "lsd", "mte", "pd"], BaselineSpec] = Field(default_factory=dict)
+    band: FileBandSpec | None = None
+    baseline: dict[BaselineMetric, BaselineSpec] = Field(default_factory=dict)
     provenance: dict[str, str] = Field(min_length=1)
 
 
@@ -157,7 +151,7 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     band = None
     if definition.band is not None:
         table = path.parent / definition.band.file
-        band = read_band(table, _band_facts(definition), path)
+        band = read_band(table, _band_sidecar(definition, definition.band), path)
         contents.append(read_bytes(table))
     experiment = _file_experiment(
         definition.model_copy(update={"recorded": recorded}),
@@ -181,7 +175,7 @@ def _file_experiment(
             variant=name,
             metric=metric,
             frames=definition.frames,
-            unit={"mte": "1", "lsd": "s", "pd": "s"}.get(metric, unit),
+            unit=METRICS[metric].unit_of(unit),
             mean=stated.mean,
             std=stated.std,
             engines=dict.fromkeys(ENGINES),
@@ -329,16 +323,11 @@ def _drivers(path: Path, names: _Names, scene: Scene, specs: Sequence[DriverSpec
 # --- band ------------------------------------------------------------------------------------------------------------
 
 
-def _band_facts(definition: ExperimentFile) -> dict[str, Any]:
-    """What `read_band` needs of the table, as a sidecar would state it."""
-    assert definition.band is not None
-    stated = definition.band.model_dump(mode="json", exclude={"file"}, exclude_none=True)
-    unit, frames = definition.score.observable.unit, definition.frames
-    given = {"unit": unit, "frames": frames}
-    if definition.band.projection is None and definition.band.indices is None:
-        count = len(definition.band.coordinates)
-        return stated | given | {"indices": list(range(count)), "width": count}
-    return stated | given
+def _band_sidecar(definition: ExperimentFile, band: FileBandSpec) -> BandSidecar:
+    """Return the statements about the band as the sidecar of a bundled band would make them."""
+    return BandSidecar(
+        **band.model_dump(exclude={"file"}), unit=definition.score.observable.unit, frames=definition.frames
+    )
 
 
 def _check_band(path: Path, experiment: FileExperiment) -> None:

@@ -15,19 +15,11 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.tables import (
-    Count,
-    NonNegative,
-    Positive,
-    Table,
-    csv_header,
-    read_rows,
-    read_toml,
-    scoring_folder,
-)
+from gauge_envs.references.tables import Table, csv_header, read_rows, read_toml, scoring_folder
+from gauge_envs.scene.geometry import NonNegative, Positive
 
 __all__ = [
     "Band",
@@ -205,9 +197,9 @@ class BandSpec(Table):
     coordinates: Annotated[tuple[str, ...], Field(min_length=1)]
     projection: tuple[tuple[float, ...], ...] | None = None
     indices: tuple[int, ...] | None = None
-    width: Count | None = None
+    width: PositiveInt | None = None
     sigma: Positive | None = None
-    trial_count: Count | None = None
+    trial_count: PositiveInt | None = None
     source: str
 
     @model_validator(mode="after")
@@ -256,7 +248,7 @@ class BandSidecar(BandSpec):
     """
 
     unit: str
-    frames: Count | None = None
+    frames: PositiveInt | None = None
     withheld: str | None = None
     rmse: TrialScores | None = None
     dtw: TrialScores | None = None
@@ -343,13 +335,13 @@ def _stated_sigma(sidecar: BandSidecar, file: Path, columns: Mapping[str, FloatA
 class _BandRow(Table):
     """One row of the table of a band; entries are keyed by coordinate, and None is not known."""
 
-    frame: Annotated[int, Field(ge=0)]
+    frame: NonNegativeInt
     time_s: float | None = None
     measured: Literal["0", "1"] = "1"
-    measured_trials: Annotated[int, Field(ge=0)] | None = None
+    measured_trials: NonNegativeInt | None = None
     mean: dict[str, float | None]
-    sigma: dict[str, NonNegative] = {}
-    uncertainty: dict[str, NonNegative | None] = {}
+    sigma: dict[str, NonNegative] = Field(default_factory=dict)
+    uncertainty: dict[str, NonNegative | None] = Field(default_factory=dict)
 
 
 def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, FloatArray]:

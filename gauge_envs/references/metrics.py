@@ -69,7 +69,7 @@ EVENT_METRICS = tuple(key for key, metric in METRICS.items() if metric.is_event)
 def _one_of(known: Collection[str]) -> AfterValidator:
     def check(key: str) -> str:
         if key not in known:
-            raise ValueError(f"metric {key!r} is none of {', '.join(known)}")
+            raise ValueError(f"{key!r} is none of {', '.join(known)}")
         return key
 
     return AfterValidator(check)

@@ -12,12 +12,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
 from gauge_envs.references.bands import Band, BandGrade, SigmaSource
 from gauge_envs.references.metrics import MetricKey
-from gauge_envs.references.tables import Count, Table, read_rows, read_toml, scoring_folder
+from gauge_envs.references.tables import Table, read_rows, read_toml, scoring_folder
 
 __all__ = [
     "ENGINES",
@@ -77,7 +77,7 @@ class _BaselineRow(Table):
     """One row of `engine_results.csv`; its fields are the columns."""
 
     variant: str
-    frames: Count
+    frames: PositiveInt
     metric: MetricKey
     unit: str
     baseline_mean: float

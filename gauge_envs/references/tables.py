@@ -6,27 +6,20 @@ import csv
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import data_folder
 
 __all__ = [
-    "Count",
-    "NonNegative",
-    "Positive",
     "Table",
     "csv_header",
     "read_rows",
     "read_toml",
     "scoring_folder",
 ]
-
-Positive = Annotated[float, Field(gt=0.0)]
-NonNegative = Annotated[float, Field(ge=0.0)]
-Count = Annotated[int, Field(ge=1)]
 
 
 class Table(BaseModel):
