@@ -179,6 +179,8 @@ def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]
         return place, f"unknown {noun}"
     if fault["type"] == "missing":
         return place, f"missing {noun}"
+    if fault["type"] == "union_tag_not_found":
+        return f"{place}.{fault['ctx']['discriminator'].strip(chr(39))}".lstrip("."), f"missing {noun}"
     given = repr(fault["input"])
     shown = f" (given: {given})" if isinstance(fault["input"], int | float | str) and len(given) <= 60 else ""
     return place, fault["msg"].removeprefix("Value error, ") + shown

@@ -22,6 +22,7 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.imported import DriverRecord, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -37,9 +38,6 @@ FLAGGED_DIFFERENCE = 0.05
 
 LEAST_TRIALS = 2
 """Scatter needs two."""
-
-EVENT_FIELDS = {"lsd": "lsd_s", "mte": "mte", "pd": "pd_s", "el": "el"}
-UNITS = {"lsd": "s", "pd": "s", "mte": "1", "el": "1"}
 
 FloatArray = NDArray[np.float64]
 
@@ -226,7 +224,7 @@ class _VariantImporter:
         times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
         score = score_trajectory(self._experiment, None, times_s=times_s, values=trajectory)
         for metric, values in self._events.items():
-            value = getattr(score, EVENT_FIELDS[metric])
+            value = getattr(score, METRICS[metric].score_field)
             values.append(np.nan if value is None else value)
 
     def _add_drivers(self, file: str, trial: Trial) -> None:
@@ -255,7 +253,7 @@ class _VariantImporter:
         return tuple(
             BaselineRow(
                 metric=metric,
-                unit=UNITS.get(metric, unit),
+                unit=METRICS[metric].unit_of(unit),
                 own=own.get(metric),
                 published=published.get(metric),
             )
@@ -362,7 +360,7 @@ def _largest(values: FloatArray) -> float | None:
 
 
 def _event_metrics(experiment: Experiment) -> tuple[str, ...]:
-    return tuple(metric for metric in experiment.score.metrics if metric in EVENT_FIELDS)
+    return tuple(metric for metric in experiment.score.metrics if metric in EVENT_METRICS)
 
 
 def _spread_records(rows: tuple[BaselineRow, ...]) -> Mapping[str, SpreadRecord]:

@@ -13,13 +13,14 @@ from pydantic import AfterValidator, Field, model_validator
 from gauge_envs.references.tables import Table
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
 from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
-from gauge_envs.scene.geometry import NonNegative, Positive, UnitVector, Vector
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
 __all__ = [
     "PROVENANCES",
     "DriverSpec",
     "Fraction",
     "ShapeTable",
+    "UnitVector",
 ]
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -28,6 +29,15 @@ Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"
 
 PROVENANCES: tuple[str, ...] = get_args(Provenance)
 """Where a number can be from; each is explained in the README."""
+
+
+def _unit(vector: Vector) -> Vector:
+    if abs(float(np.linalg.norm(vector)) - 1.0) > 1e-9:
+        raise ValueError(f"{list(vector)} is not a unit vector")
+    return vector
+
+
+UnitVector = Annotated[Vector, AfterValidator(_unit)]
 
 
 def _solid(union: ConvexUnion) -> ConvexUnion:

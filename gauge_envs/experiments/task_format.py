@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable
+from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable, UnitVector
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import Table
 from gauge_envs.scene import ContactMode, Motion, Pose
-from gauge_envs.scene.geometry import NonNegative, Positive, UnitVector, Vector
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
 __all__ = [
     "ClothConstants",

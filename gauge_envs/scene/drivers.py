@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import NonNegative, Pose, Positive, UnitVector, Vector
+from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector
 
 __all__ = [
     "CosineProfile",
@@ -163,7 +162,16 @@ class SampledProfile:
         return float(self._slope(time_s)) if self.times_s[0] <= time_s < self.times_s[-1] else 0.0
 
 
-Profile = Annotated[TrapezoidProfile | CosineProfile | SampledProfile, Field(discriminator="kind")]
+class _ByKind:
+    """Metadata of a union whose member is chosen by `kind`; keeps pydantic out of the imports of this module."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic import Field
+
+        return handler.generate_schema(Annotated[source, Field(discriminator="kind")])
+
+
+Profile = Annotated[TrapezoidProfile | CosineProfile | SampledProfile, _ByKind()]
 """How a coordinate changes over time."""
 
 
@@ -177,13 +185,20 @@ class DriverMotion:
         point_m: A point of the rotation axis; unused by a translation.
         residual_rate: Rate that an action of 1 adds [m/s or rad/s].
         profiles: Profiles whose sum is the recorded or nominal coordinate over time.
+
+    Raises:
+        ValueError: The axis is not a unit vector.
     """
 
     kind: Literal["translate", "rotate"]
-    axis: UnitVector
+    axis: Vector
     point_m: Vector = (0.0, 0.0, 0.0)
     residual_rate: NonNegative = 0.0
     profiles: tuple[Profile, ...]
+
+    def __post_init__(self) -> None:
+        if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-9:
+            raise ValueError(f"axis {list(self.axis)} is not a unit vector")
 
     def value(self, time_s: float) -> float:
         """Coordinate at a time [m or rad]."""

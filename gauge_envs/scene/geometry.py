@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, MinLen
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +22,6 @@ __all__ = [
     "Positive",
     "Shape",
     "Sphere",
-    "UnitVector",
     "Vector",
     "pose_distance",
 ]
@@ -30,18 +29,9 @@ __all__ = [
 
 Vector = tuple[float, float, float]
 
-# Pydantic checks these where it reads a file. Constructors called by code do not check them.
-Positive = Annotated[float, Field(gt=0.0)]
-NonNegative = Annotated[float, Field(ge=0.0)]
-
-
-def _unit(vector: Vector) -> Vector:
-    if abs(float(np.linalg.norm(vector)) - 1.0) > 1e-9:
-        raise ValueError(f"{list(vector)} is not a unit vector")
-    return vector
-
-
-UnitVector = Annotated[Vector, AfterValidator(_unit)]
+# Bounds of numbers, which pydantic checks where it reads a file. A constructor called by code does not check them.
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +144,7 @@ class ConvexUnion:
     """
 
     kind: Literal["convex_union"] = "convex_union"
-    pieces_m: Annotated[tuple[tuple[Vector, ...], ...], Field(min_length=1)]
+    pieces_m: Annotated[tuple[tuple[Vector, ...], ...], MinLen(1)]
 
     @cached_property
     def volume_m3(self) -> float:
