@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.references.imported import DriverRecord, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.imported import DriverRecord, ImportFacts, SpreadRecord, VariantRecord, write_imported
 from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
@@ -274,17 +274,17 @@ class _VariantImporter:
             source="import",
         )
         drivers = {body: mean for body, mean in self._drivers.items() if mean.is_usable}
-        return write_imported(
-            band,
-            {body: mean.coordinates for body, mean in drivers.items()},
+        facts = ImportFacts(
             variant=experiment.name,
             left_out=left_out,
             revision=self._layout.revision,
-            files=self._files,
+            files=tuple(self._files),
+            files_sha256=hashlib.sha256("\n".join(self._files.values()).encode()).hexdigest(),
             task_sha256=experiment.file_sha256,
             metrics=_spread_records(rows),
-            driver_records=tuple(mean.record() for mean in drivers.values()),
+            drivers=tuple(mean.record() for mean in drivers.values()),
         )
+        return write_imported(band, {body: mean.coordinates for body, mean in drivers.items()}, facts)
 
 
 @dataclass
@@ -363,7 +363,7 @@ def _event_metrics(experiment: Experiment) -> tuple[str, ...]:
     return tuple(metric for metric in experiment.score.metrics if metric in EVENT_METRICS)
 
 
-def _spread_records(rows: tuple[BaselineRow, ...]) -> Mapping[str, SpreadRecord]:
+def _spread_records(rows: tuple[BaselineRow, ...]) -> dict[str, SpreadRecord]:
     return {
         row.metric: SpreadRecord(unit=row.unit, mean=row.own.mean, std=row.own.std, trial_count=row.own.count)
         for row in rows

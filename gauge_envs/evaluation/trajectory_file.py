@@ -167,26 +167,31 @@ def _bytes(file: Path) -> bytes:
     return content
 
 
-def _read_csv(layout: _FileLayout) -> Columns:
-    lines: list[tuple[str, list[str]]] = []
-    comment: list[str] | None = None
+def _csv_rows(layout: _FileLayout) -> tuple[list[tuple[str, list[str]]], list[str] | None]:
+    """Return place and fields of each row that is no comment; and the comment that is a header, or None."""
+    rows: list[tuple[str, list[str]]] = []
+    header: list[str] | None = None
     try:
         reader = csv.reader(io.StringIO(_bytes(layout.file).decode("utf-8-sig"), newline=""))
         for fields in reader:
             if not any(field.strip() for field in fields):
                 continue
             if not fields[0].lstrip().startswith("#"):
-                lines.append((f"line {reader.line_num}", [field.strip() for field in fields]))
-            elif not lines and "time_s" in (names := [field.strip(" #\t") for field in fields]):
-                comment = names  # numpy.savetxt writes its header as a comment.
+                rows.append((f"line {reader.line_num}", [field.strip() for field in fields]))
+            elif not rows and "time_s" in (names := [field.strip(" #\t") for field in fields]):
+                header = names  # numpy.savetxt writes its header as a comment.
     except (UnicodeDecodeError, csv.Error) as error:
         raise layout.error("", f"not a CSV file: {error}") from error
-    if not lines:
+    if not rows:
         raise layout.error("", "no rows")
+    return rows, header
+
+
+def _read_csv(layout: _FileLayout) -> Columns:
+    lines, header = _csv_rows(layout)
     place, first = lines[0]
     if len(first) == 1 < len(layout.names) and len(first[0].replace(";", " ").split()) > 1:
         raise layout.error(place, f"one column, expected columns separated by commas; {layout.expected}")
-    header = comment
     if not any(_is_number(field) for field in first) and "" not in first:
         header = lines.pop(0)[1]
     places, rows = [place for place, _ in lines], [fields for _, fields in lines]

@@ -5,10 +5,11 @@ A shape is read straight into the scene's own class. A profile is not: files sta
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
+from pydantic_core import CoreSchema
 
 from gauge_envs.references.tables import Table
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
@@ -82,16 +83,20 @@ class PlateWithHoleSpec(Table):
         return ConvexUnion(pieces_m=tuple(pieces))
 
 
+def _plate_schema(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    return handler.generate_schema(Annotated[PlateWithHoleSpec, AfterValidator(PlateWithHoleSpec.build)])
+
+
 ShapeTable = Annotated[
     Box
     | Sphere
     | Cylinder
     | Plane
     | Annotated[ConvexUnion, AfterValidator(_solid)]
-    | Annotated[PlateWithHoleSpec, AfterValidator(PlateWithHoleSpec.build)],
+    | Annotated[ConvexUnion, GetPydanticSchema(_plate_schema)],
     Field(discriminator="kind"),
 ]
-"""Table of a shape, read as a `Shape`."""
+"""Table of a shape, read as the shape itself."""
 
 
 class _ProfileSpec(Table):

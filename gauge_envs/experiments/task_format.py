@@ -194,6 +194,12 @@ class ContactSpec(Table):
     restitution: Fraction | None = None
     mode: ContactMode = ContactMode.SUSTAINED
 
+    @model_validator(mode="after")
+    def _complete(self) -> ContactSpec:
+        if self.constants_of is None and (self.friction is None or self.restitution is None):
+            raise ValueError("give constants_of, or both friction and restitution")
+        return self
+
 
 class MarkersSpec(Table):
     """Motion-capture markers; `positions_m` in the published order."""

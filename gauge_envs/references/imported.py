@@ -39,6 +39,7 @@ __all__ = [
     "BUNDLED_DATA",
     "DataSource",
     "DriverRecord",
+    "ImportFacts",
     "ImportedVariant",
     "SpreadRecord",
     "VariantRecord",
@@ -112,37 +113,21 @@ class DriverRecord(Table):
     scatter_deg: float | None
 
 
-class VariantRecord(Table):
-    """What one imported variant is, and where it is from.
+class ImportFacts(Table):
+    """Origin of the imported trials of one variant, and their scores.
 
     Attributes:
-        format: Version of the stored form.
         variant: Name of the variant.
-        arrays: Name of the NPZ file.
-        arrays_sha256: Its hash.
-        unit: Unit of the band.
-        coordinates: Names of its coordinates.
-        frame_count: Its number of frames.
-        trial_count: Trials that it rests on.
-        left_out: Trial files that were left out.
-        revision: Revision of the dataset; None where its folder did not say.
-        files: The trials' paths below the dataset's folder.
+        left_out: Number of trial files that were left out.
+        revision: Revision of the dataset; None for a folder that does not state it.
+        files: Paths of the trials below the dataset's folder.
         files_sha256: Hash over the hashes of these files, in that order.
         task_sha256: Hash of the task file that they were imported for.
         metrics: Score of the trials among themselves, by metric.
         drivers: Recorded drivers.
-        created: When, ISO 8601, UTC.
-        gauge_envs: Version of gauge-envs that imported it.
     """
 
-    format: Literal[1] = 1
     variant: str
-    arrays: str
-    arrays_sha256: str
-    unit: str
-    coordinates: tuple[str, ...]
-    frame_count: int
-    trial_count: int
     left_out: int
     revision: str | None
     files: tuple[str, ...]
@@ -150,6 +135,30 @@ class VariantRecord(Table):
     task_sha256: str
     metrics: dict[str, SpreadRecord]
     drivers: tuple[DriverRecord, ...]
+
+
+class VariantRecord(ImportFacts):
+    """The file `<variant>.json` of an imported variant.
+
+    Attributes:
+        format: Version of the stored form.
+        arrays: Name of the NPZ file.
+        arrays_sha256: Hash of the NPZ file.
+        unit: Unit of the band.
+        coordinates: Names of the band's coordinates.
+        frame_count: Number of frames of the band.
+        trial_count: Number of trials that the band rests on.
+        created: Time of the import, ISO 8601, UTC.
+        gauge_envs: Version of gauge-envs that imported it.
+    """
+
+    format: Literal[1] = 1
+    arrays: str
+    arrays_sha256: str
+    unit: str
+    coordinates: tuple[str, ...]
+    frame_count: int
+    trial_count: int
     created: str
     gauge_envs: str
 
@@ -192,30 +201,13 @@ def _trials_folder() -> Path:
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
-def write_imported(
-    band: Band,
-    drivers: Mapping[str, FloatArray],
-    *,
-    variant: str,
-    left_out: int,
-    revision: str | None,
-    files: Mapping[str, str],
-    task_sha256: str,
-    metrics: Mapping[str, SpreadRecord],
-    driver_records: tuple[DriverRecord, ...],
-) -> VariantRecord:
+def write_imported(band: Band, drivers: Mapping[str, FloatArray], facts: ImportFacts) -> VariantRecord:
     """Store an imported variant in place of an earlier import of it.
 
     Args:
-        band: Its band, in the coordinates of g(t).
-        drivers: As `ImportedVariant.driver_values`.
-        variant: Name of the variant.
-        left_out: As in `VariantRecord`.
-        revision: As in `VariantRecord`.
-        files: Hash of each trial file, by its path below the dataset's folder.
-        task_sha256: As in `VariantRecord`.
-        metrics: As in `VariantRecord`.
-        driver_records: As in `VariantRecord`.
+        band: Band of the trials, in the coordinates of g(t).
+        drivers: Recorded coordinates of the driven bodies, as `ImportedVariant.driver_values`.
+        facts: Origin and scores of the trials.
 
     Raises:
         DatasetError: The user's data folder cannot be written.
@@ -227,20 +219,13 @@ def write_imported(
     content = stream.getvalue()
     digest = hashlib.sha256(content).hexdigest()
     record = VariantRecord(
-        variant=variant,
-        arrays=f"{variant}.{digest[:16]}.npz",
+        **dict(facts),
+        arrays=f"{facts.variant}.{digest[:16]}.npz",
         arrays_sha256=digest,
         unit=band.unit,
         coordinates=band.coordinates,
         frame_count=len(band.mean),
         trial_count=band.trial_count or 0,
-        left_out=left_out,
-        revision=revision,
-        files=tuple(files),
-        files_sha256=hashlib.sha256("\n".join(files.values()).encode()).hexdigest(),
-        task_sha256=task_sha256,
-        metrics=dict(metrics),
-        drivers=driver_records,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         gauge_envs=version("gauge-envs"),
     )
@@ -249,10 +234,10 @@ def write_imported(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / record.arrays, content)
-        write_whole(folder / f"{variant}.json", text.encode())
+        write_whole(folder / f"{facts.variant}.json", text.encode())
     except OSError as error:
-        raise DatasetError(f"{folder}: {variant} cannot be written: {error.strerror or error}") from error
-    for stale in folder.glob(f"{variant}.*.npz"):
+        raise DatasetError(f"{folder}: {facts.variant} cannot be written: {error.strerror or error}") from error
+    for stale in folder.glob(f"{facts.variant}.*.npz"):
         if stale.name != record.arrays:
             stale.unlink(missing_ok=True)
     return record
