@@ -36,12 +36,12 @@ FloatArray = NDArray[np.float64]
 
 
 class BandGrade(StrEnum):
-    """How good the real reference of a variant is, best first."""
+    """Quality of the real reference of a variant, best first."""
 
     TRIALS = "trials"
     """Mean and sigma per frame over real trials."""
     RECORDING = "recording"
-    """Mean from the published recording of one trial, sigma from the published baseline where there is one."""
+    """Mean from the published recording of one trial, sigma from the published baseline or the measurement."""
     LAW = "law"
     """Mean from a closed form that holds under a stated condition, sigma from the published baseline."""
     NONE = "none"
@@ -49,39 +49,39 @@ class BandGrade(StrEnum):
 
 
 class SigmaSource(StrEnum):
-    """What the sigma of a band is."""
+    """Origin of the sigma of a band."""
 
     TRIALS = "trials"
     """Standard deviation over real trials, per frame."""
     BASELINE = "baseline"
-    """From the published baseline, which gives its time average alone: constant, the same for each coordinate."""
+    """Published baseline, which gives a time average alone: sigma is constant and the same for each coordinate."""
     MEASUREMENT = "measurement"
-    """Uncertainty of the measurement, where no scatter of real trials is published: it is not scatter of reality."""
+    """Uncertainty of the measurement, as no scatter of real trials is published."""
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Mean and scatter of reality per frame, in coordinates that a linear map takes from a generalized trajectory.
+    """Mean and scatter of reality per frame, in coordinates that are a linear map of the generalized trajectory.
 
     All arrays are read-only copies.
 
     Attributes:
-        grade: Where mean and sigma are from.
+        grade: Origin of the mean.
         unit: Unit of mean, sigma and of the trajectories that `project` takes.
         coordinates: Names of the C band coordinates.
-        projection: Linear map from g(t) of width D to the band coordinates, shape [C, D]. It is needed where only some
-            directions were measured.
-        mean: Mean of the real trajectories at frames 0, 1, ..., shape [T, C]; NaN where it is unknown.
+        projection: Linear map from g(t) of width D to the band coordinates, shape [C, D]. It picks the directions that
+            were measured.
+        mean: Mean of the real trajectories at frames 0, 1, ..., shape [T, C]; NaN is unknown.
         sigma: Standard deviation over real trials, shape [T, C].
-        measured: Frames where mean and sigma rest on what the grade names, shape [T]: samples of at least half of the
-            trials (trials), a picture (recording), the law, which states every frame (law). The others are
-            extrapolated: the published baselines cover them, |z| and coverage should not.
-        trial_count: Number of real trials; None where it is not known.
+        measured: Whether a frame was measured, shape [T]. Grade `trials` needs samples of at least half of the trials,
+            grade `recording` a picture; a law states every frame. Frames that were not measured are extrapolated. RMSE
+            and DTW include them, as the published baselines do; |z| and coverage leave them out.
+        trial_count: Number of real trials; None is unknown.
         source: Where the numbers are from, one sentence.
-        sigma_source: What sigma is.
-        uncertainty: 1-sigma uncertainty of the measurement of the mean, shape [T, C]; NaN where the mean is. None where
-            it is not stated. It says how well one trial was measured, sigma how far trials are apart.
-        withheld: Why nothing is scored on the band unless it is asked for; None where it is scored on.
+        sigma_source: Origin of sigma.
+        uncertainty: 1-sigma uncertainty of the measurement of the mean, shape [T, C]; NaN where the mean is unknown,
+            None if it is not stated. It is the error of one measured trial; sigma is the spread between trials.
+        withheld: Why the band is not used by default; None for a band that is.
 
     Raises:
         ShapeError: The arrays do not agree in shape, or a sigma is negative.
@@ -123,7 +123,7 @@ class Band:
             raise ShapeError("sigma: a standard deviation is never negative")
 
     def project(self, g: ArrayLike) -> NDArray[np.float64]:
-        """A generalized trajectory in the band's coordinates.
+        """Map a generalized trajectory to the band's coordinates.
 
         Args:
             g: Generalized trajectory in the band's unit, shape [frame_count, D]; any number of frames.
@@ -132,7 +132,7 @@ class Band:
             Band coordinates in the same unit, shape [frame_count, C].
 
         Raises:
-            ShapeError: `g` is not of width D.
+            ShapeError: The width of `g` is not D.
         """
         trajectory = np.asarray(g, dtype=np.float64)
         if trajectory.ndim != 2 or trajectory.shape[1] != self.projection.shape[1]:
@@ -142,14 +142,14 @@ class Band:
         return trajectory @ self.projection.T
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary; None stands for what is not known."""
+        """Return a JSON-ready dictionary; an unknown number is None."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays = {name: _with_none(value) for name, value in values.items() if isinstance(value, np.ndarray)}
         return values | arrays | {"coordinates": list(self.coordinates)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Band:
-        """Inverse of `to_dict`.
+        """Build a band from `to_dict`.
 
         Raises:
             ShapeError: The arrays do not agree.
@@ -169,7 +169,7 @@ class Band:
 
 
 def _with_none(values: NDArray[Any]) -> list[Any]:
-    """Nested lists with None for NaN, which JSON does not know; numpy reads None as NaN again."""
+    """Return nested lists with None for NaN, which JSON lacks; numpy reads None as NaN."""
     if values.dtype.kind != "f":
         return values.tolist()
     entries = values.astype(object)
@@ -216,7 +216,7 @@ class BandSpec(Table):
 
     @property
     def projection_matrix(self) -> FloatArray:
-        """Linear map from g(t) to the band coordinates, shape [C, D]; without a statement g(t) itself is the band's."""
+        """Linear map from g(t) to the band coordinates, shape [C, D]; identity if the table states none."""
         if self.projection is not None:
             return np.array(self.projection, dtype=np.float64)
         count = len(self.coordinates)
@@ -333,7 +333,7 @@ def _stated_sigma(sidecar: BandSidecar, file: Path, columns: Mapping[str, FloatA
 
 
 class _BandRow(Table):
-    """One row of the table of a band; entries are keyed by coordinate, and None is not known."""
+    """One row of the table of a band; values are keyed by coordinate, and None is unknown."""
 
     frame: NonNegativeInt
     time_s: float | None = None

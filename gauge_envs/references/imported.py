@@ -1,11 +1,11 @@
-"""Imported bands and drivers in the user's data folder.
+"""Store and read imported bands and drivers in the user's data folder.
 
-Each variant has `<variant>.json`, what the numbers are and where they are from, and beside it an NPZ file with the
-numbers, named by its hash. The NPZ is written first and the JSON then put in place of the old one, so that a reader
-finds the old import or the new one, whole, whenever a writer is interrupted.
+Each variant has a file `<variant>.json`, which describes the numbers, and an NPZ file with the numbers, named by its
+hash. The NPZ file is written first, and the JSON file then replaces the old one. An interrupted writer therefore leaves
+the old import or the new one, never a mixture.
 
-The folder is `GAUGE_DATA_DIR` where that is set, else the platform's: `$XDG_DATA_HOME/gauge-envs`, on Linux
-`~/.local/share/gauge-envs`.
+The environment variable `GAUGE_DATA_DIR` names the folder. The default is the platform's folder for user data, on Linux
+`$XDG_DATA_HOME/gauge-envs` or `~/.local/share/gauge-envs`.
 """
 
 from __future__ import annotations
@@ -55,23 +55,23 @@ FloatArray = NDArray[np.float64]
 
 
 class DataSource(StrEnum):
-    """Where driven motion and bands are from. Only an argument chooses; what was imported changes nothing by itself."""
+    """Source of driven motion or of the band. An argument selects it; an import alone changes nothing."""
 
     BUNDLED = "bundled"
-    """What the package states: the task file's drivers, the bundled bands and laws."""
+    """The package: the task file's drivers, the bundled bands and laws."""
     IMPORTED = "imported"
-    """What `gauge data import` made of real trials."""
+    """The real trials that `gauge data import` read."""
 
     @classmethod
     def of(cls, value: DataSource | str, name: str) -> DataSource:
-        """Data source by its value.
+        """Return the data source of a value.
 
         Args:
             value: `bundled` or `imported`.
-            name: Argument that it was given for, as `drivers`.
+            name: Argument that has the value, as `drivers`.
 
         Raises:
-            ParameterError: It is neither.
+            ParameterError: The value is neither.
         """
         if value not in tuple(cls):
             raise ParameterError(f"{name} {value!r}: choose {' or '.join(repr(source.value) for source in cls)}")
@@ -79,11 +79,11 @@ class DataSource(StrEnum):
 
 
 BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUNDLED.value}
-"""Record of a result that rests on no import."""
+"""Data sources of a result that uses no import."""
 
 
 class SpreadRecord(Table):
-    """Mean and sample standard deviation (n - 1) over trials of one metric, in its unit."""
+    """Mean and sample standard deviation (n - 1) of one metric over trials, in the metric's unit."""
 
     unit: str
     mean: float
@@ -92,16 +92,16 @@ class SpreadRecord(Table):
 
 
 class DriverRecord(Table):
-    """A recorded driver: what the mean over trials leaves out.
+    """Quality of a recorded driver: how far the trials are from the mean that drives the body.
 
     Attributes:
         body: Name of the driven body.
-        trial_count: Trials that show it.
+        trial_count: Number of trials that show the body.
         residual_mm: Root mean square over trials and frames of the distance that the driver's motions cannot follow.
-        residual_deg: The same of the angle; None where no trial has orientations.
-        start_offset_mm: Mean over trials of the distance from the calibrated start, which the driver keeps.
-        scatter_mm: Largest standard deviation over trials of a translation, 0 for a single trial; None without one.
-        scatter_deg: The same of a rotation. Trials that are not in step have a mean that none of them shows.
+        residual_deg: Root mean square of the angle that they cannot follow; None if no trial has orientations.
+        start_offset_mm: Mean over trials of the distance from the calibrated start, at which the driver starts.
+        scatter_mm: Largest standard deviation of a translation over trials, 0 for one trial; None without translation.
+        scatter_deg: Largest standard deviation of a rotation over trials, 0 for one trial; None without rotation.
     """
 
     body: str
@@ -164,7 +164,7 @@ class VariantRecord(ImportFacts):
 
     @property
     def origin(self) -> str:
-        """Where the trials are from: `dataset revision 9e0acb7, 20 trials, sha256 0123456789ab`."""
+        """Origin of the trials: `imported dataset revision 9e0acb7, 20 trials, sha256 0123456789ab`."""
         revision = "of unknown revision" if self.revision is None else f"revision {self.revision[:12]}"
         return f"imported dataset {revision}, {self.trial_count} trials, sha256 {self.files_sha256[:12]}"
 
@@ -174,10 +174,10 @@ class ImportedVariant:
     """One imported variant.
 
     Attributes:
-        record: What it is.
-        band: Its band, of grade `trials`.
-        driver_values: Mean recorded coordinates of each driven body, relative to its start [m or rad], shape
-            [frame_count, motion_count]; NaN where no trial shows it.
+        record: Description of the import.
+        band: Band of the trials, of grade `trials`.
+        driver_values: Mean recorded coordinates of each driven body relative to its start [m or rad], shape
+            [frame_count, motion_count]; NaN where no trial shows the body.
     """
 
     record: VariantRecord
@@ -247,15 +247,15 @@ def write_imported(band: Band, drivers: Mapping[str, FloatArray], facts: ImportF
 
 
 def has_import(variant: str) -> bool:
-    """Whether trials of a variant were imported; their files are not read."""
+    """Return whether trials of a variant were imported, without reading them."""
     return (_trials_folder() / f"{variant}.json").is_file()
 
 
 def load_imported(variant: str) -> ImportedVariant | None:
-    """What was imported of a variant; None where nothing was.
+    """Return the import of a variant, or None.
 
     Raises:
-        ReferenceFileError: Its files are damaged, or of another version of gauge-envs; importing again renews them.
+        ReferenceFileError: The files are damaged, or of another version of gauge-envs.
     """
     file = _trials_folder() / f"{variant}.json"
     try:
@@ -269,13 +269,13 @@ def load_imported(variant: str) -> ImportedVariant | None:
 
 @lru_cache(maxsize=256)
 def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
-    """Read a variant; the file's time and number are there to tell one import from the next."""
+    """Read a variant; time and inode of the file distinguish imports in the cache."""
     record = _record(file)
     arrays_file = file.with_name(record.arrays)
     try:
         content = arrays_file.read_bytes()
         if hashlib.sha256(content).hexdigest() != record.arrays_sha256:
-            raise ValueError("its content is not what was imported")
+            raise ValueError("its content differs from what was imported")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
             band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"])
@@ -295,7 +295,7 @@ def _record(file: Path) -> VariantRecord:
     except OSError as error:
         raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
     if Path(record.arrays).name != record.arrays or record.variant != file.name.removesuffix(".json"):
-        raise ReferenceFileError(file, None, f"is of {record.variant!r}; gauge data import renews it")
+        raise ReferenceFileError(file, None, f"belongs to {record.variant!r}; gauge data import renews it")
     return record
 
 
@@ -323,14 +323,14 @@ def _band(record: VariantRecord, mean: FloatArray, sigma: FloatArray, measured: 
 
 
 def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver, ...]:
-    """The drivers of a variant, with recorded motion for every body that imported trials show.
+    """Return the drivers of a variant, with recorded motion for every body that imported trials show.
 
     Args:
         variant: Name of the variant.
-        bundled: Its drivers as the task file states them; axes and action rates stay.
+        bundled: Drivers of the task file; axes and action rates stay.
 
     Raises:
-        ReferenceFileError: The import is damaged, or of a task file whose drivers had other motions.
+        ReferenceFileError: The import is damaged, or was made for drivers with other motions.
     """
     imported = load_imported(variant)
     if imported is None:
@@ -362,7 +362,7 @@ def _recorded(driver: Driver, values: FloatArray, variant: str) -> Driver:
 
 
 def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) -> dict[str, str]:
-    """Record, for a result, which drivers and which reference were in use.
+    """Return the sources of drivers and reference, for a result.
 
     Args:
         variant: Name of the variant.
@@ -370,7 +370,7 @@ def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) 
         reference: Source of the band.
 
     Returns:
-        `drivers` and `reference`; where one of them is imported, also `revision` and `sha256` of the import.
+        `drivers` and `reference`; and `revision` and `sha256` of the import, if one of them is imported.
 
     Raises:
         ReferenceFileError: The import is damaged.

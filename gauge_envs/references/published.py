@@ -1,4 +1,4 @@
-"""Published scores of real trials and of three engines, and laws that state the real outcome."""
+"""Published scores of real trials and of three engines, and laws that give the real outcome of a variant."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ENGINES = ("isaacsim", "genesis", "newton")
 
 @dataclass(frozen=True)
 class Baseline:
-    """One row of the published results (paper, Table 5): the scatter of real trials, and what three engines scored.
+    """One row of the published results (paper, Table 5): scores of real trials and of three engines.
 
     Attributes:
         variant: Variant id, as in `SlopeSlider-2-wood`.
@@ -45,9 +45,9 @@ class Baseline:
         frames: Number of 30 Hz frames that were evaluated.
         unit: Unit of mean and std: `mm`, `rad`, `mm^2`, `s` or `1`. MTE is a ratio here, a percentage in the paper.
         mean: Mean over real trials.
-        std: Standard deviation over real trials; None where none was published.
-        engines: Published score of `isaacsim`, `genesis` and `newton` over `mean` (el: the raw value, as its mean is
-            0); None where none was published.
+        std: Standard deviation over real trials; None if none was published.
+        engines: Published score of `isaacsim`, `genesis` and `newton` over `mean`; None if none was published. For el
+            it is the raw score, as the mean is 0.
     """
 
     variant: str
@@ -60,7 +60,7 @@ class Baseline:
 
 
 def published_baselines(variant: str) -> dict[str, Baseline]:
-    """Published baselines of a variant by metric; empty where the paper scores none.
+    """Return the published baselines of a variant by metric, which may be none.
 
     Raises:
         ReferenceFileError: The table is damaged.
@@ -69,7 +69,7 @@ def published_baselines(variant: str) -> dict[str, Baseline]:
 
 
 def published_variants() -> tuple[str, ...]:
-    """Variants with a published baseline, in the order of the paper's Table 5."""
+    """Return the variants with a published baseline, in the order of the paper's Table 5."""
     return tuple(_all_baselines(scoring_folder("published")))
 
 
@@ -115,11 +115,11 @@ def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What an experiment file brings to be scored against.
+    """Reference that an experiment file states.
 
     Attributes:
-        band: Mean and scatter of reality; None where the file has none.
-        baselines: Scores of real trials by metric, which scores are divided by.
+        band: Mean and scatter of reality; None without a band.
+        baselines: Scores of real trials by metric; normalized scores are divided by their mean.
     """
 
     band: Band | None
@@ -131,11 +131,11 @@ class Law(Table):
 
     Attributes:
         variants: Shell-style pattern of the variants that it covers.
-        kind: `carried`: the body keeps its place on a carrier, whose motion the scene's driver gives.
-        body: Name of the body that the law is about.
+        kind: `carried`: the body keeps its place on a carrier, which moves as the scene's driver states.
+        body: Name of the body whose motion the law gives.
         carrier: Name of the body that carries it.
-        condition: When the law holds, with the numbers that decide it.
-        evidence: What in the published results supports it.
+        condition: Condition under which the law holds, with its numbers.
+        evidence: Published results that support it.
     """
 
     variants: str
@@ -153,7 +153,7 @@ class _Laws(Table):
 
 
 def law_for(variant: str) -> Law | None:
-    """The law that gives the real outcome of a variant; None where none is known.
+    """Return the law that gives the real outcome of a variant, or None.
 
     Raises:
         ReferenceFileError: The table of laws is damaged.
@@ -162,25 +162,25 @@ def law_for(variant: str) -> Law | None:
 
 
 def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
-    """Band of a body that a law says is rigidly carried: the caller's mean, sigma from the published baseline.
+    """Return the band of a rigidly carried body: the given mean, and sigma from the published baseline.
 
     Sigma is constant in time. The mean over trials of the squared E_RMSE is the time-averaged variance of the vector
-    deviation, hence sigma_rms^2 = mean^2 + std^2 of the published E_RMSE. That is exact where all three divide by the
-    number of trials n; where std and sigma divide by n - 1, sigma_rms^2 is larger by mean^2 / (n - 1), which is left
-    out, as n is not published (sigma then is at most 2.6 % too small for n = 20). How the variance splits over x, y
-    and z is not published either: it is taken as equal, sigma_rms / sqrt(3) each.
+    deviation, so sigma_rms^2 = mean^2 + std^2 of the published E_RMSE. This is exact if all three divide by the number
+    of trials n. If std and sigma divide by n - 1, sigma_rms^2 is larger by mean^2 / (n - 1). That term is left out, as
+    n is not published; for n = 20, sigma is then at most 2.6 % too small. The split of the variance over x, y and z is
+    not published either. It is taken as equal, sigma_rms / sqrt(3) each.
 
     Args:
-        variant: A variant for which `law_for` gives a law of kind `carried`.
-        positions_mm: Position of the carried body as the law and the scene's driver give it, in mm, shape
-            [published frame count, 3].
+        variant: Variant with a law of kind `carried`.
+        positions_mm: Position of the carried body by the law and the scene's driver [mm], shape [published frame
+            count, 3].
 
     Returns:
-        Band of grade `law` over x, y and z in mm; every frame counts as measured, as the law states every frame.
+        Band of grade `law` over x, y and z [mm]. Every frame counts as measured.
 
     Raises:
-        UnknownNameError: No law says that the body is carried in this variant.
-        ShapeError: `positions_mm` is not of the published length and width 3, or not finite.
+        UnknownNameError: The variant has no such law.
+        ShapeError: `positions_mm` has another shape, or is not finite.
     """
     law, baseline = law_for(variant), published_baselines(variant).get("rmse")
     if law is None or baseline is None:
