@@ -1,4 +1,4 @@
-"""What each variant is scored against and driven by, and what the real trials score among themselves."""
+"""List the reference, the drivers and the baselines of each variant."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ __all__ = [
 
 
 def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
-    """One JSON-ready row a variant.
+    """Return one JSON-ready row per variant.
 
-    Keys: `id`, `grade`, `imported`, `trials`, `revision`, `is_current` (whether the task file is still the one that the
-    trials were imported for; None where nothing was), `drivers` (body, provenance, and what an imported one leaves out)
-    and `baselines` (metric, unit, own and published mean and standard deviation).
+    Keys: `id`, `grade`, `imported`, `trials`, `revision`, `is_current` (whether the task file is unchanged since the
+    import; None without an import), `drivers` (body, provenance, and the record of an imported driver) and `baselines`
+    (metric, own and published mean and standard deviation).
 
     Raises:
         ReferenceFileError: A stored or bundled band is damaged.
@@ -70,7 +70,7 @@ def _baselines(variant: Variant) -> list[dict[str, Any]]:
 
 
 def _own(variant: Variant) -> dict[str, tuple[float | None, float | None]]:
-    """Mean and standard deviation of each metric over the trials that the band rests on, imported or bundled."""
+    """Return mean and standard deviation of each metric over the trials of the band, imported or bundled."""
     imported = load_imported(variant.name)
     if imported is not None:
         return {metric: (spread.mean, spread.std) for metric, spread in imported.record.metrics.items()}
