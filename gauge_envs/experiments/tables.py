@@ -1,6 +1,6 @@
 """Tables that task files and experiment files share: shapes and drivers.
 
-A shape is read straight into the scene's own class. A profile is not: files state lengths in m and angles in degrees.
+A shape is read as the scene's own class. A profile has a class here, as files state angles in degrees.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"]
 
 PROVENANCES: tuple[str, ...] = get_args(Provenance)
-"""Where a number can be from; each is explained in the README."""
+"""Possible origins of a number; the README explains each."""
 
 
 def _unit(vector: Vector) -> Vector:
@@ -50,7 +50,7 @@ def _solid(union: ConvexUnion) -> ConvexUnion:
 
 
 class PlateWithHoleSpec(Table):
-    """`kind = "plate_with_hole"`: plate with a round hole along z, cut into wedge-shaped convex pieces."""
+    """`kind = "plate_with_hole"`: plate with a round hole along z, made of wedge-shaped convex pieces."""
 
     kind: Literal["plate_with_hole"]
     size_m: tuple[Positive, Positive, Positive]
@@ -58,7 +58,7 @@ class PlateWithHoleSpec(Table):
     hole_segments: Annotated[int, Field(ge=8, multiple_of=4)]
 
     def build(self) -> ConvexUnion:
-        """Return the pieces between the plate's outline and the hole's polygon, whose sides touch the round hole."""
+        """Return the pieces between the plate's outline and the polygon of the hole, which circumscribes the circle."""
         half_x, half_y, half_z = (0.5 * edge for edge in self.size_m)
         # Angles of the polygon and of the plate's four corners, so that each piece is convex.
         corner = float(np.arctan2(half_y, half_x))
@@ -100,7 +100,7 @@ ShapeTable = Annotated[
 
 
 class _ProfileSpec(Table):
-    """Table of a profile; the motion that it belongs to checks that the unit is the right one."""
+    """Table of a profile; the table of its motion checks the units."""
 
     @model_validator(mode="after")
     def _builds(self) -> Self:
@@ -170,7 +170,16 @@ ProfileSpec = Annotated[TrapezoidSpec | CosineSpec | SampledSpec, Field(discrimi
 
 
 class MotionSpec(Table):
-    """One coordinate of a driver; `point_in_body_m` is a point of the rotation axis in the body's start frame."""
+    """One coordinate of a driver.
+
+    Attributes:
+        kind: Translation or rotation.
+        axis: Unit vector in the world.
+        point_in_body_m: Point of the rotation axis in the body's start frame.
+        profile: Profiles whose sum is the coordinate over time.
+        residual_rate_m_per_s: Rate that an action of 1 adds to a translation.
+        residual_rate_deg_per_s: Rate that an action of 1 adds to a rotation.
+    """
 
     kind: Literal["translate", "rotate"]
     axis: UnitVector

@@ -1,4 +1,4 @@
-"""The format of a task file: one pydantic table for each TOML table, in SI units; unknown keys are errors."""
+"""Format of a task file: one pydantic model per TOML table, in SI units."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class LineSpec(Table):
 
 
 class Substituted(Table):
-    """A calibrated constant that no simulation can use as it stands, and what is used in its place."""
+    """A calibrated constant that no simulation can use, and its substitute."""
 
     calibrated: float
     used: float
@@ -91,7 +91,7 @@ class Substituted(Table):
 
 
 class RigidConstants(Table):
-    """Calibrated constants of a rigid body; friction and restitution are those of its contact in this experiment."""
+    """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment."""
 
     mass_kg: Positive
     density_kg_per_m3: Positive | None = None
@@ -124,10 +124,14 @@ class SolidConstants(Table):
 
 
 class Placement(Table):
-    """Where a body starts.
+    """Start of a body, in one of three forms.
 
-    Give `position_m`; or `positions_m` for counted bodies; or `hangs_from_m` and `length_m` for a body on a string or
-    light rod, whose hanging position is then turned about the anchor by `euler_deg`.
+    Attributes:
+        position_m: Position of one body.
+        positions_m: Positions of counted bodies.
+        hangs_from_m: Anchor of a body on a string or light rod, whose hanging position `euler_deg` rotates.
+        length_m: Length of that string or rod.
+        euler_deg: Rotations about the fixed x, then y, then z axis.
     """
 
     position_m: Vector | None = None
@@ -146,11 +150,11 @@ class Placement(Table):
         return self
 
     def poses(self) -> list[Pose]:
-        """World poses of the body or bodies."""
+        """Return the world poses of the body or bodies."""
         if self.hangs_from_m is not None and self.length_m is not None:
-            turned = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
-            x, y, z = (self.hangs_from_m + turned.to_world(np.array([0.0, 0.0, -self.length_m]))).tolist()
-            return [Pose(position_m=(x, y, z), quaternion=turned.quaternion)]
+            rotated = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
+            x, y, z = (self.hangs_from_m + rotated.to_world(np.array([0.0, 0.0, -self.length_m]))).tolist()
+            return [Pose(position_m=(x, y, z), quaternion=rotated.quaternion)]
         positions = self.positions_m if self.positions_m is not None else (self.position_m,)
         return [Pose.from_euler_deg(position, self.euler_deg) for position in positions if position is not None]
 
@@ -178,7 +182,7 @@ class RegionSpec(Table):
 
 
 class AttachmentSpec(Table):
-    """Glues a region of a deformable body to another body."""
+    """Attachment of a region of a deformable body to another body."""
 
     deformable: str
     region: RegionSpec
@@ -186,7 +190,7 @@ class AttachmentSpec(Table):
 
 
 class ContactSpec(Table):
-    """Which bodies collide, and whose calibrated constants hold for the pair."""
+    """Two groups of bodies that collide, and the body whose calibrated constants hold for the pair."""
 
     bodies: tuple[str, str]
     constants_of: str | None = None
@@ -231,14 +235,14 @@ class ScoreSpec(Table):
 
 
 class ParameterSetSpec(Table):
-    """Named alternative values, keyed `body.constant`; per material where they differ."""
+    """Named alternative values, keyed `body.constant`; by material where they differ."""
 
     summary: str
     values: dict[str, Any] = Field(min_length=1)
 
 
 class SourceSpec(Table):
-    """What the file was transcribed from."""
+    """Sources that the file was transcribed from."""
 
     metadata: str
     paper: str
@@ -246,7 +250,7 @@ class SourceSpec(Table):
 
 
 class SubtaskSpec(Table):
-    """What a subtask adds to, or replaces in, the family."""
+    """Values that a subtask adds to the family, or replaces."""
 
     title: str
     frames: dict[str, Annotated[int, Field(ge=2)]]
@@ -258,7 +262,7 @@ class SubtaskSpec(Table):
 
 
 class TaskSpec(Table):
-    """One task file; its keys stand in this order."""
+    """One task file; its keys are in this order."""
 
     family: str
     title: str
@@ -293,20 +297,20 @@ class TaskSpec(Table):
         return (*self.bodies, *self.cloths, *self.soft_bodies, *self.ropes, *self.rods)
 
     def owner(self, name: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec:
-        """The table that defines a body; KeyError where there is none."""
+        """Return the table that defines a body; KeyError for an unknown body."""
         for table in (self.bodies, self.cloths, self.soft_bodies, self.ropes, self.rods):
             if name in table:
                 return table[name]
         raise KeyError(name)
 
     def constants_model(self, name: str) -> type[RigidConstants | ClothConstants | SolidConstants]:
-        """What constants a body has."""
+        """Return the model of a body's constants."""
         if name in self.bodies:
             return RigidConstants
         return ClothConstants if name in self.cloths else SolidConstants
 
     def constants_of(self, name: str, material: str, subtask: str | None) -> dict[str, float | None]:
-        """Constants of one body in one variant: per-subtask values picked, substitutes put in."""
+        """Return the constants of one body in one variant, with substitutes and the values of the subtask."""
         values: dict[str, float | None] = {}
         for key, value in self.constants[name][material].items():
             if isinstance(value, Substituted):
@@ -316,7 +320,7 @@ class TaskSpec(Table):
         return values
 
     def variants(self) -> tuple[Variant, ...]:
-        """Variants of the family: subtasks first, then materials, in the file's order."""
+        """Return the variants of the family, by subtask, then by material, in the file's order."""
         return tuple(
             Variant(self.family, subtask, material)
             for subtask in (self.subtasks or [None])
@@ -324,9 +328,9 @@ class TaskSpec(Table):
         )
 
     def provenance_of(self, key: str) -> str:
-        """Where the number under a dotted key is from.
+        """Return the origin of the number under a dotted key.
 
-        The entry with the longest matching prefix counts; of several as long, the one with the fewest wildcards.
+        The entry with the longest matching prefix counts; of equally long ones, that with the fewest wildcards.
 
         Raises:
             UnknownNameError: No entry covers the key.

@@ -403,9 +403,9 @@ def fixed(stage: Usd.Stage) -> None:
         (without("/World/cube"), "cube: no body of that name, which SlopeSlider-2-wood records; it has: board, ground"),
         (
             unnamed("SlopeSlider-2-metal"),
-            "it is the scene of SlopeSlider-2-metal, and SlopeSlider-2-wood was asked for",
+            "it is the scene of SlopeSlider-2-metal, not of SlopeSlider-2-wood",
         ),
-        (longer, "it lasts 2 s, but an episode of SlopeSlider-2-wood 0.6 s"),
+        (longer, "it lasts 2 s, but an episode of SlopeSlider-2-wood lasts 0.6 s"),
         (fixed, "it must move under forces"),
     ],
     ids=["recorded body missing", "another variant", "longer", "does not move"],

@@ -121,7 +121,7 @@ def test_gymnasium_makes_it_as_an_id() -> None:
     assert -0.1 < reward < 0.0
     with pytest.raises(ParameterError, match="names its own USD layer"):
         resolve_experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
-    with pytest.raises(ParameterError, match=r"with crate\.toml: it states the constants"):
+    with pytest.raises(ParameterError, match=r"with crate\.toml: the file states the constants"):
         resolve_experiment(str(CRATE), {"Crate.friction": 0.1})
 
 
