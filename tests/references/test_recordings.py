@@ -452,7 +452,7 @@ def _turning(driver: Driver, start, times: np.ndarray) -> np.ndarray:
             "SlopeContact-wood.csv",
             ",1.58",
             ",x",
-            "line 2: uncertainty.slide: Input should be a valid number, unable to parse string as a number (given: 'x')",
+            "line 2: uncertainty.slide: Input should be a valid number, unable to parse string as a number",
         ),
         ("SlopeContact-wood.toml", "frames = 10", "frames = 4", "frames is 4, but the table has 7"),
         ("SlopeContact-wood.toml", "sigma = 6", "sigmas = 6", "sigmas: unknown key"),
