@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import fields
@@ -13,8 +12,9 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.errors import ResultFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.files import write_whole
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 
@@ -58,18 +58,11 @@ def write_result(result: Result, file: Path) -> None:
     Raises:
         ResultFileError: It cannot be written.
     """
-    part = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    text = json.dumps(result.to_dict(), allow_nan=False) + "\n"
     try:
-        with part.open("w", encoding="utf-8") as stream:
-            json.dump(result.to_dict(), stream, allow_nan=False)
-            stream.write("\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(file)
+        write_whole(file, text.encode())
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def load_result(file: Path) -> Result:
@@ -98,9 +91,8 @@ def load_result(file: Path) -> Result:
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ResultFileError(f"{file}: not a result file: {place}: {first['msg']}") from error
+        place, reason = first_fault(error)
+        raise ResultFileError(f"{file}: not a result file: {place}: {reason}") from error
     except (ValueError, RecursionError, UnknownNameError) as error:
         raise ResultFileError(f"{file}: not a result file: {error}") from error
     return result

@@ -8,7 +8,6 @@ import pytest
 from interruption import interrupt_in_episode
 
 import gauge_envs.runs.batch
-import gauge_envs.runs.result_file
 from gauge_envs.backends.mujoco import backend as mujoco_backend
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.report.figures.experiment import draw_experiment, save_figures
@@ -196,7 +195,7 @@ def test_a_crash_while_writing_leaves_no_result_file(tmp_path, monkeypatch, resu
     def crash(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(gauge_envs.runs.result_file.os, "fsync", crash)
+    monkeypatch.setattr("gauge_envs.files.os.fsync", crash)
     with pytest.raises(ResultFileError, match="No space left"):
         write_result(result, tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []

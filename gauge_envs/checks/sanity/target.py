@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gauge_envs.backends import Simulation, backend, backend_names
 from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.mujoco_model import mujoco_configuration
-from gauge_envs.errors import ParameterError, TargetError
+from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 
@@ -189,10 +189,9 @@ def _of_settings_file(path: Path) -> TrainingConfiguration:
     except OSError as error:
         raise TargetError(f"{path}: cannot be read: {error.strerror}") from None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(map(str, first["loc"])) or "the file"
-        reason = "there is no such key" if first["type"] == "extra_forbidden" else first["msg"]
-        raise TargetError(f"{path}: {key}: {reason}; keys: {', '.join(_SettingsFile.model_fields)}") from None
+        key, reason = first_fault(error)
+        keys = ", ".join(_SettingsFile.model_fields)
+        raise TargetError(f"{path}: {key or 'the file'}: {reason}; keys: {keys}") from None
     except ValueError as error:
         raise TargetError(f"{path}: {error}") from None
     settings = file.settings | ({} if file.preset is None else {"preset": file.preset})

@@ -1,4 +1,4 @@
-"""MJCF files of the variants, with the variant, its parameters and its sources in the header."""
+"""Write variants as MJCF files, with parameters and sources in the header."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ __all__ = [
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file, in full precision.
 
-    Where a body is driven, the file carries its motion as custom numbers `driver/<body>`; where compiled tables of a
-    deformable body have to be overwritten, it carries what is missing as `<table>/<body>/...`. A comment at the top
-    says how to use both.
+    The motion of a driven body is in custom numbers `driver/<body>`. Values that replace compiled tables of a
+    deformable body are in `<table>/<body>/...`. A comment at the top explains how to use both.
 
     Raises:
         ResultFileError: The file cannot be written.
@@ -39,7 +38,7 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
 
 
 def mjcf_text(experiment: TaskExperiment) -> str:
-    """The text that `write_mjcf` writes."""
+    """Return the text that `write_mjcf` writes."""
     scene = experiment.scene
     simulation = BackendMuJoCo().build(scene)
     notes = [
