@@ -182,7 +182,7 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True)
 class Markers:
-    """Motion-capture markers glued to deformable bodies, in the published order.
+    """Motion-capture markers attached to deformable bodies, in the published order.
 
     Attributes:
         bodies: Names of the bodies that carry markers.

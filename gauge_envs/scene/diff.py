@@ -94,7 +94,7 @@ def _value_changes(title: str, name: str, before: Any, after: Any) -> Iterator[s
 def _difference(before: Any, after: Any) -> str:
     old, new = _numbers(before), _numbers(after)
     if old is None or new is None or old.size <= MOST_NUMBERS >= new.size:
-        return f"{_told(before)} -> {_told(after)}"
+        return f"{_text(before)} -> {_text(after)}"
     if old.shape != new.shape:
         return f"{list(old.shape)} numbers -> {list(new.shape)}"
     apart = np.abs(new - old)
@@ -112,10 +112,10 @@ def _numbers(value: Any) -> Any:
     return array
 
 
-def _told(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, tuple):
-        shown = [_told(entry) for entry in value[:MOST_NAMES]]
+        shown = [_text(entry) for entry in value[:MOST_NAMES]]
         return f"({', '.join(shown)}{', ...' if len(value) > MOST_NAMES else ''})"
     return type(value).__name__ if is_dataclass(value) or not isinstance(value, str | int | None) else str(value)

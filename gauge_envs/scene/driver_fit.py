@@ -55,9 +55,9 @@ def sampled_motions(
     if len(times_s) != len(poses) or len(times_s) < 2 or not np.all(np.diff(times_s) > 0.0):
         raise ShapeError("poses at two or more strictly increasing times are expected")
     positions = np.array([pose.position_m for pose in poses])
-    turned = Rotation.from_quat([pose.quaternion for pose in poses], scalar_first=True) * start.rotation.inv()
-    for template in _templates(start, positions, turned, like):
-        values, _, _ = motion_coordinates(template, start.position_m, positions, turned)
+    rotations = Rotation.from_quat([pose.quaternion for pose in poses], scalar_first=True) * start.rotation.inv()
+    for template in _templates(start, positions, rotations, like):
+        values, _, _ = motion_coordinates(template, start.position_m, positions, rotations)
         motions = tuple(
             replace(motion, profiles=(SampledProfile(times_s=tuple(times_s), values=tuple(column)),))
             for motion, column in zip(template, values.T.tolist(), strict=True)
@@ -72,24 +72,24 @@ def _matters(motion: DriverMotion) -> bool:
 
 
 def _templates(
-    start: Pose, positions: NDArray[np.float64], turned: Rotation, like: Sequence[DriverMotion]
+    start: Pose, positions: NDArray[np.float64], rotations: Rotation, like: Sequence[DriverMotion]
 ) -> Iterator[tuple[DriverMotion, ...]]:
     """Sets of motions that may lead through poses, simple ones first; their profiles are still those of `like`."""
-    turns = [motion for motion in like if motion.kind == "rotate"]
-    if like and len(turns) <= 1:
+    rotary = [motion for motion in like if motion.kind == "rotate"]
+    if like and len(rotary) <= 1:
         yield tuple(like)
-    if turns and len(like) == 1:
-        yield (replace(turns[0], point_m=_centre(start, positions, turned)),)
+    if rotary and len(like) == 1:
+        yield (replace(rotary[0], point_m=_centre(start, positions, rotations)),)
     line = _direction(positions - np.asarray(start.position_m))
     yield (_motion("translate", line, like),)
-    axis = _direction((turned[1:] * turned[:-1].inv()).as_rotvec())
-    yield (_motion("rotate", axis, like, point_m=_centre(start, positions, turned)),)
-    ways = tuple(_motion("translate", way, like) for way in _basis(like))
-    yield (_motion("rotate", axis, like, point_m=start.position_m), *ways)
-    order = min(TURN_ORDERS, key=lambda order: _steepness(turned, order))
-    if _steepness(turned, order) < STEEP_RAD:
+    axis = _direction((rotations[1:] * rotations[:-1].inv()).as_rotvec())
+    yield (_motion("rotate", axis, like, point_m=_centre(start, positions, rotations)),)
+    linear = tuple(_motion("translate", axis, like) for axis in _basis(like))
+    yield (_motion("rotate", axis, like, point_m=start.position_m), *linear)
+    order = min(TURN_ORDERS, key=lambda order: _steepness(rotations, order))
+    if _steepness(rotations, order) < STEEP_RAD:
         units = np.eye(3)[list(order)]
-        yield (*(_motion("rotate", unit, like, point_m=start.position_m) for unit in units), *ways)
+        yield (*(_motion("rotate", unit, like, point_m=start.position_m) for unit in units), *linear)
 
 
 def _motion(
@@ -117,31 +117,31 @@ def _direction(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _basis(like: Sequence[DriverMotion]) -> NDArray[np.float64]:
     """Three orthogonal directions, those of the translations of `like` among them; the world's where these are not."""
-    ways = np.array([motion.axis for motion in like if motion.kind == "translate"]).reshape(-1, 3)
-    if not len(ways) or np.abs(ways @ ways.T - np.eye(len(ways))).max() > SAME_POSE:
+    linear = np.array([motion.axis for motion in like if motion.kind == "translate"]).reshape(-1, 3)
+    if not len(linear) or np.abs(linear @ linear.T - np.eye(len(linear))).max() > SAME_POSE:
         return np.eye(3)
-    rest = np.eye(3) - ways.T @ ways
-    others = np.linalg.svd(rest)[2][: 3 - len(ways)]
-    return np.concatenate([ways, others])
+    rest = np.eye(3) - linear.T @ linear
+    others = np.linalg.svd(rest)[2][: 3 - len(linear)]
+    return np.concatenate([linear, others])
 
 
-def _centre(start: Pose, positions: NDArray[np.float64], turned: Rotation) -> Vector:
+def _centre(start: Pose, positions: NDArray[np.float64], rotations: Rotation) -> Vector:
     """The point about which turns lead from the start to positions, as nearly as one does; the nearest such point."""
-    matrices = np.eye(3) - turned.as_matrix()
+    matrices = np.eye(3) - rotations.as_matrix()
     arm = np.linalg.lstsq(matrices.reshape(-1, 3), (positions - start.position_m).ravel(), rcond=1e-9)[0]
     x, y, z = (start.position_m + arm).tolist()
     return x, y, z
 
 
-def _steepness(turned: Rotation, order: tuple[int, int, int]) -> float:
+def _steepness(rotations: Rotation, order: tuple[int, int, int]) -> float:
     """Largest second angle of three successive turns about world axes [rad]."""
-    matrices = turned.as_matrix()
+    matrices = rotations.as_matrix()
     first, _, last = order
     return float(np.arcsin(np.clip(np.abs(matrices[:, last, first]), 0.0, 1.0)).max())
 
 
 def motion_coordinates(
-    motions: Sequence[DriverMotion], start_m: ArrayLike, positions_m: NDArray[np.float64], turned: Rotation
+    motions: Sequence[DriverMotion], start_m: ArrayLike, positions_m: NDArray[np.float64], rotations: Rotation
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Invert `Driver.pose`: coordinates whose poses are nearest to given ones, sample by sample.
 
@@ -149,40 +149,40 @@ def motion_coordinates(
         motions: Motions with no rotation, one, or three about the body's origin that come before all else.
         start_m: Position before anything moves [m], shape [3].
         positions_m: Positions [m], shape [sample_count, 3].
-        turned: Rotations since the start, less than half a turn apart, sample_count of them.
+        rotations: Rotations since the start, less than half a turn apart, sample_count of them.
 
     Returns:
         Coordinates [m or rad], shape [sample_count, motion_count]; the distance [m] and the angle [rad] that they leave
         out, shape [sample_count] each.
     """
     values = np.zeros((len(positions_m), len(motions)))
-    turns = [index for index, motion in enumerate(motions) if motion.kind == "rotate"]
+    rotary = [index for index, motion in enumerate(motions) if motion.kind == "rotate"]
     arm = np.asarray(start_m)
     made = Rotation.identity(len(positions_m))
-    if len(turns) == 1:
-        axis, point = np.asarray(motions[turns[0]].axis), np.asarray(motions[turns[0]].point_m)
-        since = turned.as_quat()
+    if len(rotary) == 1:
+        axis, point = np.asarray(motions[rotary[0]].axis), np.asarray(motions[rotary[0]].point_m)
+        since = rotations.as_quat()
         # q and -q are one rotation, so the angle is known up to whole turns.
-        values[:, turns[0]] = np.unwrap(2.0 * np.arctan2(since[:, :3] @ axis, since[:, 3]))
-        made = Rotation.from_rotvec(values[:, turns] * axis)
+        values[:, rotary[0]] = np.unwrap(2.0 * np.arctan2(since[:, :3] @ axis, since[:, 3]))
+        made = Rotation.from_rotvec(values[:, rotary] * axis)
         missing = positions_m - made.apply(arm - point) - point
     else:
-        if turns:
-            letters = "".join("xyz"[int(np.argmax(np.abs(motions[index].axis)))] for index in turns)
-            signs = [float(np.sum(motions[index].axis)) for index in turns]
-            values[:, turns] = np.unwrap(turned.as_euler(letters), axis=0) * signs
-            made = turned
+        if rotary:
+            letters = "".join("xyz"[int(np.argmax(np.abs(motions[index].axis)))] for index in rotary)
+            signs = [float(np.sum(motions[index].axis)) for index in rotary]
+            values[:, rotary] = np.unwrap(rotations.as_euler(letters), axis=0) * signs
+            made = rotations
         missing = positions_m - arm
-    ways = [index for index, motion in enumerate(motions) if motion.kind == "translate"]
-    if ways:
-        columns = np.empty((len(positions_m), 3, len(ways)))
-        for column, index in enumerate(ways):
+    linear = [index for index, motion in enumerate(motions) if motion.kind == "translate"]
+    if linear:
+        columns = np.empty((len(positions_m), 3, len(linear)))
+        for column, index in enumerate(linear):
             axis = np.asarray(motions[index].axis)
-            # What is moved before the turn is turned along.
-            columns[:, :, column] = made.apply(axis) if turns and index < turns[0] else axis
-        values[:, ways] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
-        missing = missing - (columns @ values[:, ways, None])[:, :, 0]
-    return values, np.linalg.norm(missing, axis=1), (turned * made.inv()).magnitude()
+            # What is moved before the turn is rotations along.
+            columns[:, :, column] = made.apply(axis) if rotary and index < rotary[0] else axis
+        values[:, linear] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
+        missing = missing - (columns @ values[:, linear, None])[:, :, 0]
+    return values, np.linalg.norm(missing, axis=1), (rotations * made.inv()).magnitude()
 
 
 def _reproduces(

@@ -224,12 +224,12 @@ class Driver:
                 position = position + value * axis
                 linear = linear + rate * axis
             else:
-                turn = Rotation.from_rotvec(value * axis)
-                arm = turn.apply(position - motion.point_m)
+                own_rotation = Rotation.from_rotvec(value * axis)
+                arm = own_rotation.apply(position - motion.point_m)
                 position = arm + motion.point_m
-                rotation = turn * rotation
-                linear = turn.apply(linear) + np.cross(rate * axis, arm)
-                angular = turn.apply(angular) + rate * axis
+                rotation = own_rotation * rotation
+                linear = own_rotation.apply(linear) + np.cross(rate * axis, arm)
+                angular = own_rotation.apply(angular) + rate * axis
         w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
         pose = Pose(position_m=(float(position[0]), float(position[1]), float(position[2])), quaternion=(w, x, y, z))
         return pose, np.concatenate([linear, angular])

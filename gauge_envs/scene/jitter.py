@@ -54,9 +54,9 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
       that is closest to vertical, which is the normal of the face that it rests on.
     - A ball with nothing under it moves in all three coordinates.
     - A hinged body turns about its hinge; one on a tether swings, its string staying tight.
-    - A cloth that is glued to nothing slides and turns in its plane.
+    - A cloth that is attached to nothing slides and turns in its plane.
 
-    Fixed and driven bodies, and what is glued to them, stay: their starts are part of the set-up, not of a trial.
+    Fixed and driven bodies, and what is attached to them, stay: their starts are part of the set-up, not of a trial.
 
     Args:
         scene: The scene.
@@ -69,51 +69,51 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     random = np.random.default_rng(seed)
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     tethers = {joint.body: joint for joint in scene.joints if isinstance(joint, Tether)}
-    glued = {attachment.deformable for attachment in scene.attachments} | {a.to for a in scene.attachments}
+    attached = {attachment.deformable for attachment in scene.attachments} | {a.to for a in scene.attachments}
     moved = 0
     bodies: list[RigidBody] = []
     for body in scene.bodies:
         pose = body.pose
-        if body.motion is Motion.DYNAMIC and body.name not in glued:
+        if body.motion is Motion.DYNAMIC and body.name not in attached:
             moved += 1
             if body.name in hinges:
                 hinge = hinges[body.name]
-                pose = _turned(pose, hinge.axis, hinge.anchor_m, jitter.angle_rad * random.standard_normal())
+                pose = _rotated_about(pose, hinge.axis, hinge.anchor_m, jitter.angle_rad * random.standard_normal())
             elif body.name in tethers:
-                axis = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal(3))
-                pose = _rotated(pose, axis, np.asarray(tethers[body.name].anchor_m))
+                swing = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal(3))
+                pose = _rotated(pose, swing, np.asarray(tethers[body.name].anchor_m))
             else:
-                pose = _slid(pose, jitter, random, is_free=isinstance(body.shape, Sphere))
+                pose = _shifted(pose, jitter, random, is_free=isinstance(body.shape, Sphere))
         bodies.append(replace(body, pose=pose))
     deformables: list[Any] = []
     for deformable in scene.deformables:
-        if isinstance(deformable, Cloth) and deformable.name not in glued:
+        if isinstance(deformable, Cloth) and deformable.name not in attached:
             moved += 1
-            deformable = replace(deformable, pose=_slid(deformable.pose, jitter, random, is_free=False))
+            deformable = replace(deformable, pose=_shifted(deformable.pose, jitter, random, is_free=False))
         deformables.append(deformable)
     if not moved:
-        raise ParameterError("nothing to jitter: every body of this scene is fixed, driven, or glued to one that is")
+        raise ParameterError("nothing to jitter: every body of this scene is fixed, driven, or attached to one that is")
     return replace(scene, bodies=tuple(bodies), deformables=tuple(deformables))
 
 
-def _slid(pose: Pose, jitter: Jitter, random: np.random.Generator, *, is_free: bool) -> Pose:
+def _shifted(pose: Pose, jitter: Jitter, random: np.random.Generator, *, is_free: bool) -> Pose:
     shift = jitter.position_m * random.standard_normal(3)
-    turn = jitter.angle_rad * random.standard_normal()
+    angle_rad = jitter.angle_rad * random.standard_normal()
     axes = pose.rotation.as_matrix().T
     normal = axes[int(np.abs(axes[:, 2]).argmax())]
     if not is_free:
         shift -= (shift @ normal) * normal
-    turned = _turned(pose, normal, pose.position_m, turn)
-    return replace(turned, position_m=_vector(np.asarray(turned.position_m) + shift))
+    rotated = _rotated_about(pose, normal, pose.position_m, angle_rad)
+    return replace(rotated, position_m=_vector(np.asarray(rotated.position_m) + shift))
 
 
-def _turned(pose: Pose, axis: Any, point_m: Any, angle_rad: float) -> Pose:
+def _rotated_about(pose: Pose, axis: Any, point_m: Any, angle_rad: float) -> Pose:
     return _rotated(pose, Rotation.from_rotvec(angle_rad * np.asarray(axis)), np.asarray(point_m))
 
 
-def _rotated(pose: Pose, turn: Rotation, point_m: NDArray[np.float64]) -> Pose:
-    w, x, y, z = (turn * pose.rotation).as_quat(scalar_first=True).tolist()
-    position = turn.apply(np.asarray(pose.position_m) - point_m) + point_m
+def _rotated(pose: Pose, rotation: Rotation, point_m: NDArray[np.float64]) -> Pose:
+    w, x, y, z = (rotation * pose.rotation).as_quat(scalar_first=True).tolist()
+    position = rotation.apply(np.asarray(pose.position_m) - point_m) + point_m
     return Pose(position_m=_vector(position), quaternion=(w, x, y, z))
 
 

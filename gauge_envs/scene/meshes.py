@@ -26,7 +26,7 @@ COPLANAR = 1e-7
 """Hull facets whose unit normals and offsets [m] differ by less belong to one face."""
 
 TOUCHING_M = 1e-6
-"""Vertices of two glued bodies that lie closer than this are one point."""
+"""Vertices of two attached bodies that lie closer than this are one point."""
 
 
 PRISM_SIDES = 96
@@ -87,10 +87,10 @@ def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
     # A way from the low to the high corner along three edges is a tetrahedron; every second way is left-handed.
     rows = []
     for first, second, right_handed in ((x, y, 1), (y, z, 1), (z, x, 1), (y, x, 0), (z, y, 0), (x, z, 0)):
-        way = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
+        path = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
         if not right_handed:
-            way[1], way[2] = way[2], way[1]
-        rows.append([node[tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))] for step in way])
+            path[1], path[2] = path[2], path[1]
+        rows.append([node[tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))] for step in path])
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
 
 

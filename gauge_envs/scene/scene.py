@@ -47,7 +47,7 @@ class Scene:
         bodies: Rigid bodies in a fixed order.
         deformables: Cloth, soft bodies, ropes and rods.
         joints: Hinges and tethers to the world.
-        attachments: Glued regions of deformable bodies.
+        attachments: Attached regions of deformable bodies.
         contacts: Pairs that collide.
         drivers: Prescribed motions of the kinematic bodies.
         markers: Markers on deformable bodies, if any.

@@ -1,4 +1,4 @@
-"""MuJoCo, the default engine."""
+"""MuJoCo backend, the default engine."""
 
 from gauge_envs.backends.mujoco.backend import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo

@@ -1,4 +1,4 @@
-"""Which pairs of geoms of a MuJoCo model can touch, and the contact constants of each pair."""
+"""Pairs of geoms that can touch in a MuJoCo model, and the contact constants of each pair."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = [
 
 
 class PairKind(IntEnum):
-    """What touches what; the least one counts most."""
+    """Kind of a pair of geoms, in order of importance."""
 
     GROUND = 0
-    """A moving geom and a plane or height field of the world."""
+    """A moving geom and a static plane or height field."""
     STATIC = 1
-    """A moving geom and another geom of the world."""
+    """A moving geom and another static geom."""
     MOVING = 2
     """Two moving geoms."""
 
@@ -33,9 +33,9 @@ class ContactPairs:
     """All pairs of geoms that can collide.
 
     Attributes:
-        geoms: Their ids, the lesser first, shape [pair_count, 2].
-        kinds: What touches what (`PairKind`), shape [pair_count].
-        constants: Effective constants, columns as in `COLUMNS`, shape [pair_count, 17].
+        geoms: Geom ids, the smaller id first, shape [pair_count, 2].
+        kinds: Kind of each pair (`PairKind`), shape [pair_count].
+        constants: Effective contact constants with the columns `COLUMNS`, shape [pair_count, 17].
     """
 
     geoms: NDArray[np.intp]
@@ -44,12 +44,12 @@ class ContactPairs:
 
 
 def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
-    """All pairs of geoms that MuJoCo lets collide, explicit ones included, and their constants."""
+    """Return all pairs of geoms that MuJoCo lets collide, explicit pairs included, and their constants."""
     implicit = _implicit_pairs(model)
     explicit = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]).astype(np.intp), axis=1)
     explicit_rows = np.flatnonzero(can_move(model)[explicit].any(axis=1))
     explicit = explicit[explicit_rows]
-    # An explicit pair of two geoms goes before what their bits say.
+    # An explicit pair of two geoms replaces the implicit pair of their contact bits.
     stated = set(map(tuple, explicit.tolist()))
     implicit = implicit[[tuple(row) not in stated for row in implicit.tolist()]]
     constants = np.vstack([_mixed_constants(model, *implicit.T), _stated_constants(model, explicit_rows)])
@@ -61,14 +61,14 @@ def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
 
 
 def can_move(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Whether each geom belongs to something that can move, shape [geom_count]."""
+    """Return whether each geom belongs to a body that can move, shape [geom_count]."""
     roots = model.body_weldid[model.geom_bodyid]
     moves: NDArray[np.bool_] = model.body_dofnum[roots] > 0
     return moves
 
 
 def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Pairs that may collide by their bits, and that no rule keeps apart, shape [pair_count, 2]."""
+    """Return pairs whose contact bits match and that no rule excludes, shape [pair_count, 2]."""
     first, second = np.triu_indices(model.ngeom, 1)
     offers, accepts = model.geom_contype, model.geom_conaffinity
     keep = (offers[first] & accepts[second] | offers[second] & accepts[first]) != 0
@@ -78,7 +78,7 @@ def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
     roots = model.body_weldid[bodies]
     keep &= roots[first] != roots[second]
     if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
-        # What hangs on the world itself does collide with it, as a foot on the floor.
+        # Children of the world body do collide with it, such as a foot with the floor.
         parents = model.body_weldid[model.body_parentid[roots]]
         related = (parents[first] == roots[second]) | (parents[second] == roots[first])
         keep &= ~(related & (roots[first] != 0) & (roots[second] != 0))
@@ -90,14 +90,14 @@ def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
 
 
 def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Constants of pairs from those of their geoms, shape [pair_count, 17]."""
+    """Return the constants that MuJoCo mixes from both geoms of each pair, shape [pair_count, 17]."""
     table = np.zeros((len(first), 17))
     rank = model.geom_priority[first] - model.geom_priority[second]
     share = _share(model.geom_solmix[first], model.geom_solmix[second])
     share = np.where(rank > 0, 1.0, np.where(rank < 0, 0.0, share))[:, None]
 
     def by_priority(values: NDArray[Any]) -> NDArray[Any]:
-        """The greater; that of the geom with priority where one has it."""
+        """Return the value of the geom with priority, or the larger value if the priorities are equal."""
         one, other = values[first], values[second]
         ranks = rank.reshape(-1, *[1] * (values.ndim - 1))
         chosen: NDArray[Any] = np.where(ranks > 0, one, np.where(ranks < 0, other, np.maximum(one, other)))
@@ -110,25 +110,25 @@ def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDA
     table[:, COLUMNS["friction"]] = by_priority(model.geom_friction)[:, [0, 0, 1, 2, 2]]
     solref = model.geom_solref
     standard = (solref[first, 0] > 0.0) & (solref[second, 0] > 0.0) | (rank != 0)
-    # Stiffness and damping, the direct format, are not averaged: the stiffer ones, which are less, are taken.
+    # The direct format (negative stiffness and damping) is not averaged: MuJoCo takes the minimum, which is stiffer.
     direct = np.minimum(solref[first], solref[second])
     table[:, COLUMNS["solref"]] = np.where(standard[:, None], mixed(solref), direct)
     table[:, COLUMNS["solimp"]] = mixed(model.geom_solimp)
-    # Margins and gaps add up, whatever the priorities.
+    # Margins and gaps add up for all priorities.
     for name, values in (("margin", model.geom_margin), ("gap", model.geom_gap)):
         table[:, COLUMNS[name].start] = values[first] + values[second]
     return table
 
 
 def _share(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weight of the first geom's solref and solimp in a mean, from both geoms' solmix."""
+    """Return the weight of the first geom's solref and solimp in the mean, from both geoms' solmix."""
     both = (first >= MIN_SOLMIX) & (second >= MIN_SOLMIX)
     alone = np.where(first >= MIN_SOLMIX, 1.0, np.where(second >= MIN_SOLMIX, 0.0, 0.5))
     return np.where(both, first / np.where(both, first + second, 1.0), alone)
 
 
 def _stated_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Constants of explicit pairs, shape [pair_count, 17]."""
+    """Return the constants of explicit pairs, shape [pair_count, 17]."""
     columns = (
         *(model.pair_dim[:, None], model.pair_friction, model.pair_solref, model.pair_solreffriction),
         *(model.pair_solimp, model.pair_margin[:, None], model.pair_gap[:, None]),
@@ -138,7 +138,7 @@ def _stated_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[
 
 
 def _override(model: mujoco.MjModel, constants: NDArray[np.float64]) -> None:
-    """Put in what the flag `override` gives to all contacts."""
+    """Write the constants that the flag `override` gives to all contacts."""
     option = model.opt
     for name, value in (
         ("friction", option.o_friction),
@@ -173,8 +173,8 @@ COLUMNS: Mapping[str, slice] = {
 
 
 MIN_FRICTION = 1e-5
-"""Least coefficient of friction that MuJoCo gives a contact (mjMINMU)."""
+"""Smallest coefficient of friction that MuJoCo gives a contact (mjMINMU)."""
 
 
 MIN_SOLMIX = 1e-15
-"""Weights below this are zero to MuJoCo (mjMINVAL)."""
+"""MuJoCo treats weights below this as zero (mjMINVAL)."""

@@ -1,11 +1,11 @@
-"""MJCF files of the variants, with the variant, its parameters and its sources in the header."""
+"""Export of MJCF files, whose header names the variant, its parameters and its sources."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.backend import BackendMuJoCo
 from gauge_envs.backends.mujoco.mjcf_reader import DRIVER_PREFIX, driver_rows
 from gauge_envs.backends.mujoco.mjcf_writer import add_stiffness_tables, exact_xml, replay_note, without_rest
 from gauge_envs.errors import ResultFileError
@@ -22,11 +22,10 @@ __all__ = [
 
 
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
-    """Write the MuJoCo model of a variant as a self-contained file, in full precision.
+    """Write the MuJoCo model of a variant as a self-contained file in full precision.
 
-    Where a body is driven, the file carries its motion as custom numbers `driver/<body>`; where compiled tables of a
-    deformable body have to be overwritten, it carries what is missing as `<table>/<body>/...`. A comment at the top
-    says how to use both.
+    Custom numbers `driver/<body>` hold the motion of driven bodies. Custom numbers `<table>/<body>/...` hold the
+    compiled tables of deformable bodies that MuJoCo cannot derive from XML. A comment at the top explains their use.
 
     Raises:
         ResultFileError: The file cannot be written.
@@ -35,11 +34,11 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}: choose another path") from error
 
 
 def mjcf_text(experiment: TaskExperiment) -> str:
-    """The text that `write_mjcf` writes."""
+    """Return the text that `write_mjcf` writes."""
     scene = experiment.scene
     simulation = BackendMuJoCo().build(scene)
     notes = [

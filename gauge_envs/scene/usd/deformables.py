@@ -1,4 +1,4 @@
-"""Deformable bodies of a USD layer of this package, what they are glued to, and the markers on them."""
+"""Deformable bodies of a USD layer of this package, what they are attached to, and the markers on them."""
 
 from __future__ import annotations
 

@@ -298,7 +298,7 @@ class _Reader:
 
         def pose_at(time: Usd.TimeCode) -> Pose:
             moved = source.frame(prim, time)
-            return (moved.moved(solid.offset_m, solid.turn) if solid.is_moved else moved).pose
+            return (moved.moved(solid.offset_m, solid.rotation) if solid.is_moved else moved).pose
 
         name, driver, place = self.names[prim.GetPath()], None, None
         if motion is Motion.KINEMATIC:

@@ -59,17 +59,17 @@ class Solid:
     Attributes:
         shape: In that frame.
         offset_m: Origin of that frame in the prim's frame, unscaled.
-        turn: Rotation of that frame in the prim's.
+        rotation: Rotation of that frame in the prim's.
     """
 
     shape: Shape
     offset_m: FloatArray
-    turn: FloatArray
+    rotation: FloatArray
 
     @property
     def is_moved(self) -> bool:
         """Whether the frame is another than the prim's."""
-        return bool(self.offset_m.any()) or not np.array_equal(self.turn, np.eye(3))
+        return bool(self.offset_m.any()) or not np.array_equal(self.rotation, np.eye(3))
 
 
 def solid_of(source: Source, body: Usd.Prim, frame: Frame, colliders: Sequence[Usd.Prim], motion: Motion) -> Solid:
@@ -108,7 +108,7 @@ def _solid(source: Source, body: Usd.Prim, frame: Frame, colliders: Sequence[Usd
     if motion is Motion.DYNAMIC:
         _check_apart(source, colliders, pieces)
     shape = ConvexUnion(pieces_m=tuple(tuple((x, y, z) for x, y, z in piece.tolist()) for piece in pieces))
-    return Solid(shape=shape, offset_m=np.zeros(3), turn=np.eye(3))
+    return Solid(shape=shape, offset_m=np.zeros(3), rotation=np.eye(3))
 
 
 def _placed(source: Source, body: Usd.Prim, frame: Frame, collider: Usd.Prim) -> tuple[FloatArray, FloatArray]:
@@ -122,37 +122,37 @@ def _placed(source: Source, body: Usd.Prim, frame: Frame, collider: Usd.Prim) ->
 def _lone(source: Source, prim: Usd.Prim, matrix: FloatArray, offset: FloatArray, motion: Motion) -> Solid:
     """A body of one primitive."""
     kind = str(prim.GetTypeName())
-    turn, scale = source.decomposed(prim, matrix)
+    rotation, scale = source.decomposed(prim, matrix)
     scale = np.abs(scale)
     is_centred = bool(np.abs(offset).max() < OFF_CENTRE_M)
     here = np.zeros(3) if is_centred else offset
     if kind == "Cube":
-        if is_centred and np.abs(turn - np.eye(3)).max() < OFF_CENTRE_M:
+        if is_centred and np.abs(rotation - np.eye(3)).max() < OFF_CENTRE_M:
             x, y, z = (_positive(source, UsdGeom.Cube(prim).GetSizeAttr()) * scale).tolist()
-            return Solid(shape=Box(size_m=(x, y, z)), offset_m=here, turn=np.eye(3))
+            return Solid(shape=Box(size_m=(x, y, z)), offset_m=here, rotation=np.eye(3))
         corners = _vertices(source, prim, matrix, offset)
         piece = tuple((x, y, z) for x, y, z in corners.tolist())
-        return Solid(shape=ConvexUnion(pieces_m=(piece,)), offset_m=np.zeros(3), turn=np.eye(3))
+        return Solid(shape=ConvexUnion(pieces_m=(piece,)), offset_m=np.zeros(3), rotation=np.eye(3))
     if kind == "Sphere":
         radius = _positive(source, UsdGeom.Sphere(prim).GetRadiusAttr()) * _even(source, prim, scale)
-        return Solid(shape=Sphere(radius_m=radius), offset_m=here, turn=np.eye(3))
+        return Solid(shape=Sphere(radius_m=radius), offset_m=here, rotation=np.eye(3))
     if kind not in ("Cylinder", "Plane"):
         known = "Cube, Sphere, Cylinder, Plane and Mesh are expected"
         raise source.fault(prim, f"is a collider of type {kind or 'none'}, which a scene does not have: {known}")
     geometry = UsdGeom.Cylinder(prim) if kind == "Cylinder" else UsdGeom.Plane(prim)
     axis = source.text(geometry.GetAxisAttr(), tuple(TO_Z)) or "Z"
     along = "XYZ".index(axis)
-    turn = turn @ TO_Z[axis]
+    rotation = rotation @ TO_Z[axis]
     # A turn about its own axis leaves either as it is.
-    if abs(turn[2, 2] - 1.0) < 1e-15:
-        turn = np.eye(3)
+    if abs(rotation[2, 2] - 1.0) < 1e-15:
+        rotation = np.eye(3)
     if kind == "Plane":
         if motion is not Motion.FIXED:
             raise source.fault(prim, f"is a plane of a {motion} body: planes are fixed")
-        return Solid(shape=Plane(), offset_m=here, turn=turn)
+        return Solid(shape=Plane(), offset_m=here, rotation=rotation)
     radius = _positive(source, geometry.GetRadiusAttr()) * _even(source, prim, np.delete(scale, along))
     length = _positive(source, geometry.GetHeightAttr()) * float(scale[along])
-    return Solid(shape=Cylinder(radius_m=radius, length_m=length), offset_m=here, turn=turn)
+    return Solid(shape=Cylinder(radius_m=radius, length_m=length), offset_m=here, rotation=rotation)
 
 
 def _positive(source: Source, attribute: Usd.Attribute) -> float:
@@ -299,7 +299,7 @@ def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame:
     """See that a centre of mass and moments of inertia, where given, are those of uniform density."""
     centre, inertia = mass_properties(solid.shape, mass)
     # In the prim's frame, where they are given.
-    centre, inertia = solid.turn @ centre + solid.offset_m, solid.turn @ inertia @ solid.turn.T
+    centre, inertia = solid.rotation @ centre + solid.offset_m, solid.rotation @ inertia @ solid.rotation.T
     radius = float(np.sqrt(np.trace(inertia) / 2.0 / mass))
     given = api.GetCenterOfMassAttr()
     # Minus infinity, the fallback, stands for the centre of the colliders.
@@ -311,8 +311,8 @@ def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame:
     if moments is None or not moments.any():
         return
     axes = source.numbers(api.GetPrincipalAxesAttr(), (4,))
-    turn = np.eye(3) if axes is None or not axes.any() else Rotation.from_quat(axes, scalar_first=True).as_matrix()
-    stated = turn @ np.diag(moments * source.kilograms * source.metres**2) @ turn.T
+    rotation = np.eye(3) if axes is None or not axes.any() else Rotation.from_quat(axes, scalar_first=True).as_matrix()
+    stated = rotation @ np.diag(moments * source.kilograms * source.metres**2) @ rotation.T
     if np.abs(stated - inertia).max() > UNEVEN * np.abs(inertia).max():
         uniform = ", ".join(f"{moment:.6g}" for moment in np.linalg.eigvalsh(inertia))
         raise source.fault(

@@ -20,8 +20,8 @@ from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxy
 __all__ = [
     "LARGEST",
     "Frame",
-    "StoredValue",
     "Source",
+    "StoredValue",
     "single",
     "usd_reason",
     "vector",
@@ -63,12 +63,12 @@ class Frame:
         w, x, y, z = self.quaternion.tolist()
         return Pose(position_m=vector(self.position_m), quaternion=(w, x, y, z))
 
-    def moved(self, offset_m: FloatArray, turn: FloatArray) -> Frame:
+    def moved(self, offset_m: FloatArray, rotation: FloatArray) -> Frame:
         """A frame fixed to this one at an offset [m] and turned by a matrix, both in unscaled axes of this one."""
         pose = self.pose
-        rotation = pose.rotation * Rotation.from_matrix(turn)
+        combined = pose.rotation * Rotation.from_matrix(rotation)
         return Frame(
-            position_m=pose.to_world(offset_m), quaternion=rotation.as_quat(scalar_first=True), scale=self.scale
+            position_m=pose.to_world(offset_m), quaternion=combined.as_quat(scalar_first=True), scale=self.scale
         )
 
 
@@ -384,10 +384,10 @@ class Source:
             position = self._op_value(ops[0], (3,), time, np.zeros(3))
             return Frame(position_m=position, quaternion=self._quaternion(ops[1], time), scale=np.ones(3))
         matrix = self._product(chain, time)
-        turned, scale = self.decomposed(prim, self.metres * self.up @ matrix[:3, :3])
+        rotation, scale = self.decomposed(prim, self.metres * self.up @ matrix[:3, :3])
         relative = scale / self.metres
         scale = np.where(np.abs(np.abs(relative) - 1.0) < SNAP, np.sign(relative) * self.metres, scale)
-        quaternion = Rotation.from_matrix(turned).as_quat(canonical=True, scalar_first=True)
+        quaternion = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
         return Frame(position_m=self.metres * (self.up @ matrix[:3, 3]), quaternion=quaternion, scale=scale)
 
     def to_world(self, prim: Usd.Prim, points: FloatArray) -> FloatArray:
@@ -425,12 +425,12 @@ class Source:
         scale = np.sqrt(np.square(matrix).sum(axis=0))
         if not np.isfinite(matrix).all() or not (scale > 0.0).all():
             raise self.fault(prim, f"its transform scales by {_shown(scale)}: positive numbers are expected")
-        turned = matrix / scale
-        if np.linalg.det(turned) < 0.0:
-            turned, scale = turned * [-1.0, 1.0, 1.0], scale * [-1.0, 1.0, 1.0]
-        if np.abs(turned.T @ turned - np.eye(3)).max() > ORTHOGONAL:
+        rotation = matrix / scale
+        if np.linalg.det(rotation) < 0.0:
+            rotation, scale = rotation * [-1.0, 1.0, 1.0], scale * [-1.0, 1.0, 1.0]
+        if np.abs(rotation.T @ rotation - np.eye(3)).max() > ORTHOGONAL:
             raise self.fault(prim, "its transform is sheared: a rigid body cannot be")
-        return turned, scale
+        return rotation, scale
 
     def _chain(self, prim: Usd.Prim) -> list[Usd.Prim]:
         """Prims whose transforms lead to a prim, outermost first."""

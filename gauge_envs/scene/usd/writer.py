@@ -257,12 +257,12 @@ class _Writer:
         translate, orient = xform.GetOrderedXformOps()
         times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
         poses = [driver.pose(body.pose, time_s) for time_s in times_s.tolist()]
-        moves = any(pose.position_m != body.pose.position_m for pose in poses)
-        turns = any(pose.quaternion != body.pose.quaternion for pose in poses)
-        if moves:
+        translates = any(pose.position_m != body.pose.position_m for pose in poses)
+        rotates = any(pose.quaternion != body.pose.quaternion for pose in poses)
+        if translates:
             for frame, pose in enumerate(poses):
                 translate.Set(Gf.Vec3d(*pose.position_m), frame)
-        if turns:
+        if rotates:
             last = np.asarray(body.pose.quaternion)
             for frame, pose in enumerate(poses):
                 # Of the two quaternions of a rotation the nearer one, so that interpolation does not turn back.
@@ -272,7 +272,7 @@ class _Writer:
         text = motions_to_json(driver.motions, index)
         attribute = _custom(xform, "driver", String, text)
         attribute.SetCustomDataByKey(TEXT, motions_digest(text))
-        if moves or turns:
+        if translates or rotates:
             positions = np.array([pose.position_m for pose in poses])
             quaternions = np.array([pose.quaternion for pose in poses])
             record_written(attribute, samples_digest(times_s, positions, quaternions))
@@ -433,9 +433,9 @@ class _Writer:
         body = self.scene.body(hinge.body)
         joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
         joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-        turn = hinge_frame(hinge.axis)
-        world = joint.CreateLocalRot0Attr(turn)
-        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(turn)))
+        rotation = hinge_frame(hinge.axis)
+        world = joint.CreateLocalRot0Attr(rotation)
+        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
         record_written(local, local.Get())
         record_written(_custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis)), digest(hinge_axis(wxyz(world.Get()))))
         self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
@@ -459,25 +459,25 @@ class _Writer:
     # --- attachments and markers ---
 
     def _attachment(self, index: int, attachment: Attachment) -> None:
-        """What is glued to what; vertices of the mesh that this file carries are named for Omniverse."""
+        """What is attached to what; vertices of the mesh that this file carries are named for Omniverse."""
         body = self.deformables[attachment.deformable]
         nodes = self.points[attachment.deformable]
-        glued = nodes_in(nodes, attachment.region)
+        attached = nodes_in(nodes, attachment.region)
         other = self.deformables.get(attachment.to)
         kind = "OmniPhysicsVtxXformAttachment" if other is None else "OmniPhysicsVtxVtxAttachment"
         prim = self.stage.DefinePrim(f"{self._group('Attachments')}/attachment_{index}", kind)
         pose = self.scene.body(attachment.to).pose if other is None else other.pose
-        local = pose.to_body(body.pose.to_world(nodes[glued]))
+        local = pose.to_body(body.pose.to_world(nodes[attached]))
         if other is None:
             follows = [_omni(prim, "localPositionsSrc1", Sdf.ValueTypeNames.Point3fArray, _points(local))]
         else:
             partners = self.points[attachment.to]
             distance = np.linalg.norm(local[:, None] - partners[None], axis=-1)
             touching = distance.min(axis=1) < TOUCHING_M
-            glued = glued[touching]
+            attached = attached[touching]
             nearest = distance.argmin(axis=1)[touching]
             follows = [_omni(prim, "vtxIndicesSrc1", Sdf.ValueTypeNames.IntArray, Vt.IntArray(nearest.tolist()))]
-        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(glued.tolist())))
+        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(attached.tolist())))
         for one in follows:
             record_follower(one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m")
         _omni(prim, "attachmentEnabled", Sdf.ValueTypeNames.Bool, True)
