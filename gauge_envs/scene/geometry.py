@@ -34,7 +34,7 @@ class Pose:
 
     @classmethod
     def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
-        """Pose from rotations about the fixed x, then y, then z axis [deg], the convention of the metadata."""
+        """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the trial metadata."""
         w, x, y, z = Rotation.from_euler("xyz", euler_deg, degrees=True).as_quat(scalar_first=True).tolist()
         return cls(position_m=position_m, quaternion=(w, x, y, z))
 
@@ -44,11 +44,11 @@ class Pose:
         return Rotation.from_quat(self.quaternion, scalar_first=True)
 
     def to_world(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Body-frame points [m], shape [..., 3], in world coordinates."""
+        """Return body-frame points [m], shape [..., 3], in world coordinates."""
         return self.rotation.apply(points_m) + np.asarray(self.position_m)
 
     def to_body(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World points [m], shape [..., 3], in body coordinates."""
+        """Return world points [m], shape [..., 3], in body coordinates."""
         return self.rotation.apply(np.asarray(points_m) - np.asarray(self.position_m), inverse=True)
 
 
@@ -111,7 +111,7 @@ class Plane:
 
     @property
     def volume_m3(self) -> float:
-        """Not a solid: zero."""
+        """Zero, since a plane is not a solid."""
         return 0.0
 
     @property
@@ -122,7 +122,7 @@ class Plane:
 
 @dataclass(frozen=True, kw_only=True)
 class ConvexUnion:
-    """Solid made of convex pieces that touch but do not overlap: exact for every polyhedron, concave ones included.
+    """Solid of convex pieces that touch but do not overlap, exact for every polyhedron.
 
     Attributes:
         pieces_m: Vertices of each piece in the body frame [m].
@@ -145,8 +145,11 @@ Shape = Box | Sphere | Cylinder | Plane | ConvexUnion
 
 
 def pose_distance(one: Pose, other: Pose) -> float:
-    """The larger of the distance of two poses' origins [m] and of the angle between them [rad], small ones exact."""
+    """Return the larger of the distance between the origins of two poses [m] and the angle between them [rad].
+
+    The angle is twice the chord between quaternions, which is exact for small angles.
+    """
     apart = np.linalg.norm(np.subtract(one.position_m, other.position_m))
-    # Of the two quaternions of a rotation the nearer one; an arc cosine would lose half the digits.
+    # Take the closer of the two quaternions of a rotation. An arc cosine would lose half the digits.
     chord = min(np.linalg.norm(np.subtract(one.quaternion, np.multiply(s, other.quaternion))) for s in (1.0, -1.0))
     return float(max(apart, 2.0 * chord))

@@ -1,4 +1,4 @@
-"""Moves the start of a scene at random, as the hands do that set up a real trial."""
+"""Random start poses of a scene, like the scatter of manual set-ups of real trials."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Jitter:
-    """How far real starts scatter, as standard deviations.
+    """Standard deviations of start poses.
 
     Attributes:
-        position_m: Of each coordinate of a position. Real starts: 1.0 mm in height over 22 drops of the bouncing ball;
-            cubes at rest on a 10-degree slope (SlopeSlider-1), whose scatter can only be that of their start, lie 0.6
-            to 1.9 mm from their mean (paper, Table 5).
-        angle_rad: Of a turn. Nobody has measured it; 0.5 degrees is 0.2 mm at the edge of a 50 mm cube.
+        position_m: Standard deviation of each coordinate of a position [m]. The heights of 22 real drops of a ball
+            scatter by 1.0 mm. Cubes at rest on a slope of 10 degrees, whose scatter is that of their start, lie 0.6 to
+            1.9 mm from their mean (paper, Table 5).
+        angle_rad: Standard deviation of a rotation [rad]. It has not been measured; 0.5 degrees is 0.2 mm at the edge
+            of a cube of 50 mm.
 
     Raises:
         ParameterError: A value is negative or not a number.
@@ -42,29 +43,27 @@ class Jitter:
         for name in ("position_m", "angle_rad"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"jitter {name} is {value!r}, expected a number of 0 or more")
+                raise ParameterError(f"jitter {name} is {value!r}: give a finite number of 0 or more")
 
 
 def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
-    """The same scene with another start.
+    """Return the scene with random start poses, chosen so that no body starts inside another.
 
-    What moves, and how, so that nothing starts inside something else:
+    - A dynamic body translates in the plane of the face that it rests on, and rotates about the normal of that face:
+      the body axis that is closest to vertical.
+    - A ball translates in all three coordinates.
+    - A hinged body rotates about its hinge. A tethered body swings with a tight string.
+    - A cloth without attachments translates and rotates in its plane.
 
-    - A dynamic body that starts on another slides and turns on it: two coordinates and one angle, about the body axis
-      that is closest to vertical, which is the normal of the face that it rests on.
-    - A ball with nothing under it moves in all three coordinates.
-    - A hinged body turns about its hinge; one on a tether swings, its string staying tight.
-    - A cloth that is attached to nothing slides and turns in its plane.
-
-    Fixed and driven bodies, and what is attached to them, stay: their starts are part of the set-up, not of a trial.
+    Fixed and driven bodies and the bodies attached to them do not move: their start poses belong to the set-up.
 
     Args:
         scene: The scene.
-        jitter: How far.
+        jitter: Standard deviations of the start poses.
         seed: Seed of the random numbers, 0 or more.
 
     Raises:
-        ParameterError: Nothing in the scene can start elsewhere.
+        ParameterError: No body in the scene can start elsewhere.
     """
     random = np.random.default_rng(seed)
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}

@@ -265,9 +265,9 @@ def test_a_file_of_another_experiment_is_refused() -> None:
 
 
 def test_settings_and_jitter_need_a_scene() -> None:
-    with pytest.raises(ParameterError, match="an MJCF file states its settings itself"):
+    with pytest.raises(ParameterError, match="an MJCF file contains its own settings"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800})
-    with pytest.raises(AssetError, match="another start, as of a jitter, needs USD"):
+    with pytest.raises(AssetError, match="use a USD layer for another start, such as a jitter"):
         run_repeats(RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)))
 
 

@@ -479,7 +479,7 @@ REFUSED = {
         body(
             kind="Sphere", text='float3 xformOp:scale = (1, 1, 2)\nuniform token[] xformOpOrder = ["xformOp:scale"]\n'
         ),
-        r"/box: is a Sphere that is scaled unevenly",
+        r"/box: is a Sphere with an uneven scale",
     ),
     "sheared": (HEAD, body(text=SHEAR), r"/box: its transform is sheared"),
     "no unit quaternion": (
