@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene.drivers import Driver, DriverMotion, SampledProfile
-from gauge_envs.scene.geometry import Pose, Vector, pose_distance
+from gauge_envs.scene.geometry import Pose, Vector, pose_distance, vector
 
 __all__ = [
     "motion_coordinates",
@@ -108,8 +108,7 @@ def _motion(
     point_m: Vector = (0.0, 0.0, 0.0),
 ) -> DriverMotion:
     """Return a motion along an axis; a parallel motion of `like` determines its exact axis and the action's rate."""
-    x, y, z = axis.tolist()
-    own = DriverMotion(kind=kind, axis=(x, y, z), profiles=(), point_m=point_m)
+    own = DriverMotion(kind=kind, axis=vector(axis), profiles=(), point_m=point_m)
     for motion in like:
         if motion.kind == kind and np.linalg.norm(np.cross(motion.axis, axis)) < SAME_POSE:
             return replace(own, axis=motion.axis, residual_rate=motion.residual_rate)
@@ -138,8 +137,7 @@ def _centre(start: Pose, positions: NDArray[np.float64], rotations: Rotation) ->
     """Return the centre of rotation from the start to positions, in the least-squares sense, closest to the start."""
     matrices = np.eye(3) - rotations.as_matrix()
     arm = np.linalg.lstsq(matrices.reshape(-1, 3), (positions - start.position_m).ravel(), rcond=1e-9)[0]
-    x, y, z = (start.position_m + arm).tolist()
-    return x, y, z
+    return vector(start.position_m + arm)
 
 
 def _steepness(rotations: Rotation, order: tuple[int, int, int]) -> float:

@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import Pose, Vector
+from gauge_envs.scene.geometry import Pose, Vector, vector
 
 __all__ = [
     "CosineProfile",
@@ -90,7 +90,7 @@ class CosineProfile:
         return 0.5 * np.pi * abs(self.amount) / self.duration_s
 
     def value(self, time_s: float) -> float:
-        """Coordinate at a time, relative to its start [m or rad]."""
+        """Return the coordinate at a time, relative to its start [m or rad]."""
         phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
         return 0.5 * self.amount * (1.0 - float(np.cos(np.pi * phase)))
 
@@ -230,9 +230,7 @@ class Driver:
                 rotation = own_rotation * rotation
                 linear = own_rotation.apply(linear) + np.cross(rate * axis, arm)
                 angular = own_rotation.apply(angular) + rate * axis
-        w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
-        pose = Pose(position_m=(float(position[0]), float(position[1]), float(position[2])), quaternion=(w, x, y, z))
-        return pose, np.concatenate([linear, angular])
+        return Pose.from_rotation(vector(position), rotation), np.concatenate([linear, angular])
 
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
         """Return a bound on the speed of any point of the driven body [m/s]."""

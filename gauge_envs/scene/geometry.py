@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -19,10 +19,17 @@ __all__ = [
     "Shape",
     "Sphere",
     "pose_distance",
+    "vector",
 ]
 
 
 Vector = tuple[float, float, float]
+
+
+def vector(values: ArrayLike) -> Vector:
+    """Return an array of three numbers as a tuple."""
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +42,12 @@ class Pose:
     @classmethod
     def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
         """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the trial metadata."""
-        w, x, y, z = Rotation.from_euler("xyz", euler_deg, degrees=True).as_quat(scalar_first=True).tolist()
+        return cls.from_rotation(position_m, Rotation.from_euler("xyz", euler_deg, degrees=True))
+
+    @classmethod
+    def from_rotation(cls, position_m: Vector, rotation: Rotation) -> Pose:
+        """Return the pose with a position [m] and a SciPy rotation, body to world."""
+        w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
         return cls(position_m=position_m, quaternion=(w, x, y, z))
 
     @cached_property

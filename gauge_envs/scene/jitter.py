@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import Cloth, Hinge, Motion, RigidBody, Tether
-from gauge_envs.scene.geometry import Pose, Sphere
+from gauge_envs.scene.geometry import Pose, Sphere, vector
 from gauge_envs.scene.scene import Scene
 
 __all__ = [
@@ -103,7 +103,7 @@ def _shifted(pose: Pose, jitter: Jitter, random: np.random.Generator, *, is_free
     if not is_free:
         shift -= (shift @ normal) * normal
     rotated = _rotated_about(pose, normal, pose.position_m, angle_rad)
-    return replace(rotated, position_m=_vector(np.asarray(rotated.position_m) + shift))
+    return replace(rotated, position_m=vector(np.asarray(rotated.position_m) + shift))
 
 
 def _rotated_about(pose: Pose, axis: Any, point_m: Any, angle_rad: float) -> Pose:
@@ -111,11 +111,5 @@ def _rotated_about(pose: Pose, axis: Any, point_m: Any, angle_rad: float) -> Pos
 
 
 def _rotated(pose: Pose, rotation: Rotation, point_m: NDArray[np.float64]) -> Pose:
-    w, x, y, z = (rotation * pose.rotation).as_quat(scalar_first=True).tolist()
     position = rotation.apply(np.asarray(pose.position_m) - point_m) + point_m
-    return Pose(position_m=_vector(position), quaternion=(w, x, y, z))
-
-
-def _vector(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return (x, y, z)
+    return Pose.from_rotation(vector(position), rotation * pose.rotation)

@@ -32,6 +32,7 @@ from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -265,8 +266,8 @@ def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
 
 
 def _pose(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
-    (x, y, z), (qw, qx, qy, qz) = position_m.tolist(), quaternion.tolist()
-    return Pose(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
+    w, x, y, z = quaternion.tolist()
+    return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
 
 
 def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> float:
@@ -284,7 +285,7 @@ def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: Hinge) -> Hinge:
     (anchor, axis), expected = found
     if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
         return hinge
-    return replace(hinge, anchor_m=tuple(anchor.tolist()), axis=tuple(axis.tolist()))
+    return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))
 
 
 def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> NDArray[np.float64]:
@@ -356,8 +357,7 @@ def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
     rotation = Rotation.from_quat(row[3:7], scalar_first=True)
     rates = np.concatenate([row[7:10], rotation.apply(row[10:13])])
     displacement = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
-    quaternion = (Rotation.from_rotvec(displacement[3:]) * rotation).as_quat(scalar_first=True)
-    return _pose(row[:3] + displacement[:3], quaternion)
+    return Pose.from_rotation(vector(row[:3] + displacement[:3]), Rotation.from_rotvec(displacement[3:]) * rotation)
 
 
 def _same_rows(rows: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:

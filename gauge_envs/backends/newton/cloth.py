@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.newton.vbd import Pin
+from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.scene import Cloth, Motion

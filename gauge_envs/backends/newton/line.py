@@ -19,13 +19,14 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.newton.rigid import WORLD
 from gauge_envs.backends.newton.stepper import warp_transform
-from gauge_envs.backends.newton.vbd import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.lines import LINE_AXIS, attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = [
@@ -260,13 +261,8 @@ def _held(attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArr
     """Return the point of the rigid body that holds an end."""
     index = bodies[attachment.body]
     if index == WORLD:
-        return _Anchor(body=index, place_m=_vector(point_m), start=Rotation.identity())
-    return _Anchor(body=index, place_m=_vector(attachment.pose.to_body(point_m)), start=attachment.pose.rotation)
-
-
-def _vector(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
+        return _Anchor(body=index, place_m=vector(point_m), start=Rotation.identity())
+    return _Anchor(body=index, place_m=vector(attachment.pose.to_body(point_m)), start=attachment.pose.rotation)
 
 
 def _add_segment(
@@ -280,11 +276,11 @@ def _add_segment(
 ) -> int:
     mass = line.mass_kg * length_m / line.length_m
     _, inertia = mass_properties(Cylinder(radius_m=line.radius_m, length_m=length_m), mass)
-    w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
+
     # `add_body` also adds a free joint to the world, which a segment with a rod joint to the world must not have.
     add = builder.add_link if on_world else builder.add_body
     return add(
-        xform=warp_transform(Pose(position_m=_vector(centre_m), quaternion=(w, x, y, z))),
+        xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)),
         mass=mass,
         inertia=wp.mat33(inertia),
         lock_inertia=True,

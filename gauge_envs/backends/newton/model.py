@@ -15,6 +15,7 @@ from gauge_envs.backends.newton.cloth import add_cloth
 from gauge_envs.backends.newton.line import add_line
 from gauge_envs.backends.newton.mpm import SoftPartMPM, StepperMPM, add_soft_mpm, fitted_voxel_m
 from gauge_envs.backends.newton.mujoco import StepperMuJoCo, add_contacts, shape_config
+from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies, keep_apart
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
@@ -26,18 +27,17 @@ from gauge_envs.backends.newton.settings import (
 from gauge_envs.backends.newton.soft import SoftPartNewton, add_block_shapes, add_soft
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import surface_contacts
-from gauge_envs.backends.newton.vbd import Pin, SelfContact, StepperVBD, apply_contacts, passing_pairs
+from gauge_envs.backends.newton.vbd import SelfContact, StepperVBD, apply_contacts, passing_pairs
 from gauge_envs.backends.shared.attachments import attachments_by_body, bonded_soft_bodies, rigid_attachments
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene, Vector
+from gauge_envs.scene.geometry import vector
 
 __all__ = [
     "Part",
     "WorldLayout",
     "build_model",
 ]
-
-Vector = tuple[float, float, float]
 
 
 class Part(Protocol):
@@ -206,10 +206,10 @@ def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: Setting
 
 def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsLines) -> WorldLayout:
     lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
-    x, y, z = np.mean([line.pose.position_m for line in lines], axis=0).tolist()
+    x, y, z = origin_m = vector(np.mean([line.pose.position_m for line in lines], axis=0))
     near = _moved(scene, (-x, -y, -z))
     rigid = add_bodies(builder, near, config=newton.ModelBuilder.ShapeConfig(density=0.0))
-    layout = WorldLayout(rigid=rigid, origin_m=(x, y, z))
+    layout = WorldLayout(rigid=rigid, origin_m=origin_m)
     for line in (body for body in near.deformables if isinstance(body, Rope | Rod)):
         part = layout.parts[line.name] = add_line(
             builder,
@@ -251,8 +251,7 @@ def _moved(scene: Scene, displacement_m: Vector) -> Scene:
         return replace(pose, position_m=shifted(pose.position_m))
 
     def shifted(point_m: Vector) -> Vector:
-        x, y, z = (np.asarray(point_m) + displacement_m).tolist()
-        return x, y, z
+        return vector(np.asarray(point_m) + displacement_m)
 
     return replace(
         scene,

@@ -18,9 +18,8 @@ from newton.solvers import SolverImplicitMPM
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from gauge_envs.backends.newton.kernels import carry, hold
+from gauge_envs.backends.newton.pins import Pin, PinnedParticles
 from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.newton.vbd import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.scene import Motion, SoftBody
@@ -297,10 +296,7 @@ class StepperMPM(Stepper):
             separate_worlds=model.world_count > 1,
         )
         super().__init__(model, SolverImplicitMPM(model, config), driven=driven, timestep_s=timestep_s)
-        with wp.ScopedDevice(model.device):
-            self._held = wp.array([pin.particle for pin in pins], dtype=wp.int32)
-            self._holders = wp.array([pin.body for pin in pins], dtype=wp.int32)
-            self._places = wp.array([pin.place_m for pin in pins], dtype=wp.vec3)
+        self._pinned = PinnedParticles(pins, model.device)
 
     def record(self) -> None:
         """Keep the start; no graph is recorded."""
@@ -315,26 +311,11 @@ class StepperMPM(Stepper):
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(after.body_q, after.body_qd, steps_ahead=1)
-        pins = [self._held, self._holders, self._places]
-        if self._held.size:
-            wp.launch(
-                carry,
-                dim=self._held.size,
-                inputs=[*pins, state.body_q, after.body_q, after.body_qd, self.timestep_s],
-                outputs=[state.particle_q, state.particle_qd, state.mpm.particle_qd_grad],
-                device=self.model.device,
-            )
+        self._pinned.carry(state, after, self.timestep_s)
         # Snapshots do not contain the solver's contact impulses of the last step, so each step starts without them.
         self.solver.reset(state, flags=0)
         self.solver.step(state, after, self._control, None, self.timestep_s)
-        if self._held.size:
-            wp.launch(
-                hold,
-                dim=self._held.size,
-                inputs=[*pins, after.body_q],
-                outputs=[after.particle_q],
-                device=self.model.device,
-            )
+        self._pinned.hold(after.body_q, after.particle_q)
 
     def _arrays(self) -> list[wp.array]:
         """Return the arrays of both states and of the drives; the solver's own arrays live for one step only."""

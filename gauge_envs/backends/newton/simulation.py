@@ -13,6 +13,7 @@ from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import vector
 
 __all__ = [
     "SimulationNewton",
@@ -35,8 +36,7 @@ class _WorldNewton(World):
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body; see `World.drive`."""
-        x, y, z = (np.asarray(pose.position_m) - self._layout.origin_m).tolist()
-        near = Pose(position_m=(x, y, z), quaternion=pose.quaternion)
+        near = Pose(position_m=vector(np.subtract(pose.position_m, self._layout.origin_m)), quaternion=pose.quaternion)
         self._stepper.drive(self._layout.rigid.bodies[body], near, velocity, acceleration)
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
@@ -91,7 +91,7 @@ class SimulationNewton(_WorldNewton, Simulation):
         self._stepper.restore(state)
 
     def close(self) -> None:
-        """Nothing is held outside memory."""
+        """Do nothing, since the simulation only holds memory."""
 
 
 class WorldsNewton(Worlds):
@@ -112,4 +112,4 @@ class WorldsNewton(Worlds):
         self._stepper.advance(seconds)
 
     def close(self) -> None:
-        """Nothing is held outside memory."""
+        """Do nothing, since the simulation only holds memory."""

@@ -22,10 +22,11 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.newton.vbd import Pin
+from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.scene import Box, Motion, SoftBody
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = [
@@ -258,8 +259,7 @@ def _add_particles(
 def _add_rigid(builder: newton.ModelBuilder, block: Block, axis: int, start: int, points_m: NDArray[np.float64]) -> int:
     """Add a block as a rigid body, bond the nodes on its two faces to it, and return its index."""
     size_m = block.high_m - block.low_m
-    x, y, z = size_m.tolist()
-    _, inertia = mass_properties(Box(size_m=(x, y, z)), block.body.mass_kg)
+    _, inertia = mass_properties(Box(size_m=vector(size_m)), block.body.mass_kg)
     body = builder.add_body(
         xform=wp.transform(wp.vec3(*block.centre_m), wp.quat_identity()),
         mass=block.body.mass_kg,

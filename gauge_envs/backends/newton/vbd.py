@@ -18,14 +18,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gauge_envs.backends.newton.kernels import hold, predict
+from gauge_envs.backends.newton.kernels import predict
+from gauge_envs.backends.newton.pins import Pin, PinnedParticles
 from gauge_envs.backends.newton.stability import ITERATIONS_PER_RATIO
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import SurfaceContacts
 from gauge_envs.errors import ParameterError
 
 __all__ = [
-    "Pin",
     "SelfContact",
     "StepperVBD",
     "apply_contacts",
@@ -35,21 +35,6 @@ __all__ = [
 
 SPEED_HEADROOM = 1.5
 """Assumed largest growth of the fastest particle's speed within an interval, in addition to free fall."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pin:
-    """A massless particle that a kinematic body holds.
-
-    Attributes:
-        particle: Index of the particle in the model.
-        body: Index of the kinematic body in the model.
-        place_m: Position of the particle in the body's frame [m].
-    """
-
-    particle: int
-    body: int
-    place_m: tuple[float, float, float]
 
 
 def apply_contacts(
@@ -274,10 +259,7 @@ class StepperVBD(Stepper):
             **_self_contact_settings(self._self_contact),
         )
         super().__init__(model, solver, driven=driven, timestep_s=timestep_s)
-        with wp.ScopedDevice(model.device):
-            self._held = wp.array([pin.particle for pin in pins], dtype=wp.int32)
-            self._holders = wp.array([pin.body for pin in pins], dtype=wp.int32)
-            self._places = wp.array([pin.place_m for pin in pins], dtype=wp.vec3)
+        self._pinned = PinnedParticles(pins, model.device)
         self._open_graphs: list[Any] = []
         self._closed_graphs: list[Any] = []
 
@@ -285,14 +267,7 @@ class StepperVBD(Stepper):
         # Without dynamic bodies, the solver reads the poses at both ends of the step from the two states.
         ahead = state if self._integrates_bodies else after
         self._prescribe(ahead.body_q, ahead.body_qd, steps_ahead=1)
-        if self._held.size:
-            wp.launch(
-                hold,
-                dim=self._held.size,
-                inputs=[self._held, self._holders, self._places, ahead.body_q],
-                outputs=[state.particle_q],
-                device=self.model.device,
-            )
+        self._pinned.hold(ahead.body_q, state.particle_q)
         if self._pipeline is not None:
             self._pipeline.collide(state, self._contacts)
         self.solver.step(state, after, self._control, self._contacts, self.timestep_s)

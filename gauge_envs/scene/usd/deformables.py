@@ -9,9 +9,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from gauge_envs.scene.bodies import Attachment, Cloth, Deformable, Markers, Region, Rod, Rope, SoftBody
-from gauge_envs.scene.geometry import Box
+from gauge_envs.scene.geometry import Box, vector
 from gauge_envs.scene.usd.layer import KINDS, FloatArray
-from gauge_envs.scene.usd.source import Source, single, vector
+from gauge_envs.scene.usd.source import Source, single
 
 __all__ = [
     "is_deformable",

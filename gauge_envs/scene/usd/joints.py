@@ -8,8 +8,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import Hinge, Motion, RigidBody, Tether
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
-from gauge_envs.scene.usd.source import Source, StoredValue, vector
+from gauge_envs.scene.usd.source import Source, StoredValue
 
 __all__ = [
     "is_welded",

@@ -14,7 +14,7 @@ from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
-from gauge_envs.scene.geometry import Pose
+from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "StoredValue",
     "single",
     "usd_reason",
-    "vector",
 ]
 
 SINGLE_RELATIVE = 3e-7
@@ -90,12 +89,6 @@ class StoredValue:
 def single(values: FloatArray) -> FloatArray:
     """Return numbers rounded to single precision."""
     return np.asarray(values).astype(np.float32).astype(np.float64)
-
-
-def vector(values: FloatArray) -> tuple[float, float, float]:
-    """Return an array of three numbers as a tuple."""
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def usd_reason(error: Tf.ErrorException) -> str:

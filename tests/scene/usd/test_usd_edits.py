@@ -501,12 +501,12 @@ DECLINED = {
     "both edited": (
         SLIDER,
         both(setting("/World/cube", "gauge:mass_kg", 0.3), setting("/World/cube", "physics:mass", 0.2)),
-        r"/World/cube.gauge:mass_kg: is 0.3 and /World/cube.physics:mass 0.2",
+        r"/World/cube.gauge:mass_kg: is 0.3 but /World/cube.physics:mass is 0.2",
     ),
     "static and dynamic": (
         SLIDER,
         both(setting(MATERIAL, "physics:staticFriction", 0.3), setting(MATERIAL, "physics:dynamicFriction", 0.2)),
-        r"staticFriction: is 0.3 and .*dynamicFriction 0.2: they must agree",
+        r"staticFriction: is 0.3 but .*dynamicFriction is 0.2: make them agree",
     ),
     "pose of a driven body alone": (
         "TextileFlinging-rayon",

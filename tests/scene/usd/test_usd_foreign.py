@@ -485,7 +485,7 @@ REFUSED = {
     "no unit quaternion": (
         HEAD,
         body(text='quatf xformOp:orient = (2, 0, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:orient"]\n'),
-        r"/box.xformOp:orient: holds .* no unit quaternion",
+        r"/box.xformOp:orient: holds .*: a unit quaternion is expected",
     ),
     "concave": (HEAD, body("m", "Mesh", LSHAPE), r"/m: is not convex \(it fills 0.857 of its hull\)"),
     "concave, decomposed": (
