@@ -1,9 +1,9 @@
 """Reader of MJCF files that replace a scene.
 
 The file determines the time step, solver, masses, friction, poses, compiled tables and driven motion. It must contain
-the rigid bodies of the scene under their names, a free joint of the same name for each driven body, and the nodes of
-deformable bodies at the positions that the backend gives them. `mjcf_writer` writes such files. Custom numbers hold
-the data for which MJCF has no element:
+the rigid bodies of the scene under their names, and a free joint of the same name for each driven body. The nodes of
+deformable bodies must be where the backend places them. `mjcf_writer` writes such files. Custom numbers hold the data
+for which MJCF has no element:
 
 - `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. If the rows equal
   those of the scene's driver, the driver stays; otherwise a sampled driver goes through their poses.
@@ -200,10 +200,9 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
         gravity_m_per_s2=same_or(float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2),
     )
     changes = list(model_changes(model, built))
-    numbers = dict(_numerics(model))
     drivers = []
     for driver in placed.drivers:
-        read = _driver(path, model, placed, driver, numbers.get(f"{DRIVER_PREFIX}{driver.body}"), simulation)
+        read = _driver(path, model, placed, driver, simulation)
         drivers.append(read)
         if read != driver:
             changes.append(f"driver of {driver.body}: its motion is sampled from other rows")
@@ -317,13 +316,13 @@ def _driver(
     model: mujoco.MjModel,
     scene: Scene,
     driver: Driver,
-    numbers: NDArray[np.float64] | None,
     simulation: SimulationMuJoCo,
 ) -> Driver:
     """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
     from gauge_envs.scene.driver_path import DriverPath
 
     name = f"{DRIVER_PREFIX}{driver.body}"
+    numbers = dict(_numerics(model)).get(name)
     if numbers is None:
         raise AssetError(path, name, "the custom numeric with the motion of this driven body is missing: add it")
     if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:

@@ -224,7 +224,7 @@ def add_soft(
     held: dict[int, RigidAttachment] = {}
     for side, attachment in soft_row.ends.items():
         held |= dict.fromkeys(layers[0 if side == "low" else -1].ravel().tolist(), attachment)
-        _add_gripped_material(spec, flex, attachment, low_m, high_m, axis, side)
+        _add_gripped_material(spec, flex, soft_row, side)
     names = list(flex.nodebody)
     flex.nodebody, places = attached_points(names, lattice.rest_m, held)
     flex.node = places.ravel()
@@ -234,16 +234,9 @@ def add_soft(
     return SoftPartMuJoCo(flex, lattice, soft_row, Points(names, lattice.rest_m, held))
 
 
-def _add_gripped_material(
-    spec: mujoco.MjSpec,
-    flex: mujoco.MjsFlex,
-    attachment: RigidAttachment,
-    low_m: NDArray[np.float64],
-    high_m: NDArray[np.float64],
-    axis: int,
-    side: str,
-) -> None:
+def _add_gripped_material(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, soft_row: SoftRow, side: str) -> None:
     """Add a massless box without contacts that shows the material in a grip."""
+    attachment, axis, low_m, high_m = soft_row.ends[side], soft_row.axis, soft_row.low_m, soft_row.high_m
     if attachment.region.depth_m == 0.0:
         return
     centre, size = 0.5 * (low_m + high_m), high_m - low_m

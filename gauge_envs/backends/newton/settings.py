@@ -197,7 +197,7 @@ PRESETS: dict[str, SettingsNewton] = {
     ),
     "contact_free": SettingsMuJoCoWarp(preset="contact_free", timestep_s=1 / 1800, integrator="rk4"),
     # Cloth. Chosen by convergence: over 2 s of a fling, trajectories are within 0.4 mm of those with twice the rate and
-    # three times the iterations, and elastic extensions are within 1 % of theory.
+    # three times the iterations. Elastic extensions are within 1 % of theory.
     "cloth": SettingsVBD(preset="cloth", timestep_s=1 / 1440),
     # A narrow body pushes into the cloth: several contacts of a face share its load, and friction needs more iterations
     # to converge.
@@ -225,9 +225,9 @@ PRESETS: dict[str, SettingsNewton] = {
         contact_gap_m=0.005,
     ),
     # Bonded blocks. Only vertices collide, since blocks of one row may have different collision partners. A soft row of
-    # foam and rubber swings at 2.50 Hz with these settings, at 2.59 Hz with cells of 12.5 mm, at 2.53 Hz with half the
-    # time step, and at 2.49 Hz with half the time step and cells of 6.25 mm. Time steps below 0.1 ms do not help, since
-    # single precision then damps the swing.
+    # foam and rubber swings at 2.50 Hz with these settings, and at 2.59 Hz with cells of 12.5 mm. It swings at 2.53 Hz
+    # with half the time step, and at 2.49 Hz with cells of 6.25 mm in addition. Time steps below 0.1 ms do not help,
+    # since single precision then damps the swing.
     "soft_row": SettingsVBD(
         preset="soft_row",
         timestep_s=1 / 3600,

@@ -182,8 +182,8 @@ def _add_hinges(total: NDArray[np.float64], model: newton.Model) -> None:
 class StepperVBD(Stepper):
     """Stepper of particles and dynamic rigid bodies with `newton.solvers.SolverVBD`.
 
-    An implicit step needs the prescribed motion at its end, so driven bodies and the particles that they hold move to
-    their positions at the end of the step first.
+    An implicit step needs the prescribed motion at its end. Driven bodies and the particles that they hold therefore
+    move to their positions at the end of the step first.
 
     Args:
         model: The finalized, coloured model.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gauge_envs.backends.mujoco.backend import BackendMuJoCo
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.mjcf_reader import DRIVER_PREFIX, driver_rows
 from gauge_envs.backends.mujoco.mjcf_writer import add_stiffness_tables, exact_xml, replay_note, without_rest
 from gauge_envs.errors import ResultFileError

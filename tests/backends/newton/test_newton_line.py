@@ -359,7 +359,7 @@ def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str)
     assert np.abs(marker[:, 1] - (body.pose.position_m[1] - ROD_RADIUS_M)).max() < 1e-6
 
 
-# --- contacts, glue, worlds ------------------------------------------------------------------------------------------
+# --- contacts, attachments, worlds ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])

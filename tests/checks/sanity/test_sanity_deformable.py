@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco import SimulationMuJoCo
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.checks.rollout import DeclinedError, DivergedError
 from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.measure import Measurements

@@ -511,7 +511,7 @@ DECLINED = {
     "pose of a driven body alone": (
         "TextileFlinging-rayon",
         setting("/World/rod", "xformOp:translate", Gf.Vec3d(0.0, 0.0, 0.5)),
-        r"/World/rod: its pose was edited, the time samples of its transform were not",
+        r"/World/rod: its pose was edited, but not the time samples of its transform",
     ),
     "points of a cloth": (
         CLOTH,
@@ -528,7 +528,7 @@ DECLINED = {
         setting("/World/Materials/body_textile", "omniphysics:youngsModulus", 1.0),
         r"youngsModulus: was edited, but it follows from gauge:stretch_",
     ),
-    "glued vertices": (
+    "attached vertices": (
         CLOTH,
         setting("/World/Attachments/attachment_0", "omniphysics:vtxIndicesSrc0", Vt.IntArray([0])),
         r"vtxIndicesSrc0: was edited, but it follows from gauge:region_axis",
