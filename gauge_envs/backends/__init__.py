@@ -1,4 +1,4 @@
-"""Physics engines behind one contract: one folder an engine."""
+"""Physics engines behind one interface, one folder per engine."""
 
 from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Simulation, Support, World, Worlds
 from gauge_envs.backends.registry import backend, backend_for, backend_names, backend_of_suffix

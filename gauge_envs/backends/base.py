@@ -1,6 +1,6 @@
-"""The contract between an environment and a physics engine.
+"""The interface between an environment and a physics engine.
 
-A backend is one class with three methods. It sees a `Scene` and never the name of an experiment:
+A backend is one class with three methods. It receives a `Scene` and never the name of an experiment:
 
     class BackendMine(Backend):
         name = "mine"
@@ -9,9 +9,9 @@ A backend is one class with three methods. It sees a `Scene` and never the name 
         def build(self, scene, settings): ...
         def versions(self): ...
 
-`build` returns a `Simulation` that already stands at the scene's start and is read before it is first reset. An
-environment resets it, and in each 1/180 s drives every kinematic body and advances. A backend becomes available under
-its name through an entry point of the group `gauge_envs.backends`; docs/adding_an_engine.md walks through one.
+`build` returns a `Simulation` at the scene's start; it may be read before its first reset. An environment resets it.
+Then, every 1/180 s, the environment drives each kinematic body and advances the simulation. An entry point of the group
+`gauge_envs.backends` makes a backend available by name; docs/adding_an_engine.md gives a complete example.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Support:
-    """Whether a backend can build a scene, and if not, everything that it lacks.
+    """Whether a backend can build a scene, and the unsupported features if it cannot.
 
     Attributes:
-        missing: One sentence for each thing that the backend cannot do; empty when it can build the scene.
+        missing: One sentence for each unsupported feature; empty if the backend can build the scene.
     """
 
     missing: tuple[str, ...] = ()
@@ -55,11 +55,11 @@ class Support:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFile:
-    """What a backend reads from a model file in its engine's own format.
+    """Content of a model file in an engine's own format.
 
     Attributes:
-        scene: The scene that it was read for, with starts, masses and driven motion as the file has them.
-        changes: How the file differs from the model that the backend builds of the scene, a line each.
+        scene: The requested scene, with the start poses, masses and driven motion of the file.
+        changes: Differences between the file and the model that the backend builds from the scene, one line each.
     """
 
     scene: Scene
@@ -67,67 +67,70 @@ class ModelFile:
 
 
 class World(ABC):
-    """One copy of a scene, to be driven and read. Poses are body frames in the world; everything is in SI units.
+    """One instance of a scene that can be driven and read, in SI units. A pose is a body frame in the world.
 
     Attributes:
-        settings: Every numerical setting in force, flat, JSON-ready; it is written into each result.
+        settings: Every numerical setting in force, as a flat, JSON-ready mapping. Each result records it.
     """
 
     settings: Mapping[str, Any]
 
     @abstractmethod
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Prescribe a kinematic body for the coming `advance`: it starts there and accelerates uniformly.
+        """Prescribe the uniformly accelerated motion of a kinematic body during the next `advance`.
 
-        Called before every `advance`: t seconds later the body is at pose + v t + a t^2 / 2. Uniform acceleration
-        matters: a body driven at piecewise constant speed jolts what rests on it at each change, which lets it creep.
-        An engine that cannot may use the mean velocity, and should say so.
+        It is called before every `advance`; t seconds later the body is at pose + v t + a t^2 / 2. With piecewise
+        constant velocity, each change of speed would jolt the bodies that rest on it and let them creep. An engine
+        without prescribed acceleration may use the mean velocity, and should document it.
 
         Args:
             body: Name of a kinematic body.
             pose: Its pose at the start of the interval.
             velocity: Its linear [m/s] and angular [rad/s] velocity at the start, in the world frame, shape [6].
-            acceleration: Its linear [m/s^2] and angular [rad/s^2] acceleration until the end, shape [6].
+            acceleration: Its linear [m/s^2] and angular [rad/s^2] acceleration during the interval, shape [6].
         """
 
     @abstractmethod
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Poses and velocities now.
+        """Return the current poses and velocities of bodies.
+
+        Args:
+            names: Names of rigid bodies; fixed bodies are allowed.
 
         Returns:
             A new array, shape [len(names), 13]: position [m] (3), quaternion w x y z (4), linear velocity of the body
-            origin [m/s] (3) and angular velocity [rad/s] (3), both in the world frame. Fixed bodies can be asked for.
+            origin [m/s] (3) and angular velocity [rad/s] (3), both in the world frame.
         """
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
-        """Apply a force and a torque to a dynamic body from now on; optional, control tasks with a motor need it.
+        """Apply a force and a torque to a dynamic body from now on. Only control tasks with a motor need this method.
 
         Args:
             body: Name of a dynamic body.
-            wrench: Force [N] through its centre of mass and torque [N m], in the world frame, shape [6]. It stays
-                until another one is applied, and a reset ends it.
+            wrench: Force [N] through its centre of mass and torque [N m], in the world frame, shape [6]. It acts
+                until another wrench replaces it or a reset removes it.
 
         Raises:
-            BackendError: The engine does not offer it.
+            BackendError: The engine does not support it.
         """
         raise BackendError(
             f"{type(self).__name__} applies no force or torque to {body!r}: it does not implement World.apply_wrench"
         )
 
     def nodes(self, name: str) -> NDArray[np.float64]:
-        """Positions of a deformable body's nodes [m], shape [node_count, 3]."""
+        """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         raise KeyError(name)
 
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
-        """Reader of material points of a deformable body, for engines that know better than its nodes where they are.
+        """Return a reader of material points of a deformable body, if the engine locates them better than its nodes do.
 
         Args:
-            name: Name of the body; bodies that are bonded may answer for each other.
+            name: Name of the body. A body may also track points of the bodies that it is bonded to.
             points_m: World positions at the start [m], shape [point_count, 3].
 
         Returns:
-            Function that returns where the points are now [m], shape [point_count, 3]; None leaves it to
-            interpolation between the nodes, which a line of nodes does not allow.
+            Function that returns the current positions of the points [m], shape [point_count, 3]. None means that the
+            caller interpolates between the nodes; ropes and rods need a reader, because their nodes form a line.
 
         Raises:
             ShapeError: A point lies outside the material.
@@ -136,18 +139,23 @@ class World(ABC):
 
 
 class Simulation(World):
-    """One running scene."""
+    """A world that advances on its own."""
 
     @abstractmethod
     def reset(self, seed: int) -> None:
-        """Return to the scene's start at time 0; the same seed gives the same trajectory."""
+        """Return to the scene's start at time 0. The same seed gives the same trajectory."""
 
     @abstractmethod
     def advance(self, seconds: float) -> None:
-        """Simulate an interval; a multiple of 1/180 s whenever an environment calls."""
+        """Simulate an interval [s]. Environments pass multiples of 1/180 s."""
 
     def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
-        """Advance `count` intervals and read where bodies are after each; override where a tighter loop is possible.
+        """Advance `count` intervals and read body positions after each. An engine may override it with a faster loop.
+
+        Args:
+            names: Names of rigid bodies.
+            count: Number of intervals.
+            interval_s: Length of an interval [s].
 
         Returns:
             Positions of the body origins [m], shape [count, len(names), 3].
@@ -160,41 +168,41 @@ class Simulation(World):
 
     @abstractmethod
     def state(self) -> Any:
-        """Everything that `restore` needs to go on from here bit for bit; it can be pickled."""
+        """Return a snapshot, from which `restore` continues bit for bit. It can be pickled."""
 
     @abstractmethod
     def restore(self, state: Any) -> None:
-        """Go back to a state that `state` returned, of this simulation or of another one of the same scene."""
+        """Restore a snapshot of this simulation, or of another simulation of the same scene."""
 
     @abstractmethod
     def close(self) -> None:
-        """Free what the simulation holds; calling it twice is harmless."""
+        """Free the engine's resources. A second call does nothing."""
 
 
 class Worlds(ABC):
-    """Copies of a scene with different starts, that run together.
+    """Instances of a scene with different start poses that advance together.
 
     Attributes:
-        worlds: The copies, in the order of the scenes.
+        worlds: The instances, in the order of the scenes.
     """
 
     worlds: Sequence[World]
 
     @abstractmethod
     def reset(self, seed: int) -> None:
-        """Return all to their starts at time 0; the same seed gives the same trajectories."""
+        """Return all worlds to their starts at time 0. The same seed gives the same trajectories."""
 
     @abstractmethod
     def advance(self, seconds: float) -> None:
-        """Simulate an interval in all of them; a multiple of 1/180 s."""
+        """Simulate an interval in all worlds, a multiple of 1/180 s."""
 
     @abstractmethod
     def close(self) -> None:
-        """Free what they hold; calling it twice is harmless."""
+        """Free the engine's resources. A second call does nothing."""
 
 
 class _SeparateWorlds(Worlds):
-    """Simulations one after another, for engines that have no batches."""
+    """Simulations that run one after another, for engines without batched worlds."""
 
     def __init__(self, simulations: Sequence[Simulation]) -> None:
         self.worlds = simulations
@@ -217,8 +225,8 @@ class Backend(ABC):
     """A physics engine.
 
     Attributes:
-        name: What users type: `backend="mujoco"`.
-        file_suffixes: Suffixes of the model files that `read_file` and `build_file` take, as `.xml`; mostly none.
+        name: Name that users type, as in `backend="mujoco"`.
+        file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
     """
 
     name: ClassVar[str]
@@ -226,65 +234,65 @@ class Backend(ABC):
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
-        """Versions of the engine's packages, written into each result."""
+        """Return the versions of the engine's packages, which each result records."""
 
     @abstractmethod
     def supports(self, scene: Scene) -> Support:
-        """Whether `build` will work on a scene, and if not, why: at once, without building anything."""
+        """Return whether `build` can build a scene, without building it."""
 
     @abstractmethod
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build a scene; the simulation stands at the scene's start, where `reset` brings it back to.
+        """Build a scene and return a simulation at the scene's start.
 
         Args:
-            scene: What to build; `supports` is true for it.
-            settings: Numerical settings that replace the backend's defaults, by name; `preset` picks a named set.
+            scene: A scene that `supports` accepts.
+            settings: Numerical settings that replace those of the preset, by name; `preset` selects another preset.
 
         Raises:
-            ParameterError: A setting of that name does not exist or has an impossible value.
+            ParameterError: A setting does not exist or has an invalid value.
         """
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
-        """Build copies of a scene that run together; override where the engine can simulate them at once.
+        """Build several instances of a scene. An engine with batched worlds overrides it.
 
         Args:
-            scenes: One or more, alike but for the poses at the start.
+            scenes: One or more scenes that differ only in their start poses.
             settings: As in `build`.
 
         Raises:
-            ParameterError: As `build`.
+            ParameterError: A setting does not exist or has an invalid value.
         """
         return _SeparateWorlds([self.build(scene, settings) for scene in scenes])
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
-        """Read a model file of the engine's own that stands for a scene; needed where `file_suffixes` names any.
+        """Read a model file in the engine's format that replaces a scene. Backends with `file_suffixes` implement it.
 
         Args:
             path: The file.
-            scene: What the file must show: its bodies by name, and what of them is driven.
+            scene: The scene whose bodies, by name, and driven motions the file must contain.
 
         Raises:
-            AssetError: The file cannot be read, or lacks something of the scene.
+            AssetError: The file cannot be read, or lacks a part of the scene.
         """
-        raise UnsupportedSceneError(f"backend {self.name!r} reads no model files")
+        raise UnsupportedSceneError(f"backend {self.name!r} reads no model files: use a USD layer")
 
     def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build the model of a file; the simulation stands at the file's start.
+        """Build the model of a file and return a simulation at the file's start.
 
         Args:
             path: The file.
-            scene: What `read_file` returned for it.
-            settings: Those that can be laid over a model file; an engine may have none.
+            scene: The scene that `read_file` returned for it.
+            settings: Numerical settings that replace those of the file; an engine may accept none.
 
         Raises:
-            AssetError: As `read_file`, or the scene starts elsewhere than the file.
-            ParameterError: A setting cannot be laid over a file.
+            AssetError: The file cannot be read, lacks a part of the scene, or has other start poses than the scene.
+            ParameterError: A setting cannot replace one of the file.
         """
-        raise UnsupportedSceneError(f"backend {self.name!r} builds no model files")
+        raise UnsupportedSceneError(f"backend {self.name!r} builds no model files: use a USD layer")
 
 
 class FileBackend(Backend):
-    """A backend that builds one model file, whatever scene it is asked for.
+    """A backend that builds one model file for every scene.
 
     Args:
         engine: The backend that reads the file.
@@ -297,16 +305,16 @@ class FileBackend(Backend):
         self._path = path
 
     def versions(self) -> dict[str, str]:
-        """Versions of the engine's packages."""
+        """Return the versions of the engine's packages."""
         return self._engine.versions()
 
     def supports(self, scene: Scene) -> Support:
-        """Whether the engine reads such files, and could build the scene itself."""
+        """Return whether the engine reads files with this suffix and can build the scene itself."""
         if self._path.suffix not in self._engine.file_suffixes:
             known = ", ".join(self._engine.file_suffixes) or "none"
-            return Support((f"{self._path.name} is a model of another engine; model files that it reads: {known}",))
+            return Support((f"{self._path.name} is a model of another engine; this engine reads: {known}",))
         return self._engine.supports(scene)
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build the file; see `Backend.build_file`."""
+        """Build the model file; see `Backend.build_file`."""
         return self._engine.build_file(self._path, scene, settings)

@@ -1,4 +1,4 @@
-"""Finds backends: each installed package offers its own through the entry-point group `gauge_envs.backends`."""
+"""Registry of backends, which installed packages provide through the entry-point group `gauge_envs.backends`."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ ENTRY_POINT_GROUP = "gauge_envs.backends"
 
 
 def backend_names() -> tuple[str, ...]:
-    """Names of all installed backends, sorted; none of them is imported."""
+    """Return the sorted names of all installed backends, without importing any."""
     return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
 
 
 @cache
 def backend(name: str) -> Backend:
-    """Backend of that name, imported on first use.
+    """Return the backend of a name. The first call imports it.
 
     Raises:
-        UnknownNameError: No installed package offers it.
+        UnknownNameError: No installed package provides it.
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason.
     """
@@ -39,16 +39,16 @@ def backend(name: str) -> Backend:
                 return point.load()()
             except GaugeError:
                 raise
-            except Exception as error:  # A package of someone else raises anything, and others must stay usable.
+            except Exception as error:  # A third-party package may raise anything; other backends must stay usable.
                 raise BackendError(f"backend {name!r} ({point.value}): {type(error).__name__}: {error}") from error
     raise UnknownNameError("backend", name, backend_names())
 
 
 def backend_for(name: str, model_file: Path | None) -> Backend:
-    """Backend of that name; where a model file stands for the scene, one that builds the file.
+    """Return the backend of a name, or a backend that builds the model file if one replaces the scene.
 
     Raises:
-        UnknownNameError: No installed package offers it.
+        UnknownNameError: No installed package provides it.
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason.
     """
@@ -57,7 +57,7 @@ def backend_for(name: str, model_file: Path | None) -> Backend:
 
 
 def backend_of_suffix(suffix: str) -> Backend | None:
-    """The installed backend whose engine has model files of that suffix; None where none has."""
+    """Return the installed backend that reads model files with a suffix, or None if no backend does."""
     for name in backend_names():
         try:
             engine = backend(name)

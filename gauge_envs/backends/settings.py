@@ -1,4 +1,4 @@
-"""Numerical settings of a backend: named presets, and a user's changes to them, checked in one place."""
+"""Numerical settings of a backend: named presets and validated changes to them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ __all__ = [
 
 
 class SteppedSettings(BaseModel):
-    """What the settings of every engine have; subclass it and add the engine's own, a default and a reason each.
+    """Settings that every engine has. An engine subclasses it and gives each of its settings a default and a rationale.
 
     Attributes:
-        preset: Name of the preset that these started from.
-        timestep_s: Step of the integrator; `drive_interval_s` must be a multiple of it.
-        drive_interval_s: Interval by which whoever runs the simulation drives and advances it. Environments need
-            1/180 s; another one is for those that step the backend themselves, as with a step that does not divide it.
+        preset: Name of the preset that supplied the other values.
+        timestep_s: Time step of the integrator [s]; `drive_interval_s` must be a multiple of it.
+        drive_interval_s: Interval by which the caller drives and advances the simulation [s]. Environments need
+            1/180 s; code that steps the backend itself may use another interval.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -40,17 +40,18 @@ Settings = TypeVar("Settings", bound=SteppedSettings)
 def resolve_settings(
     engine: str, presets: Mapping[str, Settings], *, preset: str, changes: Mapping[str, Any] | None
 ) -> Settings:
-    """Settings of a preset with a user's changes put in.
+    """Return the settings of a preset with a user's changes.
 
     Args:
         engine: Name of the engine, for messages.
-        presets: Settings by name.
-        preset: Name of the preset that the scene asks for; `changes["preset"]` goes before it.
+        presets: Settings of each preset, by name.
+        preset: Name of the preset for the scene; `changes["preset"]` overrides it.
         changes: Settings that replace those of the preset.
 
     Raises:
-        UnknownNameError: No such preset.
-        ParameterError: No such setting, an impossible value, or a step that does not divide the drive interval.
+        UnknownNameError: The preset does not exist.
+        ParameterError: A setting does not exist or has an invalid value, or `timestep_s` does not divide
+            `drive_interval_s`.
     """
     values = dict(changes or {})
     name = values.pop("preset", None) or preset
@@ -66,25 +67,26 @@ def resolve_settings(
     interval = settings.drive_interval_s
     steps = interval / settings.timestep_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
-        told = f"1/{1.0 / interval:.6g}" if interval < 1.0 else f"{interval:.6g}"
+        text = f"1/{1.0 / interval:.6g}" if interval < 1.0 else f"{interval:.6g}"
         raise ParameterError(
-            f"{engine} setting 'timestep_s': drive_interval_s, {told} s, is {steps:.6g} steps, not a whole number"
+            f"{engine} setting 'timestep_s': drive_interval_s, {text} s, is {steps:.6g} steps, not a whole number: "
+            "choose a timestep_s that divides it"
         )
     return settings
 
 
 def check_drive_interval(settings: Mapping[str, Any]) -> None:
-    """Refuse settings that were resolved for another interval than that of the environments.
+    """Raise an error if the drive interval of settings is not that of environments, 1/180 s.
 
     Args:
-        settings: `World.settings`; those of engines with free steps may have no interval.
+        settings: `World.settings`. Settings of engines with variable steps may have no drive interval.
 
     Raises:
-        ParameterError: Their interval is another.
+        ParameterError: The drive interval is not 1/180 s.
     """
     interval = settings.get("drive_interval_s", DRIVE_INTERVAL_S)
     if abs(interval - DRIVE_INTERVAL_S) > 1e-9:
         raise ParameterError(
-            f"setting 'drive_interval_s' is {interval:.6g} s, and environments drive in intervals of 1/180 s: "
-            "set it, and a timestep_s that divides it"
+            f"setting 'drive_interval_s' is {interval:.6g} s, but environments drive in intervals of 1/180 s: "
+            "set drive_interval_s to 1/180 and timestep_s to a value that divides it"
         )

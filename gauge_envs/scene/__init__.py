@@ -1,4 +1,4 @@
-"""The vocabulary of a scene: what a physics engine needs to build and drive one experiment."""
+"""Vocabulary of a scene, the input from which a physics engine builds and drives one experiment."""
 
 from gauge_envs.scene.bodies import (
     Attachment,

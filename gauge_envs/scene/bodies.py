@@ -33,16 +33,16 @@ class Motion(StrEnum):
     FIXED = "fixed"
     """Never moves."""
     KINEMATIC = "kinematic"
-    """Follows its driver whatever touches it, and carries what rests on it."""
+    """Follows its driver, unaffected by contacts, and carries the bodies that rest on it."""
 
 
 class ContactMode(StrEnum):
-    """What a contact mostly does; an engine without a native restitution coefficient may need to know."""
+    """Typical behaviour of a contact, for engines without a native coefficient of restitution."""
 
     SUSTAINED = "sustained"
-    """Rests, slides or rolls; restitution plays no role."""
+    """The bodies rest, slide or roll on each other; restitution has no effect."""
     IMPACT = "impact"
-    """Collides and rebounds with the pair's restitution."""
+    """The bodies collide and rebound with the restitution of the pair."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +50,11 @@ class RigidBody:
     """Rigid body of uniform density.
 
     Attributes:
-        name: Unique in the scene.
+        name: Unique name in the scene.
         shape: Geometry in the body frame.
         motion: Dynamic, fixed or kinematic.
         pose: World pose at the start.
-        mass_kg: Mass; 0 for a plane.
+        mass_kg: Mass [kg]; 0 for a plane.
     """
 
     name: str
@@ -66,15 +66,18 @@ class RigidBody:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloth:
-    """Rectangular sheet in the x-y plane of its frame, warp along x, weft along y.
+    """Rectangular cloth in the x-y plane of its frame, warp along x, weft along y.
 
     Attributes:
+        name: Unique name in the scene.
+        pose: World pose at the start.
         size_m: Edge lengths along x and y [m].
-        areal_density_kg_per_m2: Mass per area.
-        thickness_m: Physical thickness.
-        stretch_stiffness_n_per_m: K_s, tangent stiffness per width of a uniaxial test with free transverse edges.
-        shear_stiffness_n_per_m: K_sh, engineering shear stiffness per width.
-        bend_stiffness_n_m_per_rad: K_theta, torque per angle of a discrete bending hinge.
+        mass_kg: Mass [kg].
+        areal_density_kg_per_m2: Mass per area [kg/m^2].
+        thickness_m: Physical thickness [m].
+        stretch_stiffness_n_per_m: K_s, tangent stiffness per width of a uniaxial test with free transverse edges [N/m].
+        shear_stiffness_n_per_m: K_sh, engineering shear stiffness per width [N/m].
+        bend_stiffness_n_m_per_rad: K_theta, torque per angle of a discrete bending hinge [N m/rad].
     """
 
     name: str
@@ -90,7 +93,7 @@ class Cloth:
 
 @dataclass(frozen=True, kw_only=True)
 class SoftBody:
-    """Volumetric elastic solid, isotropic, of uniform density."""
+    """Isotropic elastic box of uniform density."""
 
     name: str
     shape: Box
@@ -127,7 +130,7 @@ class Rod:
 
 @dataclass(frozen=True, kw_only=True)
 class Hinge:
-    """Joins a body to the world: it turns about a world axis through a world point, without friction."""
+    """Frictionless joint with which a body rotates about a world axis through a world point."""
 
     body: str
     anchor_m: Vector
@@ -136,7 +139,7 @@ class Hinge:
 
 @dataclass(frozen=True, kw_only=True)
 class Tether:
-    """Inextensible massless string from a world point to a body's origin; it only pulls."""
+    """Inextensible massless string from a world point to a body's origin, which only pulls."""
 
     body: str
     anchor_m: Vector
@@ -145,7 +148,7 @@ class Tether:
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """End of a body: all material within `depth_m` of its low or high side along a body axis."""
+    """End region of a body: all material within `depth_m` of its low or high side along a body axis."""
 
     axis: Literal["x", "y", "z"]
     side: Literal["low", "high"]
@@ -154,7 +157,7 @@ class Region:
 
 @dataclass(frozen=True, kw_only=True)
 class Attachment:
-    """Glues a region of a deformable body to another body, fixed, moving or deformable."""
+    """Attachment of a region of a deformable body to a rigid or another deformable body."""
 
     deformable: str
     region: Region
@@ -163,14 +166,14 @@ class Attachment:
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Constants of every contact between two groups of bodies; pairs in no contact pass through each other.
+    """Constants of the contacts between two groups of bodies. Pairs without a contact pass through each other.
 
     Attributes:
-        first: Names of the bodies on one side.
-        second: Names on the other side; may be the same group.
-        friction: Coulomb coefficient of the pair.
-        restitution: Ratio of outgoing to incoming normal speed of the pair.
-        mode: What the contact mostly does.
+        first: Names of the bodies in the first group.
+        second: Names of the bodies in the second group, which may equal the first.
+        friction: Coulomb coefficient of each pair.
+        restitution: Ratio of outgoing to incoming normal speed of each pair.
+        mode: Typical behaviour of the contact.
     """
 
     first: tuple[str, ...]
@@ -182,14 +185,14 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True)
 class Markers:
-    """Motion-capture markers glued to deformable bodies, in the published order.
+    """Motion-capture markers attached to deformable bodies, in the published order.
 
     Attributes:
         bodies: Names of the bodies that carry markers.
         positions_m: World positions at rest [m].
         faces: Triangles of marker indices.
         lines: Pairs of neighbouring marker indices along measured lines.
-        corner: Indices of markers at corners of the sheet.
+        corner: Indices of markers at corners of the cloth.
         edge: Indices of markers on straight edges.
     """
 

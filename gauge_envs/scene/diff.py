@@ -17,15 +17,15 @@ __all__ = [
 
 
 MOST_NAMES = 4
-"""So many names of a group are told in a line; more are counted."""
+"""Largest number of names of a group that a line lists."""
 
 
 MOST_NUMBERS = 9
-"""Arrays of more numbers than this are told by how many differ, and by how much."""
+"""Largest array whose numbers a line lists; larger ones are summarized by count and largest difference."""
 
 
 def scene_changes(before: Scene, after: Scene) -> Iterator[str]:
-    """How a scene differs from another, a line each, field by field; none where they are equal."""
+    """Yield one line for each difference between two scenes, field by field."""
     if before == after:
         return
     for field in fields(Scene):
@@ -41,7 +41,7 @@ def scene_changes(before: Scene, after: Scene) -> Iterator[str]:
 
 
 def _group_changes(group: str, before: Sequence[Any], after: Sequence[Any]) -> Iterator[str]:
-    """Changes of bodies, contacts, joints, ...: matched by what they are called, else told as added and removed."""
+    """Yield the changes of a group such as bodies or contacts; entries without a match count as added or removed."""
     old, new = _titled(before), _titled(after)
     yield from (f"{title}: removed" for title in old if title not in new)
     yield from (f"{title}: added" for title in new if title not in old)
@@ -78,7 +78,7 @@ def _side(names: Sequence[str]) -> str:
 
 
 def _value_changes(title: str, name: str, before: Any, after: Any) -> Iterator[str]:
-    """Changes of one value, down to numbers; a value of another type is told as a whole."""
+    """Yield the changes of one value, down to numbers; a value of another type changes as a whole."""
     if before == after:
         return
     if is_dataclass(before) and type(before) is type(after):
@@ -94,7 +94,7 @@ def _value_changes(title: str, name: str, before: Any, after: Any) -> Iterator[s
 def _difference(before: Any, after: Any) -> str:
     old, new = _numbers(before), _numbers(after)
     if old is None or new is None or old.size <= MOST_NUMBERS >= new.size:
-        return f"{_told(before)} -> {_told(after)}"
+        return f"{_text(before)} -> {_text(after)}"
     if old.shape != new.shape:
         return f"{list(old.shape)} numbers -> {list(new.shape)}"
     apart = np.abs(new - old)
@@ -102,7 +102,7 @@ def _difference(before: Any, after: Any) -> str:
 
 
 def _numbers(value: Any) -> Any:
-    """A value as an array of numbers; None where it is none, or is ragged."""
+    """Return a value as an array of numbers, or None if it is not numeric or ragged."""
     if not isinstance(value, int | float | tuple):
         return None
     try:
@@ -112,10 +112,10 @@ def _numbers(value: Any) -> Any:
     return array
 
 
-def _told(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, tuple):
-        shown = [_told(entry) for entry in value[:MOST_NAMES]]
+        shown = [_text(entry) for entry in value[:MOST_NAMES]]
         return f"({', '.join(shown)}{', ...' if len(value) > MOST_NAMES else ''})"
     return type(value).__name__ if is_dataclass(value) or not isinstance(value, str | int | None) else str(value)

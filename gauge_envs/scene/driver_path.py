@@ -1,4 +1,4 @@
-"""The prescribed motion of a driven body, cut into intervals that an engine is driven through."""
+"""Prescribed motion of a driven body in intervals of uniform acceleration."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ __all__ = [
 
 
 class DriverPath:
-    """A driver's motion cut into intervals; the undisturbed path is computed once.
+    """A driver's motion in intervals of uniform acceleration; the motion without actions is computed once.
 
     Args:
         driver: The driver.
         scene: Its scene.
-        frame_count: Frames that are driven, the first included.
+        frame_count: Number of driven frames, including the first.
         interval_s: Length of an interval [s].
 
     Attributes:
-        offsets: Where actions have led each motion so far [m or rad], shape [motion_count].
+        offsets: Displacement of each motion by actions so far [m or rad], shape [motion_count].
     """
 
     def __init__(
@@ -45,13 +45,18 @@ class DriverPath:
         self._path = [_interval(*a, *b, interval_s) for a, b in pairwise(states)]
 
     def reset(self) -> None:
-        """Back to the recorded motion."""
+        """Return to the recorded motion."""
         self.offsets[:] = 0.0
 
     def interval(
         self, sample: int, action: NDArray[np.float64]
     ) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
-        """Pose, velocity and acceleration that lead through an interval; see `Simulation.drive`."""
+        """Return pose, velocity and acceleration of an interval for `World.drive`, and add the action's displacement.
+
+        Args:
+            sample: Index of the interval.
+            action: Normalized rate of each motion, shape [motion_count].
+        """
         if not self.offsets.any() and not action.any():
             return self._path[sample]
         rates = action * self._scale
@@ -68,6 +73,6 @@ def _interval(
     end_velocity: NDArray[np.float64],
     interval_s: float,
 ) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
-    """Uniformly accelerated motion between two poses, as close to their velocities as ending at the pose allows."""
+    """Return the uniformly accelerated motion that ends at the end pose, with velocities closest to the given ones."""
     miss = mean_velocity(start, end, interval_s) - 0.5 * (start_velocity + end_velocity)
     return start, start_velocity + miss, (end_velocity - start_velocity) / interval_s

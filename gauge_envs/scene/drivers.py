@@ -1,4 +1,4 @@
-"""Prescribed motion of a kinematic body: profiles of one coordinate, composed into a pose and a velocity at time t."""
+"""Prescribed motion of a kinematic body: profiles of coordinates over time, and the resulting pose and velocity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector
+from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector, vector
 
 __all__ = [
     "CosineProfile",
@@ -27,14 +27,14 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class TrapezoidProfile:
-    """Move by `amount` with constant acceleration, cruise and braking; the shape of a motor's speed ramp.
+    """Trapezoidal speed profile of a motor: constant acceleration, constant speed, constant deceleration.
 
     Attributes:
         kind: Name of the profile in files.
-        start_s: Time at which the motion starts.
-        duration_s: Time from start to standstill.
-        accelerate_s: Length of the speed-up; 0 is a start at cruising speed.
-        brake_s: Length of the braking.
+        start_s: Time at which the motion starts [s].
+        duration_s: Time from start to standstill [s].
+        accelerate_s: Duration of the acceleration [s]; 0 for a start at full speed.
+        brake_s: Duration of the deceleration [s].
         amount: Signed total change of the coordinate [m or rad].
 
     Raises:
@@ -54,7 +54,7 @@ class TrapezoidProfile:
 
     @property
     def cruise_rate(self) -> float:
-        """Signed rate between speed-up and braking [m/s or rad/s]."""
+        """Signed rate between acceleration and deceleration [m/s or rad/s]."""
         return self.amount / (self.duration_s - 0.5 * (self.accelerate_s + self.brake_s))
 
     @property
@@ -63,10 +63,10 @@ class TrapezoidProfile:
         return abs(self.cruise_rate)
 
     def value(self, time_s: float) -> float:
-        """Coordinate at a time, relative to its start [m or rad]."""
+        """Return the coordinate at a time, relative to its start [m or rad]."""
         t = min(max(time_s - self.start_s, 0.0), self.duration_s)
         speed_up = min(t, self.accelerate_s)
-        # Distance = cruising over all of t, less what is lost while speeding up and while braking.
+        # Distance at the cruise rate, less the distance lost during acceleration and deceleration.
         value = self.cruise_rate * t
         if self.accelerate_s > 0.0:
             value -= self.cruise_rate * (speed_up - 0.5 * speed_up**2 / self.accelerate_s)
@@ -76,7 +76,7 @@ class TrapezoidProfile:
         return value
 
     def rate(self, time_s: float) -> float:
-        """Rate at a time [m/s or rad/s]."""
+        """Return the rate at a time [m/s or rad/s]."""
         t = time_s - self.start_s
         if not 0.0 <= t < self.duration_s:
             return 0.0
@@ -88,7 +88,7 @@ class TrapezoidProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class CosineProfile:
-    """Move by `amount` along half a cosine: starts and ends at rest, smooth between."""
+    """Change by `amount` along half a cosine period, which starts and ends at rest."""
 
     kind: Literal["cosine"] = "cosine"
     start_s: float
@@ -101,19 +101,19 @@ class CosineProfile:
         return 0.5 * np.pi * abs(self.amount) / self.duration_s
 
     def value(self, time_s: float) -> float:
-        """Coordinate at a time, relative to its start [m or rad]."""
+        """Return the coordinate at a time, relative to its start [m or rad]."""
         phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
         return 0.5 * self.amount * (1.0 - float(np.cos(np.pi * phase)))
 
     def rate(self, time_s: float) -> float:
-        """Rate at a time [m/s or rad/s]."""
+        """Return the rate at a time [m/s or rad/s]."""
         phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
         return 0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampledProfile:
-    """Coordinate measured at times, interpolated by a monotone cubic (no overshoot), held before and after.
+    """Sampled coordinate with monotone cubic interpolation (no overshoot), constant before and after the samples.
 
     Attributes:
         kind: Name of the profile in files.
@@ -149,16 +149,16 @@ class SampledProfile:
     @property
     def largest_rate(self) -> float:
         """Largest absolute rate [m/s or rad/s]."""
-        # Inside a cubic piece the slope is extreme where its derivative vanishes; roots of flat pieces come out as NaN.
+        # The slope of a cubic piece is extreme at its ends or at a root of its derivative; flat pieces give NaN.
         inside = self._slope.derivative().roots(extrapolate=False)
         return float(np.abs(self._slope(np.concatenate([self.times_s, inside[np.isfinite(inside)]]))).max())
 
     def value(self, time_s: float) -> float:
-        """Coordinate at a time, relative to the start pose [m or rad]."""
+        """Return the coordinate at a time, relative to the start pose [m or rad]."""
         return float(self._curve(min(max(time_s, self.times_s[0]), self.times_s[-1])))
 
     def rate(self, time_s: float) -> float:
-        """Rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
+        """Return the rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
         return float(self._slope(time_s)) if self.times_s[0] <= time_s < self.times_s[-1] else 0.0
 
 
@@ -177,14 +177,14 @@ Profile = Annotated[TrapezoidProfile | CosineProfile | SampledProfile, _ByKind()
 
 @dataclass(frozen=True, kw_only=True)
 class DriverMotion:
-    """One coordinate of a driver: a translation along, or a rotation about, a fixed world axis.
+    """One coordinate of a driver: a translation along a fixed world axis, or a rotation about it.
 
     Attributes:
         kind: `translate` (coordinate in m) or `rotate` (coordinate in rad).
         axis: Unit vector in the world.
-        point_m: A point of the rotation axis; unused by a translation.
-        residual_rate: Rate that an action of 1 adds [m/s or rad/s].
-        profiles: Profiles whose sum is the recorded or nominal coordinate over time.
+        point_m: A point of the rotation axis [m]; unused by a translation.
+        residual_rate: Rate that an action of 1 adds [m/s or rad/s]; 0 if actions have no effect.
+        profiles: Profiles whose sum is the coordinate over time.
 
     Raises:
         ValueError: The axis is not a unit vector.
@@ -201,16 +201,16 @@ class DriverMotion:
             raise ValueError(f"axis {list(self.axis)} is not a unit vector")
 
     def value(self, time_s: float) -> float:
-        """Coordinate at a time [m or rad]."""
+        """Return the coordinate at a time [m or rad]."""
         return sum(profile.value(time_s) for profile in self.profiles)
 
     def rate(self, time_s: float) -> float:
-        """Rate at a time [m/s or rad/s]."""
+        """Return the rate at a time [m/s or rad/s]."""
         return sum(profile.rate(time_s) for profile in self.profiles)
 
     @property
     def largest_rate(self) -> float:
-        """Bound on the absolute rate, action included [m/s or rad/s]."""
+        """Bound on the absolute rate, actions included [m/s or rad/s]."""
         return sum(profile.largest_rate for profile in self.profiles) + self.residual_rate
 
 
@@ -220,8 +220,8 @@ class Driver:
 
     Attributes:
         body: Name of the kinematic body.
-        motions: Applied in order to the start pose, each in the world frame.
-        provenance: Where the motion is from: `video`, `mocap`, `nominal`, ...
+        motions: Motions that apply in order to the start pose, each in the world frame.
+        provenance: Source of the motion: `video`, `mocap`, `nominal`, ...
     """
 
     body: str
@@ -229,12 +229,12 @@ class Driver:
     provenance: str
 
     def pose(self, start: Pose, time_s: float, offsets: NDArray[np.float64] | None = None) -> Pose:
-        """Pose at a time.
+        """Return the pose at a time.
 
         Args:
             start: Pose of the body before anything moves.
-            time_s: Time since the start of the episode.
-            offsets: Added to each motion's coordinate [m or rad], shape [motion_count]; where actions have led.
+            time_s: Time since the start of the episode [s].
+            offsets: Displacement of each motion by actions [m or rad], shape [motion_count].
         """
         return self.state(start, time_s, offsets)[0]
 
@@ -245,13 +245,13 @@ class Driver:
         offsets: NDArray[np.float64] | None = None,
         rates: NDArray[np.float64] | None = None,
     ) -> tuple[Pose, NDArray[np.float64]]:
-        """Pose and velocity at a time.
+        """Return the pose and the velocity at a time.
 
         Args:
             start: Pose of the body before anything moves.
-            time_s: Time since the start of the episode.
-            offsets: Added to each motion's coordinate [m or rad], shape [motion_count].
-            rates: Added to each motion's rate [m/s or rad/s], shape [motion_count].
+            time_s: Time since the start of the episode [s].
+            offsets: Displacement of each motion by actions [m or rad], shape [motion_count].
+            rates: Rate of each motion due to actions [m/s or rad/s], shape [motion_count].
 
         Returns:
             The pose; and the linear velocity of the body origin [m/s] and the angular velocity [rad/s] in the world
@@ -267,18 +267,16 @@ class Driver:
                 position = position + value * axis
                 linear = linear + rate * axis
             else:
-                turn = Rotation.from_rotvec(value * axis)
-                arm = turn.apply(position - motion.point_m)
+                own_rotation = Rotation.from_rotvec(value * axis)
+                arm = own_rotation.apply(position - motion.point_m)
                 position = arm + motion.point_m
-                rotation = turn * rotation
-                linear = turn.apply(linear) + np.cross(rate * axis, arm)
-                angular = turn.apply(angular) + rate * axis
-        w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
-        pose = Pose(position_m=(float(position[0]), float(position[1]), float(position[2])), quaternion=(w, x, y, z))
-        return pose, np.concatenate([linear, angular])
+                rotation = own_rotation * rotation
+                linear = own_rotation.apply(linear) + np.cross(rate * axis, arm)
+                angular = own_rotation.apply(angular) + rate * axis
+        return Pose.from_rotation(vector(position), rotation), np.concatenate([linear, angular])
 
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
-        """Bound on the speed of any point of the driven body [m/s]."""
+        """Return a bound on the speed of any point of the driven body [m/s]."""
         speed = 0.0
         corners = body.pose.to_world(body.shape.corners_m)
         for motion in self.motions:
@@ -291,7 +289,7 @@ class Driver:
 
 
 def mean_velocity(start: Pose, end: Pose, interval_s: float) -> NDArray[np.float64]:
-    """Constant velocity that carries a body from one pose to another.
+    """Return the constant velocity that moves a body from one pose to another in an interval.
 
     Returns:
         Linear velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [6].

@@ -1,9 +1,9 @@
-"""Calibrated fabric constants in each engine's own terms: which numbers to enter, what is replaced, what is lost.
+"""Mappings of calibrated fabric constants to the constants of each engine, with their fallbacks and losses.
 
-A fabric is measured as a stretch stiffness `K_s`, a shear stiffness `K_sh` and a bending stiffness `K_theta`. No two
-engines take these: each has its own membrane and its own hinge. The mappings match the response at small strain (paper,
-section "Textile parameters mapping"), and `uniaxial_stiffness` and `shear_stiffness` go the other way, from what was
-entered to what a test of that sheet would measure. MuJoCo's mapping is ours; the paper has none.
+A fabric is measured as a stretch stiffness `K_s`, a shear stiffness `K_sh` and a bending stiffness `K_theta`. Each
+engine has another membrane and another hinge. The mappings match the response at small strain (paper, section "Textile
+parameters mapping"). Conversely, `uniaxial_stiffness` and `shear_stiffness` return the stiffness that a test of the
+mapped fabric would measure. The paper has no mapping for MuJoCo; that mapping belongs to this package.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ __all__ = [
 
 
 ISAAC_POISSON_BELOW = 0.30
-"""Poisson ratio in Isaac where the measured stiffnesses ask for a negative one (paper)."""
+"""Poisson ratio in Isaac if the measured stiffnesses correspond to a negative one (paper)."""
 ISAAC_POISSON_ABOVE = 0.45
-"""Poisson ratio in Isaac where the measured stiffnesses ask for 0.5 or more (paper)."""
+"""Poisson ratio in Isaac if the measured stiffnesses correspond to 0.5 or more (paper)."""
 NEWTON_RATIO = 2.7
-"""K_s / K_sh in Newton where the measured ratio does not lie between 2 and 4 (paper)."""
+"""K_s / K_sh in Newton if the measured ratio does not lie between 2 and 4 (paper)."""
 MUJOCO_POISSON = 0.0
-"""Poisson ratio in MuJoCo: K_s is measured with free transverse edges and says nothing about contraction."""
+"""Poisson ratio in MuJoCo; K_s is measured with free transverse edges, and contraction is not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class Fabric:
         areal_density_kg_per_m2: Mass per area.
 
     Raises:
-        ParameterError: A constant is not a positive number; the message names it.
+        ParameterError: A constant is not a positive number.
     """
 
     stretch_stiffness_n_per_m: float
@@ -69,22 +69,22 @@ class Fabric:
 
     @classmethod
     def of(cls, source: Cloth) -> Fabric:
-        """Fabric of a cloth in a scene."""
+        """Return the fabric of a cloth in a scene."""
         return cls(**{field.name: getattr(source, field.name) for field in fields(cls)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class EngineConstants:
-    """A fabric in one engine's terms.
+    """Constants of a fabric in one engine.
 
     Attributes:
         engine: Key in `MAPPINGS`.
-        fabric: What was measured.
-        constants: What to enter, named as the engine spells it.
+        fabric: The measured fabric.
+        constants: Constants under the engine's names.
         units: Unit of each constant; "1" for a pure number.
-        replaced: Names of the constants that a fall-back sets.
-        fallbacks: Which fall-backs those are, and why.
-        lost: Which measured stiffness does not come back, and by how much.
+        replaced: Names of the constants that a fallback sets.
+        fallbacks: Description of each fallback and its reason.
+        lost: Description of each measured stiffness that the engine does not reproduce, with its error.
     """
 
     engine: str
@@ -100,11 +100,11 @@ class EngineConstants:
 
 
 def isaac_surface(fabric: Fabric) -> EngineConstants:
-    """Constants of Isaac Sim's surface deformable (PhysX FEM, an isotropic sheet under plane stress).
+    """Return the constants of Isaac Sim's surface deformable (PhysX FEM, an isotropic sheet under plane stress).
 
     - `youngs_modulus` = K_s / t [Pa].
-    - `poissons_ratio` = K_s / (2 K_sh) - 1; 0.30 where that is negative, 0.45 where it is 0.5 or more. The stretch
-      stiffness survives a fall-back, the shear stiffness does not.
+    - `poissons_ratio` = K_s / (2 K_sh) - 1; 0.30 if that is negative, 0.45 if it is 0.5 or more. A fallback keeps the
+      stretch stiffness but not the shear stiffness.
     - `surfaceBendStiffness` = K_theta / (4 t^3) [Pa]. A hinge's stiffness in PhysX is this times t^3 times edge length
       over a third of the mean height of its two triangles (Grinspun 2003): 3 on the legs of a square grid with
       diagonals, 6 on the diagonals, 4 in the mean over edges. Along grid lines, where diagonals do not fold, such a
@@ -134,14 +134,14 @@ def isaac_surface(fabric: Fabric) -> EngineConstants:
 
 
 def genesis_pbd(fabric: Fabric) -> EngineConstants:
-    """Constants of Genesis's PBD cloth (distance and dihedral constraints).
+    """Return the constants of Genesis's PBD cloth (distance and dihedral constraints).
 
     - `stretch_compliance` = 1 / K_s [m/N], of each mesh edge.
     - `bending_compliance` = 1 / K_theta [rad/(N m)], of each hinge.
 
-    There is no shear constant. These are nominal: what a sheet does depends on mesh, substep, relaxation and number of
-    iterations as well. As converged springs on a square grid with diagonals they would give K_s along grid lines, and
-    K_s / 2 in shear at fixed extension.
+    There is no shear constant. These constants are nominal: the behaviour of the cloth also depends on mesh, substep,
+    relaxation and number of iterations. Converged springs on a square grid with diagonals would have K_s along grid
+    lines, and K_s / 2 in shear at fixed extension.
 
     Source: paper, equation of the Genesis mapping.
     """
@@ -157,16 +157,15 @@ def genesis_pbd(fabric: Fabric) -> EngineConstants:
 
 
 def newton_vbd(fabric: Fabric) -> EngineConstants:
-    """Constants of Newton's VBD cloth (stable Neo-Hookean membrane, two-dimensional Lame coefficients).
+    """Return the constants of Newton's VBD cloth (stable Neo-Hookean membrane, two-dimensional Lame coefficients).
 
     - `tri_ke` = mu = K_sh [N/m].
     - `tri_ka` = lambda = 2 K_sh (K_s - 2 K_sh) / (4 K_sh - K_s) [N/m].
     - `edge_ke_times_mean_edge_length` = K_theta [N m/rad]; `newton_edge_ke` divides by the mesh's mean edge length.
 
-    lambda is positive and finite for 2 < K_s / K_sh < 4 only; elsewhere K_s / 2.7 stands for K_sh. The stretch
-    stiffness survives this fall-back, the shear stiffness does not. A hinge's stiffness is proportional to its edge's
-    length, so a square grid with diagonals has 3 / (2 + sqrt 2) = 0.88 of the intended bending stiffness along grid
-    lines.
+    lambda is positive and finite only for 2 < K_s / K_sh < 4; otherwise K_s / 2.7 replaces K_sh. This fallback keeps
+    the stretch stiffness but not the shear stiffness. The stiffness of a hinge is proportional to its edge length, so a
+    square grid with diagonals has 3 / (2 + sqrt 2) = 0.88 of the intended bending stiffness along grid lines.
 
     Source: paper, equations of the Newton mapping.
     """
@@ -191,22 +190,22 @@ def newton_vbd(fabric: Fabric) -> EngineConstants:
 
 
 def mujoco_flex(fabric: Fabric) -> EngineConstants:
-    """Constants of MuJoCo's two-dimensional flex.
+    """Return the constants of MuJoCo's two-dimensional flex.
 
-    One Young's modulus and one thickness give both membrane and bending. As mass and collision radius are separate,
-    the thickness is free: with the plate bending stiffness D of `plate_bending_stiffness` and nu = 0,
+    One Young's modulus and one thickness determine both membrane and bending. Mass and collision radius are separate,
+    so the thickness is free. With the plate bending stiffness D of `plate_bending_stiffness` and nu = 0,
 
     - `thickness` = sqrt(12 D (1 - nu^2) / K_s) [m], not the fabric's own,
     - `young` = K_s / thickness [Pa],
     - `poisson` = nu,
 
-    so that young * thickness = K_s and young * thickness^3 / (12 (1 - nu^2)) = D. Its shear stiffness would be K_s / 2,
-    as MuJoCo's XML has no constant for shear. But the compiled model has a stiffness matrix for each triangle, and this
-    is the orthotropic membrane to write there, in the sheet's own axes:
+    so that young * thickness = K_s and young * thickness^3 / (12 (1 - nu^2)) = D. MuJoCo's XML has no constant for
+    shear, so the shear stiffness of this flex would be K_s / 2. The compiled model, however, has a stiffness matrix for
+    each triangle. The orthotropic membrane to write there, in the axes of the cloth, is
 
-    - `membrane_warp` = `membrane_weft` = K_s, `membrane_shear` = K_sh [N/m], no coupling.
+    - `membrane_warp` = `membrane_weft` = K_s, `membrane_shear` = K_sh [N/m], without coupling.
 
-    So all three measured stiffnesses come back.
+    This reproduces all three measured stiffnesses.
     """
     stretch = fabric.stretch_stiffness_n_per_m
     plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad)
@@ -243,7 +242,7 @@ def _mapped(
     fallbacks: tuple[str, ...] = (),
     has_shear_constant: bool = True,
 ) -> EngineConstants:
-    """Constants with units, and how far the engine's own membrane is from the measured shear stiffness."""
+    """Return the constants with units and the error of the engine's shear stiffness."""
     constants = {name: value for name, (value, _) in entries.items()}
     shear, measured = _MEMBRANES[engine](constants, fabric.thickness_m)[1], fabric.shear_stiffness_n_per_m
     lost: tuple[str, ...] = ()
@@ -266,18 +265,18 @@ def _mapped(
 
 
 def plate_bending_stiffness(*, hinge_stiffness_n_m_per_rad: float, spacing_over_length: float = 1.0) -> float:
-    """Bending stiffness per width of a sheet of hinges, bent along grid lines [N m].
+    """Return the bending stiffness per width of a mesh of hinges that bends along grid lines [N m].
 
-    Hinge lines, each a row of hinges of length l, cut a sheet into strips of width h. Bent to a curvature kappa about
-    these lines, every hinge turns by kappa h, with a torque K_theta kappa h on its length l. A plate's moment per
-    length is D kappa, so D = K_theta h / l. On a square grid h = l, and D = K_theta, whatever the mesh size. Diagonals
-    do not change this: the two triangles of a cell stay in one plane when height varies along one grid axis only.
-    Across the grid they count: at 45 degrees, equal hinges on all edges give 5/2 or 1/2 of D, by the diagonal's side.
+    Hinge lines, each a row of hinges of length l, divide the mesh into strips of width h. At a curvature kappa about
+    these lines, every hinge rotates by kappa h, with a torque K_theta kappa h on its length l. The moment per length of
+    a plate is D kappa, so D = K_theta h / l. On a square grid h = l, so D = K_theta for every mesh size. Diagonals do
+    not change this, because the two triangles of a cell stay in one plane if height varies along one grid axis only.
+    Diagonals matter for other directions: at 45 degrees, equal hinges on all edges give 5/2 or 1/2 of D, depending on
+    the direction of the diagonals.
 
-    Assumption: the calibrated K_theta is the stiffness of each hinge of a square grid, so its number is also D. Nothing
-    published says which hinge it belongs to. What speaks for this: it is measured by cantilever tests, which give a
-    stiffness per width, and as such the six fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for
-    cloth.
+    Assumption: the calibrated K_theta is the stiffness of each hinge of a square grid, so it equals D. No publication
+    defines its hinge. Two facts support the assumption: cantilever tests, which measure K_theta, give a stiffness per
+    width, and with it the six fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for cloth.
 
     Args:
         hinge_stiffness_n_m_per_rad: K_theta, torque over angle of one hinge.
@@ -292,7 +291,7 @@ def plate_bending_stiffness(*, hinge_stiffness_n_m_per_rad: float, spacing_over_
 
 
 def newton_edge_ke(*, bend_stiffness_n_m_per_rad: float, mean_edge_length_m: float) -> float:
-    """Newton's `edge_ke` [N/rad]: K_theta over the mesh's mean rest edge length (paper, equation of Newton's bending).
+    """Return Newton's `edge_ke` [N/rad], K_theta over the mean rest edge length (paper, equation of Newton's bending).
 
     Raises:
         ParameterError: A value is not a positive number.
@@ -303,20 +302,20 @@ def newton_edge_ke(*, bend_stiffness_n_m_per_rad: float, mean_edge_length_m: flo
 
 
 def bending_length_m(fabric: Fabric) -> float:
-    """Length at which weight and bending balance [m], (D / (areal density * g))^(1/3); folds are about this wide.
+    """Return the length at which weight and bending balance [m], (D / (areal density * g))^(1/3).
 
-    Half the overhang at which a strip droops to 41.5 degrees (ASTM D1388). A mesh much coarser than this cannot fold
-    as the fabric does.
+    It is about the width of folds, and half the overhang at which a strip droops to 41.5 degrees (ASTM D1388). A much
+    coarser mesh cannot fold as the fabric does.
     """
     plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad)
     return math.cbrt(plate / (fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2))
 
 
-# --- what comes back -------------------------------------------------------------------------------------------------
+# --- stiffness of the mapped fabric ----------------------------------------------------------------------------------
 
 
 def uniaxial_stiffness(mapped: EngineConstants) -> float:
-    """Force per width over strain of a sheet with these constants, transverse edges free, at small strain [N/m].
+    """Return force per width over strain of the mapped fabric at small strain, transverse edges free [N/m].
 
     - isaac: E t.
     - genesis: 1 / stretch_compliance, along grid lines of converged springs; nominal.
@@ -327,7 +326,7 @@ def uniaxial_stiffness(mapped: EngineConstants) -> float:
 
 
 def shear_stiffness(mapped: EngineConstants) -> float:
-    """Force per width over engineering shear strain of a sheet with these constants, at small strain [N/m].
+    """Return force per width over engineering shear strain of the mapped fabric at small strain [N/m].
 
     - isaac: E t / (2 (1 + nu)).
     - genesis: 1 / (2 stretch_compliance), from the diagonals of a square grid of converged springs; nominal.

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, MinLen
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -24,6 +24,7 @@ __all__ = [
     "Sphere",
     "Vector",
     "pose_distance",
+    "vector",
 ]
 
 
@@ -32,6 +33,12 @@ Vector = tuple[float, float, float]
 # Bounds of numbers, which pydantic checks where it reads a file. A constructor called by code does not check them.
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
+
+
+def vector(values: ArrayLike) -> Vector:
+    """Return an array of three numbers as a tuple."""
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +50,13 @@ class Pose:
 
     @classmethod
     def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
-        """Pose from rotations about the fixed x, then y, then z axis [deg], the convention of the metadata."""
-        w, x, y, z = Rotation.from_euler("xyz", euler_deg, degrees=True).as_quat(scalar_first=True).tolist()
+        """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the trial metadata."""
+        return cls.from_rotation(position_m, Rotation.from_euler("xyz", euler_deg, degrees=True))
+
+    @classmethod
+    def from_rotation(cls, position_m: Vector, rotation: Rotation) -> Pose:
+        """Return the pose with a position [m] and a SciPy rotation, body to world."""
+        w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
         return cls(position_m=position_m, quaternion=(w, x, y, z))
 
     @cached_property
@@ -53,11 +65,11 @@ class Pose:
         return Rotation.from_quat(self.quaternion, scalar_first=True)
 
     def to_world(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Body-frame points [m], shape [..., 3], in world coordinates."""
+        """Return body-frame points [m], shape [..., 3], in world coordinates."""
         return self.rotation.apply(points_m) + np.asarray(self.position_m)
 
     def to_body(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World points [m], shape [..., 3], in body coordinates."""
+        """Return world points [m], shape [..., 3], in body coordinates."""
         return self.rotation.apply(np.asarray(points_m) - np.asarray(self.position_m), inverse=True)
 
 
@@ -125,7 +137,7 @@ class Plane:
 
     @property
     def volume_m3(self) -> float:
-        """Not a solid: zero."""
+        """Zero, since a plane is not a solid."""
         return 0.0
 
     @property
@@ -136,7 +148,7 @@ class Plane:
 
 @dataclass(frozen=True, kw_only=True)
 class ConvexUnion:
-    """Solid made of convex pieces that touch but do not overlap: exact for every polyhedron, concave ones included.
+    """Solid of convex pieces that touch but do not overlap, exact for every polyhedron.
 
     Attributes:
         kind: Name of the shape in files.
@@ -161,8 +173,11 @@ Shape = Box | Sphere | Cylinder | Plane | ConvexUnion
 
 
 def pose_distance(one: Pose, other: Pose) -> float:
-    """The larger of the distance of two poses' origins [m] and of the angle between them [rad], small ones exact."""
+    """Return the larger of the distance between the origins of two poses [m] and the angle between them [rad].
+
+    The angle is twice the chord between quaternions, which is exact for small angles.
+    """
     apart = np.linalg.norm(np.subtract(one.position_m, other.position_m))
-    # Of the two quaternions of a rotation the nearer one; an arc cosine would lose half the digits.
+    # Take the closer of the two quaternions of a rotation. An arc cosine would lose half the digits.
     chord = min(np.linalg.norm(np.subtract(one.quaternion, np.multiply(s, other.quaternion))) for s in (1.0, -1.0))
     return float(max(apart, 2.0 * chord))

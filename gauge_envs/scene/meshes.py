@@ -1,4 +1,4 @@
-"""Meshes of solids and sheets: faces of convex polyhedra, prisms, regular grids, tetrahedra; masses of solids."""
+"""Meshes of solids and cloth (polyhedra, prisms, regular grids, tetrahedra), and mass properties of solids."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ __all__ = [
 ]
 
 GRID_SPACING_M = 0.02
-"""Edge length of the grids of cloth and of soft bodies; only a mesh to start from, no constant depends on it."""
+"""Edge length of exported grids of cloth and soft bodies [m]; no physical constant depends on it."""
 
 COPLANAR = 1e-7
-"""Hull facets whose unit normals and offsets [m] differ by less belong to one face."""
+"""Largest difference of unit normals and offsets [m] between hull facets of one face."""
 
 TOUCHING_M = 1e-6
-"""Vertices of two glued bodies that lie closer than this are one point."""
+"""Largest distance between vertices of two attached bodies that count as one point [m]."""
 
 
 PRISM_SIDES = 96
-"""Sides of the prism that stands for a cylinder; it lies within 0.06 % of the radius."""
+"""Number of sides of the prism that replaces a cylinder; its radius is exact within 0.06 %."""
 
 
 def prism(cylinder: Cylinder) -> ConvexUnion:
-    """Prism that stands for a cylinder, in the same frame, where an engine collides polyhedra better than cylinders."""
+    """Return a prism that replaces a cylinder, in the same frame, for engines that collide polyhedra better."""
     angles = 2.0 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
     x, y = cylinder.radius_m * np.cos(angles), cylinder.radius_m * np.sin(angles)
     z = 0.5 * cylinder.length_m
@@ -43,9 +43,9 @@ def prism(cylinder: Cylinder) -> ConvexUnion:
 
 
 def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
-    """Faces of a convex polyhedron as polygons, counter-clockwise seen from outside.
+    """Return the faces of a convex polyhedron as polygons, counter-clockwise seen from outside.
 
-    Faces and their first vertices are ordered by index, so that the result depends on the solid alone.
+    Faces and their first vertices are ordered by index, so that the result only depends on the solid.
 
     Args:
         points_m: Vertices [m], shape [vertex_count, 3].
@@ -70,7 +70,7 @@ def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
 
 
 def grid(size_m: tuple[float, float, float]) -> tuple[NDArray[np.float64], tuple[int, int, int]]:
-    """Nodes of a regular grid about the origin [m], shape [node_count, 3], and their number along each axis."""
+    """Return the nodes of a regular grid about the origin [m], shape [node_count, 3], and the count along each axis."""
     counts = [max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m]
     axes = [
         np.linspace(-0.5 * edge, 0.5 * edge, count) if edge else np.zeros(1)
@@ -81,28 +81,28 @@ def grid(size_m: tuple[float, float, float]) -> tuple[NDArray[np.float64], tuple
 
 
 def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
-    """Six tetrahedra a grid cell, all about the same diagonal, so that neighbouring cells match."""
+    """Return six tetrahedra per grid cell about the same diagonal, so that the faces of neighbouring cells match."""
     node = np.arange(np.prod(shape)).reshape(shape)
     x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
-    # A way from the low to the high corner along three edges is a tetrahedron; every second way is left-handed.
+    # Each path from the low to the high corner along three edges is a tetrahedron; every second path is left-handed.
     rows = []
     for first, second, right_handed in ((x, y, 1), (y, z, 1), (z, x, 1), (y, x, 0), (z, y, 0), (x, z, 0)):
-        way = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
+        path = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
         if not right_handed:
-            way[1], way[2] = way[2], way[1]
-        rows.append([node[tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))] for step in way])
+            path[1], path[2] = path[2], path[1]
+        rows.append([node[tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))] for step in path])
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
 
 
 def nodes_in(nodes_m: NDArray[np.float64], region: Region) -> NDArray[np.intp]:
-    """Indices of the nodes that lie in a region of their body, the end itself at least."""
+    """Return the indices of the nodes in a region of their body; the end itself always belongs to it."""
     along = nodes_m[:, "xyz".index(region.axis)]
     depth = along - along.min() if region.side == "low" else along.max() - along
     return np.flatnonzero(depth <= region.depth_m + TOUCHING_M)
 
 
 def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre of mass and inertia of a uniform solid.
+    """Return the centre of mass and the inertia of a uniform solid.
 
     Returns:
         Centre of mass in the body frame [m], shape [3], and inertia about it in the body's axes [kg m^2], shape [3, 3].
@@ -116,7 +116,7 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], 
         across = (3.0 * shape.radius_m**2 + shape.length_m**2) / 12.0
         return np.zeros(3), mass_kg * np.diag([across, across, 0.5 * shape.radius_m**2])
     if isinstance(shape, ConvexUnion):
-        # Imported here, since it takes a fifth of a second and most scenes have primitives alone.
+        # Imported here, since the import takes 0.2 s and most scenes only have primitives.
         import trimesh
 
         pieces = [trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m]

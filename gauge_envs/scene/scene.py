@@ -1,7 +1,7 @@
-"""Engine-neutral vocabulary: what a scene is made of, in SI units and the motion-capture world frame (z up).
+"""The engine-neutral scene, in SI units and the motion-capture world frame (z up).
 
-A `Scene` is all that a backend sees. It knows shapes, masses, contact constants, joints and how driven bodies move,
-and never which experiment it came from.
+A backend only receives a `Scene`: shapes, masses, contact constants, joints and driven motion, but not the name of the
+experiment.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ class Scene:
 
     Attributes:
         bodies: Rigid bodies in a fixed order.
+        duration_s: Duration of the experiment [s], from which bounds on speed and distance follow.
         deformables: Cloth, soft bodies, ropes and rods.
         joints: Hinges and tethers to the world.
-        attachments: Glued regions of deformable bodies.
-        contacts: Pairs that collide.
-        drivers: Prescribed motions of the kinematic bodies.
+        attachments: Attachments of deformable bodies.
+        contacts: Groups of bodies that collide, and their contact constants.
+        drivers: Prescribed motions of kinematic bodies.
         markers: Markers on deformable bodies, if any.
-        duration_s: How long the experiment lasts; bounds on speed and distance derive from it.
-        gravity_m_per_s2: Downward acceleration.
+        gravity_m_per_s2: Downward acceleration [m/s^2].
     """
 
     bodies: tuple[RigidBody, ...]
@@ -70,12 +70,12 @@ class Scene:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
 
     def body(self, name: str) -> RigidBody:
-        """Rigid body of that name; KeyError where there is none."""
+        """Return the rigid body of a name; raise KeyError if the scene has none."""
         return self._by_name[name]
 
     @property
     def dynamic_bodies(self) -> tuple[RigidBody, ...]:
-        """Bodies that move under forces, in scene order."""
+        """Rigid bodies that move under forces, in scene order."""
         return tuple(body for body in self.bodies if body.motion is Motion.DYNAMIC)
 
     @cached_property
@@ -88,7 +88,7 @@ class Scene:
         )
 
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
-        """Distinct pairs of bodies of a contact that can meet: at least one moves under forces or is deformable."""
+        """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
         moving = {body.name for body in self.dynamic_bodies} | {body.name for body in self.deformables}
         seen = set()
         for first, second in product(contact.first, contact.second):
@@ -99,7 +99,7 @@ class Scene:
 
     @cached_property
     def floor_height_m(self) -> float:
-        """Lowest height that a body can fall to: the highest plane, or where free fall leads without one."""
+        """Lowest height that a body can reach [m]: the highest plane, or the end of free fall without a plane."""
         planes = [body.pose.position_m[2] for body in self.bodies if isinstance(body.shape, Plane)]
         if planes:
             return max(planes)
@@ -108,10 +108,11 @@ class Scene:
 
     @cached_property
     def speed_limit_m_per_s(self) -> float:
-        """Speed that no dynamic body can reach: three times free fall from the highest point plus twice the drivers'.
+        """Upper bound on the speed of dynamic bodies [m/s].
 
-        A perfectly elastic hit by a driven body of infinite mass leaves a light body with twice its speed. The
-        factor three leaves room for a light body struck by heavy falling ones.
+        It is three times the speed of free fall from the highest point, plus twice the speed of the drivers. A
+        perfectly elastic hit by a driven body gives a light body twice its speed. The factor three accounts for light
+        bodies that heavy falling bodies hit.
         """
         highest = max((float(b.pose.to_world(b.shape.corners_m)[:, 2].max()) for b in self.bodies), default=0.0)
         drop = max(highest - self.floor_height_m, 0.1)
@@ -120,21 +121,21 @@ class Scene:
 
     @cached_property
     def distance_limit_m(self) -> float:
-        """Distance from the world origin [m] that no body's origin can reach within the duration."""
+        """Upper bound on the distance of a body's origin from the world origin [m]."""
         reach = max((float(np.linalg.norm(b.pose.position_m)) for b in self.bodies), default=0.0)
         return reach + 1.0 + self.speed_limit_m_per_s * self.duration_s
 
     @cached_property
     def kinetic_energy_limit_j(self) -> float:
-        """Kinetic energy [J] that the dynamic bodies cannot hold together.
+        """Upper bound on the total kinetic energy of the dynamic bodies [J].
 
-        All potential energy above the floor, plus what elastic hits by the drivers can give, plus a quarter.
+        It is the potential energy above the floor plus the energy of elastic hits by the drivers, times 1.25.
         """
         driven = max((driver.speed_limit_m_per_s(self.body(driver.body)) for driver in self.drivers), default=0.0)
         total = 0.0
         for body in self.dynamic_bodies:
             lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
             total += body.mass_kg * self.gravity_m_per_s2 * max(lowest - self.floor_height_m, 0.02)
-            # Twice the driver's speed is one elastic hit.
+            # One elastic hit gives twice the driver's speed.
             total += 0.5 * body.mass_kg * (2.0 * driven) ** 2
         return 1.25 * total

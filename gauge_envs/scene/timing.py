@@ -19,8 +19,8 @@ SAMPLES_PER_FRAME = 6
 
 
 SAMPLE_INTERVAL_S = 1.0 / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
-"""Time between samples, and for which a driven body's motion is prescribed at once [s]."""
+"""Time between samples [s]."""
 
 
 DRIVE_INTERVAL_S = 1.0 / 180.0
-"""Environments prescribe motion in intervals of 1/180 s and advance by as much."""
+"""Interval in which environments prescribe motion and advance the simulation [s]."""

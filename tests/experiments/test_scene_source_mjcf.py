@@ -198,27 +198,31 @@ def test_other_rows_become_a_sampled_driver(edited: Callable[..., Path], rollout
         (
             SLIDE,
             ('<body name="cube"', '<body name="box"'),
-            "cube: no body of that name; the file has: box, board, ground",
+            "cube: no body of that name: the file has box, board, ground",
         ),
         (
             SLIDE,
             ('<joint name="cube" type="free" />', ""),
-            "cube: it is dynamic and needs a free joint of its own name",
+            "cube: it is dynamic and needs a free joint with its name",
         ),
         (TILTED, ('<joint name="board" type="free" />', ""), "board: it is kinematic and needs a free joint"),
         (
             TILTED,
             ('diaginertia="1000 1000 1000"', 'diaginertia="1 1 1"'),
-            "board: a driven body needs moments of inertia",
+            "board: its mass and its moments of inertia must be the same",
         ),
-        (TILTED, ('"driver/board"', '"driver/plate"'), "driver/board: the custom numbers .* are missing"),
+        (TILTED, ('"driver/board"', '"driver/plate"'), "driver/board: the custom numeric .* is missing"),
         (SLIDE, ('timestep="0.00011111111111111112"', 'timestep="0.001"'), "1/180 s is 5.55556 steps of 0.001 s"),
         (
             "TextileStretching-rayon",
             ('"flex_stiffness/textile/kind"', '"kind"'),
-            "flex_stiffness/textile/kind' is missing",
+            "flex_stiffness/textile/kind', the index of each row, is missing",
         ),
-        ("TextileStretching-rayon", ('"flex_bending/textile/', '"flex_bending/cloth/'), "flex_bending/cloth: no flex"),
+        (
+            "TextileStretching-rayon",
+            ('"flex_bending/textile/', '"flex_bending/cloth/'),
+            "flex_bending/cloth: the file has no flex of this name",
+        ),
     ],
 )
 def test_what_a_file_lacks_is_reported(
@@ -233,7 +237,7 @@ def test_velocities_without_poses_are_refused(edited: Callable[..., Path]) -> No
     def faster(rows: np.ndarray) -> None:
         rows[:, 7:13] *= 2.0
 
-    with pytest.raises(AssetError, match="velocities or forces differ and poses do not"):
+    with pytest.raises(AssetError, match="velocities or forces changed but poses did not"):
         load_experiment_from_asset(TILTED, edited(TILTED, rows_text(faster)))
 
 
@@ -256,14 +260,14 @@ def test_nodes_of_cloth_stay_where_they_are(edited: Callable[..., Path]) -> None
 
 
 def test_a_file_of_another_experiment_is_refused() -> None:
-    with pytest.raises(AssetError, match="cube: no body of that name; the file has: ball, ground"):
+    with pytest.raises(AssetError, match="cube: no body of that name: the file has ball, ground"):
         load_experiment_from_asset(SLIDE, shipped("Pendulum-metal"))
 
 
 def test_settings_and_jitter_need_a_scene() -> None:
-    with pytest.raises(ParameterError, match="an MJCF file states its settings itself"):
+    with pytest.raises(ParameterError, match="an MJCF file contains its own settings"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800})
-    with pytest.raises(AssetError, match="another start, as of a jitter, needs USD"):
+    with pytest.raises(AssetError, match="use a USD layer for another start, such as a jitter"):
         run_repeats(RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)))
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from interruption import interrupt_in_episode
 
-import gauge_envs.runs.batch
 from gauge_envs.backends.mujoco import backend as mujoco_backend
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.report.figures.experiment import draw_experiment, save_figures

@@ -1,4 +1,4 @@
-"""MuJoCo behind the backend contract."""
+"""The MuJoCo backend."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ __all__ = [
 
 
 class BackendMuJoCo(Backend):
-    """MuJoCo 4 on the CPU: rigid bodies, hinges, strings and driven bodies."""
+    """MuJoCo 4 on the CPU: rigid bodies, hinges, tethers, driven bodies, cloth, soft bodies, ropes and rods."""
 
     name = "mujoco"
     file_suffixes = (".xml",)
 
     def versions(self) -> dict[str, str]:
-        """Version of the engine."""
+        """Return the version of the engine."""
         return {"mujoco": mujoco.__version__}
 
     def supports(self, scene: Scene) -> Support:
-        """Rigid bodies, cloth, soft bodies, ropes and rods; cloth and soft bodies may not hang on dynamic bodies."""
+        """Return the unsupported features, such as cloth or a soft body that is attached to a dynamic body."""
         return Support(tuple(unsupported_features(scene)))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
@@ -46,13 +46,10 @@ class BackendMuJoCo(Backend):
         return read_model(path, scene, self.build(scene))
 
     def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
-        """Build an MJCF file, which states all numerical settings itself: none can be given."""
+        """Build an MJCF file. It contains all numerical settings, so `settings` must be empty."""
         if settings:
             raise ParameterError(
-                f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file states its settings itself; "
-                "change them there"
+                f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own settings; "
+                "change them in the file"
             )
         return SimulationMuJoCo(scene, *load_model(path, scene))
-
-
-# Readers keep views of MuJoCo's arrays, made once, as driving does: fetching an array costs more than reading from it.

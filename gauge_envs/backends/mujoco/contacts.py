@@ -1,4 +1,4 @@
-"""Constants of contacts: the backend's recipe for each kind, and what a user's settings put in its place."""
+"""Constants of contacts: a recipe for each contact mode, and the user's settings that override it."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ __all__ = [
 ]
 
 IMPEDANCE_SHAPE = (0.5, 2.0)
-"""Midpoint and power of the impedance curve, MuJoCo's own; without effect where the impedance is constant."""
+"""Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactConstants:
-    """MuJoCo's constants of a contact, by MuJoCo's names.
+    """MuJoCo's constants of a contact, under MuJoCo's names.
 
     Attributes:
         condim: Dimension of the contact space: 1, 3, 4 or 6.
         friction: Coefficients: tangential (2), torsional [m], rolling (2) [m].
-        solref: Time constant [s] and damping ratio; or, both negative, stiffness and damping.
-        solreffriction: The same along the surface; zeros take `solref`.
+        solref: Time constant [s] and damping ratio; or, if negative, stiffness and damping.
+        solreffriction: The same in the tangential directions; zeros stand for `solref`.
         solimp: Impedance: d0, dwidth, width [m], midpoint, power.
-        margin: Distance at which the contact holds the bodies [m].
-        gap: Further distance at which it is found, without force [m].
+        margin: Distance at which the contact force starts [m].
+        gap: Additional distance at which the contact is detected without force [m].
     """
 
     condim: int
@@ -49,33 +49,33 @@ class ContactConstants:
             setattr(pair, key, value)
 
     def put_on_geom(self, geom: mujoco.MjsGeom) -> None:
-        """Write all but `solreffriction`, which geoms lack, to a geom that meets others with the same constants."""
+        """Write all constants but `solreffriction`, which geoms lack, to one geom of a pair with equal constants."""
         values = asdict(self)
         del values["solreffriction"]
         _, sliding, torsional, rolling, _ = self.friction
-        # MuJoCo adds the margins and the gaps of the two geoms; all else of equals is the same.
+        # MuJoCo adds the margins and the gaps of the two geoms, so each geom gets half.
         values |= {"friction": [sliding, torsional, rolling], "margin": 0.5 * self.margin, "gap": 0.5 * self.gap}
         for key, value in values.items():
             setattr(geom, key, value)
 
 
 def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactConstants:
-    """Constants of a contact between rigid bodies."""
+    """Return the constants of a contact between rigid bodies."""
     recipe: dict[str, Any] = {"solreffriction": (0.0, 0.0), "margin": 0.0, "gap": 0.0}
     recipe |= _sustained(settings) if contact.mode is ContactMode.SUSTAINED else _impact(contact, settings)
     if settings.contact_solref is not None:
-        # The friction of the recipe belongs to its own normal direction.
+        # The tangential constants of the recipe only fit its own normal direction.
         recipe["solreffriction"] = (0.0, 0.0)
     if settings.contact_solreffriction is not None:
         recipe["solreffriction"] = settings.contact_solreffriction
     friction = _friction(contact, settings)
-    # A contact without friction has no tangential rows at all, which is exact and cheap.
+    # A contact without friction has no tangential constraints, which is exact and cheap.
     condim = (settings.condim or 3) if friction[0] > 0.0 else 1
     return ContactConstants(condim=condim, friction=friction, **recipe | given_constants(settings))
 
 
 def given_constants(settings: SettingsMuJoCo) -> dict[str, Any]:
-    """Those of `solref`, `solimp`, `margin`, `gap` that settings put in the place of every recipe."""
+    """Return those of `solref`, `solimp`, `margin` and `gap` with which the settings override every recipe."""
     given = {
         "solref": settings.contact_solref,
         "solimp": settings.contact_solimp,
@@ -97,10 +97,10 @@ def _sustained(settings: SettingsMuJoCo) -> dict[str, Any]:
 
 
 def _impact(contact: Contact, settings: SettingsMuJoCo) -> dict[str, Any]:
-    """Constants that make an impact return the restitution of the contact.
+    """Return constants with which an impact has the restitution of the contact.
 
-    They use MuJoCo's direct solref with damping (1 + e)/h: one step then reverses the normal velocity to -e times
-    itself. The same damping would reverse the tangential velocity too, so friction gets 1/h, which stops it.
+    They use MuJoCo's direct solref with damping (1 + e)/h: one step then changes the normal velocity v to -e v. The
+    same damping would also reverse the tangential velocity, so friction gets 1/h, which stops it.
     """
     step = settings.timestep_s
     constants: dict[str, Any] = {

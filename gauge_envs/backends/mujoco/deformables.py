@@ -1,4 +1,4 @@
-"""Deformable bodies of a scene -> parts of a MuJoCo model: what is glued to what, and what touches what."""
+"""Parts of a MuJoCo model for the deformable bodies of a scene, with their attachments and contacts."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
-from gauge_envs.backends.shared.attachments import bonded_rows, rigid_attachments
-from gauge_envs.scene import Cloth, Contact, Motion, Rope, Scene, SoftBody
+from gauge_envs.backends.shared.attachments import attachment_problems, attachments_by_body, bonded_soft_bodies
+from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import plate_bending_stiffness
 
 __all__ = [
@@ -28,12 +28,12 @@ __all__ = [
 
 
 def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:
-    """Add all deformable bodies to an editable model that has the rigid ones.
+    """Add all deformable bodies to an editable model that contains the rigid bodies.
 
     Returns:
-        The part of each deformable body, by its name; soft bodies that are bonded share one.
+        The part of each deformable body, by name; bonded soft bodies share a part.
     """
-    glued = {body.name: rigid_attachments(scene, body.name) for body in scene.deformables}
+    attachments = attachments_by_body(scene, scene.deformables)
     parts: dict[str, FlexPart] = {}
     for body in scene.deformables:
         if isinstance(body, Cloth):
@@ -41,31 +41,24 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
             parts[body.name] = add_cloth(
                 spec,
                 body,
-                glued=glued[body.name],
+                attachments=attachments[body.name],
                 cell_m=settings.cloth_cell_m,
                 bending_stiffness_n_m=bending,
                 contact_radius_m=settings.cloth_fold_radius_m if _touches_itself(scene, body.name) else None,
             )
         elif isinstance(body, Rope):
-            parts[body.name] = add_rope(spec, body, glued=glued[body.name])
+            parts[body.name] = add_rope(spec, body, attachments=attachments[body.name])
         elif not isinstance(body, SoftBody):
-            parts[body.name] = add_rod(spec, body, glued=glued[body.name])
-    for row in bonded_rows(scene):
-        part = add_soft(spec, row, glued={body.name: glued[body.name] for body in row})
-        parts |= {body.name: part for body in row}
+            parts[body.name] = add_rod(spec, body, attachments=attachments[body.name])
+    for bodies in bonded_soft_bodies(scene):
+        part = add_soft(spec, bodies, attachments=attachments)
+        parts |= {body.name: part for body in bodies}
     return parts
 
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
-    """What of a scene's deformable bodies cannot be built, a sentence each."""
-    rigid = {body.name: body for body in scene.bodies}
-    soft = {body.name: body for body in scene.deformables}
-    for attachment in scene.attachments:
-        glued, to = soft.get(attachment.deformable), rigid.get(attachment.to)
-        if glued is None or (to is None and attachment.to not in soft):
-            yield f"{attachment.deformable!r} is glued to {attachment.to!r}, and one of them is not in the scene"
-        elif to is not None and to.motion is Motion.DYNAMIC and isinstance(glued, Cloth | SoftBody):
-            yield f"{glued.name!r} is glued to {to.name!r}, which moves under forces"
+    """Yield one sentence for each feature of the scene's deformable bodies that this backend does not support."""
+    yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
     yield from _frictions_in_conflict(scene)
 
 
@@ -74,7 +67,7 @@ def _touches_itself(scene: Scene, name: str) -> bool:
 
 
 def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:
-    """Nodes of one deformable body now [m], shape [node_count, 3]."""
+    """Return the current nodes of one deformable body [m], shape [node_count, 3]."""
     nodes = part.nodes()
     return nodes[part.block_nodes(name)] if isinstance(part, SoftPartMuJoCo) else nodes
 
@@ -88,12 +81,12 @@ def add_flex_contact(
     *,
     bit: int,
 ) -> None:
-    """Let deformable bodies of a contact collide, through MuJoCo's broad phase.
+    """Let the deformable bodies of a contact collide through MuJoCo's broad phase.
 
-    A flex or a rod's spheres carry the contact's bit and constants, with priority over the rigid geoms, which only
-    accept the bit; so rigid bodies that touch the same cloth do not meet each other by it. A flex has one friction:
-    where a contact has another one, its rigid geoms carry the constants, with priority over the flex. Each kind has
-    solref and solimp of its own, unless the settings give those of all contacts.
+    A flex, or the spheres of a rod, offer the contact's bit and carry its constants with priority over the rigid geoms.
+    Rigid geoms only accept the bit, so rigid bodies that touch the same cloth do not collide with each other. A flex
+    has one friction. If a contact has another friction, its rigid geoms carry the constants with priority over the
+    flex. Each kind of body has its own solref and solimp, unless the settings define those of all contacts.
     """
     constants = contact_constants(contact, settings)
     _, sliding, torsional, rolling, _ = constants.friction
@@ -116,7 +109,7 @@ def add_flex_contact(
             carrier.solref, carrier.solimp = list(colliders[0].solref), list(colliders[0].solimp)
         if name in contact.first and name in contact.second:
             part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
-            # Without a bit that the flex both offers and accepts, MuJoCo silently skips its self-contact.
+            # MuJoCo silently skips self-contact unless the flex both offers and accepts the same bit.
             part.flex.conaffinity |= bit
     for geom in rigid:
         geom.conaffinity |= bit
@@ -125,9 +118,9 @@ def add_flex_contact(
 def _cloth_solimp(part: ClothPartMuJoCo, settings: SettingsMuJoCo) -> list[float]:
     if settings.cloth_solimp is not None:
         return [*settings.cloth_solimp, *IMPEDANCE_SHAPE]
-    assert settings.cloth_softness_m2_per_kg is not None, "the settings check it"
+    assert settings.cloth_softness_m2_per_kg is not None, "the settings validator checks this"
     impedance = 1.0 / (1.0 + settings.cloth_softness_m2_per_kg * part.cloth.areal_density_kg_per_m2)
-    # The width is without effect where the impedance is constant in depth.
+    # The width has no effect, because the impedance is constant in depth.
     return [impedance, impedance, 0.001, *IMPEDANCE_SHAPE]
 
 
@@ -136,29 +129,29 @@ def _deformable_names(scene: Scene, contact: Contact) -> set[str]:
 
 
 def _rigid_names(scene: Scene, contact: Contact) -> set[str]:
-    """Rigid bodies that meet deformable ones by a contact."""
-    # What a body is glued to is part of it, and would be in contact all along the seam.
+    """Return the rigid bodies that collide with the deformable bodies of a contact."""
+    # A body does not collide with what it is attached to: they would touch all along the seam.
     seams = {a.to for a in scene.attachments if a.deformable in (*contact.first, *contact.second)}
     return {*contact.first, *contact.second} - _deformable_names(scene, contact) - seams
 
 
 def _own_friction(scene: Scene, name: str) -> float:
-    """Friction that the flex of a deformable body carries: that of its self-contact, or of its first contact."""
-    rows = [{body.name for body in row} for row in bonded_rows(scene)]
-    members = next((row for row in rows if name in row), {name})
+    """Return the friction of a deformable body's flex: that of its self-contact, or of its first contact."""
+    groups = [{body.name for body in bodies} for bodies in bonded_soft_bodies(scene)]
+    members = next((group for group in groups if name in group), {name})
     touching = [c for c in scene.contacts if members & {*c.first, *c.second}]
     return next((c for c in touching if members & {*c.first} & {*c.second}), touching[0]).friction
 
 
 def _frictions_in_conflict(scene: Scene) -> Iterator[str]:
-    """Contacts of deformable bodies whose friction neither a flex nor a rigid geom can carry."""
+    """Yield one sentence for each contact whose friction neither a flex nor a rigid geom can carry."""
     for contact in scene.contacts:
         soft = _deformable_names(scene, contact)
         if all(contact.friction == _own_friction(scene, name) for name in soft):
             continue
         if len(soft) > 1:
-            yield f"{sorted(soft)} touch with another friction than they touch other bodies"
+            yield f"{sorted(soft)} touch each other and other bodies with different friction: make it equal"
         for name in sorted(_rigid_names(scene, contact)):
             touching = [c for c in scene.contacts if name in _rigid_names(scene, c) and _deformable_names(scene, c)]
             if len({c.friction for c in touching}) > 1:
-                yield f"{name!r} touches deformable bodies with several frictions, and so do they"
+                yield f"{name!r} touches deformable bodies with several frictions, and so do these bodies: use one"

@@ -1,4 +1,4 @@
-"""What all deformable bodies in MuJoCo share: a part of the model, made before it compiles and completed after."""
+"""Common parts of all deformable bodies in MuJoCo, added before the model compiles and completed afterwards."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ __all__ = [
     "FlexPart",
     "Points",
     "attached_points",
+    "flex_table",
 ]
 
 
 class Points:
-    """The points that carry a flex: bodies of their own with slide joints x, y, z, or places on rigid bodies.
+    """The points that carry a flex: point bodies with slide joints x, y, z, or points of rigid bodies.
 
-    A glued point needs no constraint and no driving: it is where the rigid body is, which feels its forces.
+    An attached point needs no constraint: it is fixed in the frame of its rigid body, which receives its forces.
 
     Args:
-        names: Names of the bodies of the free points; names of glued ones are not used.
+        names: Name of each point's body; those of attached points are unused.
         rest_m: World positions at the start [m], shape [point_count, 3].
-        held: What holds each glued point, by its index.
+        held: Attachment of each attached point, by point index.
     """
 
     def __init__(self, names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]) -> None:
@@ -37,25 +38,27 @@ class Points:
         self.free = np.array([index for index in range(len(rest_m)) if index not in self._held], dtype=np.intp)
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up the joints."""
+        """Look up the joints of the points in a compiled model."""
         joints = np.array([model.body(self._names[index]).jntadr[0] for index in self.free])
         self._addresses = model.jnt_qposadr[joints[:, None] + np.arange(3)].astype(np.intp)
         self._carriers = []
-        for glue in {glue.body: glue for glue in self._held.values() if glue.motion is not Motion.FIXED}.values():
-            rows = np.array([index for index, other in self._held.items() if other.body == glue.body])
-            address = int(model.joint(model.body(glue.body).jntadr[0]).qposadr[0])
-            self._carriers.append((rows, slice(address, address + 7), glue.pose.to_body(self._rest_m[rows])))
+        for attachment in {
+            attachment.body: attachment for attachment in self._held.values() if attachment.motion is not Motion.FIXED
+        }.values():
+            rows = np.array([index for index, other in self._held.items() if other.body == attachment.body])
+            address = int(model.joint(model.body(attachment.body).jntadr[0]).qposadr[0])
+            self._carriers.append((rows, slice(address, address + 7), attachment.pose.to_body(self._rest_m[rows])))
         self._qpos = data.qpos
 
     def positions(self) -> NDArray[np.float64]:
-        """World positions now [m], shape [point_count, 3], straight from joint coordinates."""
+        """Return the current world positions [m], shape [point_count, 3], from joint coordinates alone."""
         positions = self._rest_m.copy()
         positions[self.free] += self._qpos[self._addresses]
-        turn = np.empty(9)
+        rotation = np.empty(9)
         for rows, address, arms in self._carriers:
             pose = self._qpos[address]
-            mujoco.mju_quat2Mat(turn, pose[3:])
-            positions[rows] = arms @ turn.reshape(3, 3).T + pose[:3]
+            mujoco.mju_quat2Mat(rotation, pose[3:])
+            positions[rows] = arms @ rotation.reshape(3, 3).T + pose[:3]
         return positions
 
 
@@ -64,7 +67,7 @@ class FlexPart(ABC):
 
     Attributes:
         name: Name of the deformable body, and of its flex.
-        flex: The flex in the editable model; who builds contacts sets contact bits and friction on it.
+        flex: The flex in the editable model; `add_flex_contact` sets its contact bits and friction.
         rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
         points: The points that carry the flex.
     """
@@ -76,23 +79,36 @@ class FlexPart(ABC):
 
     @abstractmethod
     def complete(self, model: mujoco.MjModel) -> None:
-        """Write into the compiled model what the editable one cannot express."""
+        """Write the tables of the compiled model that the editable model cannot express."""
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Look up the joints, for reading."""
+        """Look up the joints that `nodes` reads."""
         self.points.bind(model, data)
 
     @abstractmethod
     def nodes(self) -> NDArray[np.float64]:
-        """World positions of the nodes now [m], shape [node_count, 3]."""
+        """Return the current world positions of the nodes [m], shape [node_count, 3]."""
+
+
+def flex_table(model: mujoco.MjModel, table: str, index: int) -> NDArray[np.float64]:
+    """Return a writable view of the part of a compiled table that belongs to one flex; empty if it has none.
+
+    Args:
+        model: The compiled model.
+        table: `flex_stiffness` or `flex_bending`.
+        index: Index of the flex.
+    """
+    addresses, values = getattr(model, f"{table}adr").tolist(), getattr(model, table)
+    start = addresses[index]
+    return values[start : min((a for a in addresses if a > start), default=len(values))] if start >= 0 else values[:0]
 
 
 def attached_points(
     names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]
 ) -> tuple[list[str], NDArray[np.float64]]:
-    """For each point the body that it belongs to and its place in that body's frame [m], shape [point_count, 3]."""
+    """Return each point's body and its position in that body's frame [m], shape [point_count, 3]."""
     owners, places = list(names), np.zeros_like(rest_m)
-    for index, glue in held.items():
-        owners[index] = glue.body
-        places[index] = glue.pose.to_body(rest_m[index])
+    for index, attachment in held.items():
+        owners[index] = attachment.body
+        places[index] = attachment.pose.to_body(rest_m[index])
     return owners, places

@@ -1,13 +1,13 @@
-"""MJCF files in the place of a scene: what they must have, what they change, and how they run.
+"""Reader of MJCF files that replace a scene.
 
-The file counts: its step and solver, masses, friction, poses, compiled tables and driven motion. It must have the rigid
-bodies of the scene under their names, a free joint of that name where a body is driven, and the nodes of deformable
-bodies where the backend puts them. `mjcf_writer` writes such files, and what a model file cannot say stands in
-them as custom numbers, which are read here:
+The file determines the time step, solver, masses, friction, poses, compiled tables and driven motion. It must contain
+the rigid bodies of the scene under their names, and a free joint of the same name for each driven body. The nodes of
+deformable bodies must be where the backend places them. `mjcf_writer` writes such files. Custom numbers hold the data
+for which MJCF has no element:
 
-- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. Rows as the scene's
-  driver gives them leave the driver as it is; others make it a sampled one, through their poses.
-- `flex_stiffness/<body>/kinds` and `/kind`: distinct rows of the table, and which of them each row is.
+- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. If the rows equal
+  those of the scene's driver, the driver stays; otherwise a sampled driver goes through their poses.
+- `flex_stiffness/<body>/kinds` and `/kind`: distinct rows of the table, and the index of the distinct row for each row.
 - `flex_bending/<body>/weight`: a factor on each row of the table.
 """
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
-from gauge_envs.backends.mujoco.flex import FlexPart
+from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
 from gauge_envs.backends.mujoco.model import CONES, INTEGRATORS, SOLVERS, build_model
 from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -32,6 +32,7 @@ from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -46,27 +47,27 @@ __all__ = [
 ]
 
 DRIVER_PREFIX = "driver/"
-"""Custom numbers that hold the motion of a driven body: this and its name."""
+"""Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
 
 DRIVER_COLUMNS = 19
-"""Numbers in a row of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
+"""Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
 
 
 SAME_MOTION = 1e-6
-"""The same for rows of driven motion, whose accelerations are second differences of poses."""
+"""Relative difference below which rows of driven motion are equal; accelerations are second differences of poses."""
 
 
 # --- loading ---------------------------------------------------------------------------------------------------------
 
 
 def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
-    """Compile an MJCF file for a scene that `read_model` returned for it.
+    """Compile an MJCF file for the scene that `read_model` returned for it.
 
     Returns:
-        Its numerical settings, the editable and the compiled model, and the parts of its deformable bodies.
+        The numerical settings, the editable model, the compiled model, and the parts of the deformable bodies by name.
 
     Raises:
-        AssetError: The file cannot be used, or bodies of the scene start elsewhere than in the file.
+        AssetError: The file cannot be used, or a body starts at another pose in the scene than in the file.
     """
     spec, model = _compiled(path)
     _, _, parts = build_model(scene, settings_for(scene, None))
@@ -74,7 +75,9 @@ def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec,
     for body, pose in zip(scene.bodies, _poses(model, scene), strict=True):
         if pose != body.pose:
             raise AssetError(
-                path, body.name, "it starts where the file puts it; another start, as of a jitter, needs USD"
+                path,
+                body.name,
+                "an MJCF file fixes its start pose: use a USD layer for another start, such as a jitter",
             )
     return _settings(path, model), spec, model, parts
 
@@ -92,12 +95,14 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
 
 
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
-    """Numerical settings of a file, by the names that `SettingsMuJoCo` has for them."""
+    """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
     option = model.opt
     steps = DRIVE_INTERVAL_S / option.timestep
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
         raise AssetError(
-            path, "option timestep", f"1/180 s is {steps:.6g} steps of {option.timestep:g} s, not a whole number"
+            path,
+            "option timestep",
+            f"1/180 s is {steps:.6g} steps of {option.timestep:g} s, not a whole number: choose a step that divides it",
         )
 
     def named(known: Mapping[str, Any], value: int) -> str:
@@ -126,7 +131,7 @@ def _numerics(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[np.float64]]
 
 
 def _complete(path: Path, model: mujoco.MjModel) -> None:
-    """Write into the compiled tables what the file's custom numbers say of them."""
+    """Apply the file's custom numbers to the compiled flex tables."""
     numbers = dict(_numerics(model))
     for name, values in numbers.items():
         table, _, rest = name.partition("/")
@@ -141,7 +146,7 @@ def _complete(path: Path, model: mujoco.MjModel) -> None:
         kind = numbers.get(f"{table}/{body}/kind")
         if kind is None:
             raise AssetError(
-                path, name, f"custom numeric '{table}/{body}/kind' is missing, which says where the rows go"
+                path, name, f"custom numeric '{table}/{body}/kind', the index of each row, is missing: add it"
             )
         width = rows.size // _divided(path, f"{table}/{body}/kind", rows.size, len(kind))
         kinds = values.reshape(_divided(path, name, len(values), len(values) // max(width, 1)), -1)
@@ -151,35 +156,33 @@ def _complete(path: Path, model: mujoco.MjModel) -> None:
 
 
 def _divided(path: Path, name: str, size: int, count: int) -> int:
-    """The count, where it divides the size of a table."""
+    """Return the row count if it divides the size of a table."""
     if count < 1 or size % count:
-        raise AssetError(path, name, f"{count} rows do not fit a table of {size} numbers")
+        raise AssetError(path, name, f"{count} rows do not fit a table of {size} numbers: write all rows")
     return count
 
 
 def _table(path: Path, model: mujoco.MjModel, table: str, body: str) -> NDArray[np.float64]:
-    """What of a compiled table belongs to the flex of a deformable body, to be written to."""
+    """Return a writable view of the part of a compiled table that belongs to the flex of a deformable body."""
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body)
     if index < 0:
-        raise AssetError(path, f"{table}/{body}", "no flex of that name")
-    addresses = getattr(model, f"{table}adr").tolist()
-    start, values = addresses[index], getattr(model, table)
-    return values[start : min((other for other in addresses if other > start), default=len(values))]
+        raise AssetError(path, f"{table}/{body}", "the file has no flex of this name: correct the name of the numeric")
+    return flex_table(model, table, index)
 
 
-# --- the scene that a file shows -------------------------------------------------------------------------------------
+# --- scene of a file -------------------------------------------------------------------------------------------------
 
 
 def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelFile:
-    """The scene with starts, masses, hinges, gravity and driven motion of a file, and how the file differs.
+    """Read the start poses, masses, hinges, gravity and driven motion of a file, and its differences.
 
     Args:
         path: The file.
-        scene: What it must show.
-        simulation: What the backend builds of the scene.
+        scene: The scene whose bodies the file must contain.
+        simulation: The simulation that the backend builds from the scene.
 
     Raises:
-        AssetError: The file does not load, or lacks something of the scene.
+        AssetError: The file does not load, or lacks a part of the scene.
     """
     _, model = _compiled(path)
     _settings(path, model)
@@ -197,10 +200,9 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
         gravity_m_per_s2=same_or(float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2),
     )
     changes = list(model_changes(model, built))
-    numbers = dict(_numerics(model))
     drivers = []
     for driver in placed.drivers:
-        read = _driver(path, model, placed, driver, numbers.get(f"{DRIVER_PREFIX}{driver.body}"), simulation)
+        read = _driver(path, model, placed, driver, simulation)
         drivers.append(read)
         if read != driver:
             changes.append(f"driver of {driver.body}: its motion is sampled from other rows")
@@ -213,14 +215,14 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
     for body in scene.bodies:
         if body.name not in known:
             shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
-            raise AssetError(path, body.name, f"no body of that name; the file has: {shown or 'none'}")
+            raise AssetError(path, body.name, f"no body of that name: the file has {shown or 'none'}")
         if body.motion is Motion.FIXED:
             continue
         kind = mujoco.mjtJoint.mjJNT_HINGE if body.name in hinged else mujoco.mjtJoint.mjJNT_FREE
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, body.name)
         if joint < 0 or model.jnt_type[joint] != kind or model.jnt_bodyid[joint] != model.body(body.name).id:
             wanted = "hinge" if body.name in hinged else "free"
-            raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint of its own name")
+            raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint with its name")
         if body.motion is Motion.KINEMATIC:
             _check_driven(path, model, body)
 
@@ -228,11 +230,11 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
 def _check_driven(path: Path, model: mujoco.MjModel, body: RigidBody) -> None:
     index = model.body(body.name).id
     if not np.all(model.body_inertia[index] == model.body_mass[index]):
-        raise AssetError(path, body.name, "a driven body needs moments of inertia of the same number as its mass")
+        raise AssetError(path, body.name, "its mass and its moments of inertia must be the same number: it is driven")
 
 
 def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene) -> None:
-    """Bodies that carry deformable ones are where the backend puts them: that is what reads them."""
+    """Check that the nodes of deformable bodies exist at the positions that the backend gives them."""
     rigid = {body.name for body in scene.bodies}
     for index in range(1, built.nbody):
         name = built.body(index).name
@@ -240,35 +242,35 @@ def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene
             continue
         found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if found < 0:
-            raise AssetError(path, name, "the file lacks this node of a deformable body")
+            raise AssetError(path, name, "the file lacks this node of a deformable body: restore it")
         if not is_same(model.body_pos[found], built.body_pos[index]):
-            raise AssetError(path, name, "nodes of a deformable body cannot be moved in MJCF; move the body in USD")
+            raise AssetError(path, name, "nodes of a deformable body cannot be moved in MJCF: move the body in USD")
     for index in range(built.nflex):
         name = mujoco.mj_id2name(built, mujoco.mjtObj.mjOBJ_FLEX, index)
         if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name) < 0:
-            raise AssetError(path, name, "no flex of that name, which is a deformable body of the scene")
+            raise AssetError(path, name, "the file lacks the flex of this deformable body: restore it")
 
 
 def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
-    """Starts of the rigid bodies in a file; the scene's own where they are the same."""
+    """Yield the start pose of each rigid body in a file, or the scene's pose if both are equal up to rounding."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for body in scene.bodies:
         place = data.body(body.name)
-        same_turn = abs(float(place.xquat @ body.pose.quaternion)) > 1.0 - 1e-12
-        if same_turn and is_same(place.xpos, body.pose.position_m):
+        same_rotation = abs(float(place.xquat @ body.pose.quaternion)) > 1.0 - 1e-12
+        if same_rotation and is_same(place.xpos, body.pose.position_m):
             yield body.pose
         else:
             yield _pose(place.xpos, place.xquat)
 
 
 def _pose(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
-    (x, y, z), (qw, qx, qy, qz) = position_m.tolist(), quaternion.tolist()
-    return Pose(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
+    w, x, y, z = quaternion.tolist()
+    return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
 
 
 def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> float:
-    """Mass of a body in a file; what is driven has a mass of the engine's own there."""
+    """Return the mass of a body in a file. Driven bodies keep the scene's mass, since theirs is a numerical setting."""
     mass, expected = (float(one.body(body.name).mass[0]) for one in (model, built))
     return body.mass_kg if body.motion is not Motion.DYNAMIC or is_same(mass, expected) else mass
 
@@ -282,11 +284,16 @@ def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: Hinge) -> Hinge:
     (anchor, axis), expected = found
     if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
         return hinge
-    return replace(hinge, anchor_m=tuple(anchor.tolist()), axis=tuple(axis.tolist()))
+    return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))
 
 
 def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> NDArray[np.float64]:
-    """What the backend writes to drive a body, interval by interval.
+    """Return the numbers that the backend writes to drive a body, interval by interval.
+
+    Args:
+        simulation: A simulation of the scene; its driven body moves.
+        path: Motion of the driven body.
+        count: Number of intervals.
 
     Returns:
         qpos (7), qvel (6) and xfrc_applied (6) before each interval, shape [count, 19].
@@ -309,17 +316,17 @@ def _driver(
     model: mujoco.MjModel,
     scene: Scene,
     driver: Driver,
-    numbers: NDArray[np.float64] | None,
     simulation: SimulationMuJoCo,
 ) -> Driver:
-    """The scene's driver where the file's rows are its own; else one through the poses of the rows."""
+    """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
     from gauge_envs.scene.driver_path import DriverPath
 
     name = f"{DRIVER_PREFIX}{driver.body}"
+    numbers = dict(_numerics(model)).get(name)
     if numbers is None:
-        raise AssetError(path, name, "the custom numbers that move this driven body are missing")
+        raise AssetError(path, name, "the custom numeric with the motion of this driven body is missing: add it")
     if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:
-        raise AssetError(path, name, f"{numbers.size} numbers are no rows of {DRIVER_COLUMNS}")
+        raise AssetError(path, name, f"it has {numbers.size} numbers: whole rows of {DRIVER_COLUMNS} are expected")
     rows = numbers.reshape(-1, DRIVER_COLUMNS)
     count = round(scene.duration_s / DRIVE_INTERVAL_S)
     rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
@@ -329,12 +336,12 @@ def _driver(
     if _same_rows(rows, expected):
         return driver
     if _same_rows(rows[:, :7], expected[:, :7]):
-        raise AssetError(path, name, "velocities or forces differ and poses do not: the motion is that of the poses")
+        raise AssetError(path, name, "velocities or forces changed but poses did not: change the poses")
     poses = [*(_pose(row[:3], row[3:7]) for row in rows), _end_of(rows[-1], model.body(driver.body).mass[0])]
     start = scene.body(driver.body).pose
     if not _same_rows(rows[:1, :7], np.array([[*start.position_m, *start.quaternion]])):
         raise AssetError(
-            path, name, f"its rows start at {format_value(rows[0, :7])}, the body elsewhere: change both alike"
+            path, name, f"its rows start at {format_value(rows[0, :7])}, but the body elsewhere: make both poses equal"
         )
     try:
         motions = sampled_motions(start, (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist(), poses, like=driver.motions)
@@ -344,13 +351,12 @@ def _driver(
 
 
 def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
-    """Where a row of driven motion leads to by the end of its interval."""
+    """Return the pose at the end of the interval of a row of driven motion."""
     seconds = DRIVE_INTERVAL_S
-    turn = Rotation.from_quat(row[3:7], scalar_first=True)
-    rates = np.concatenate([row[7:10], turn.apply(row[10:13])])
-    way = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
-    turned = (Rotation.from_rotvec(way[3:]) * turn).as_quat(scalar_first=True)
-    return _pose(row[:3] + way[:3], turned)
+    rotation = Rotation.from_quat(row[3:7], scalar_first=True)
+    rates = np.concatenate([row[7:10], rotation.apply(row[10:13])])
+    displacement = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
+    return Pose.from_rotation(vector(row[:3] + displacement[:3]), Rotation.from_rotvec(displacement[3:]) * rotation)
 
 
 def _same_rows(rows: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:

@@ -1,7 +1,7 @@
-"""MJCF: the model that the MuJoCo backend steps, as a self-contained file that plain MuJoCo loads and replays.
+"""Writer of MJCF files that plain MuJoCo loads and replays as the MuJoCo backend does.
 
-MuJoCo's own XML writer prints six digits, and cannot know what the backend writes into the compiled tables of a flex;
-this makes up for both.
+MuJoCo's public XML writer prints six significant digits and omits the compiled tables that the backend overwrites. This
+module restores the digits from the editable model and adds the tables as custom numbers.
 """
 
 from __future__ import annotations
@@ -15,20 +15,25 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco import SimulationMuJoCo
+from gauge_envs.backends.mujoco.flex import flex_table
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 __all__ = [
+    "add_stiffness_tables",
+    "exact_xml",
     "expanded",
+    "replay_note",
+    "without_rest",
 ]
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 TABLES = ("flex_stiffness", "flex_bending")
-"""Compiled tables that the backend overwrites."""
+"""Compiled tables of a flex that the backend overwrites."""
 
 SAME_TABLE = 1e-9
-"""A table that compiles as close as this to the backend's is not carried: what differs is the order of sums."""
+"""Relative difference below which a compiled table equals the backend's: sums in another order differ by rounding."""
 
 KINDS = re.compile(
     r'<numeric name="(?P<name>[^"]+)/kinds" size="\d+" data="(?P<kinds>[^"]*)" />\s*'
@@ -40,7 +45,7 @@ KINDS = re.compile(
 
 
 def without_rest(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows up to the first that stays to the end."""
+    """Return the rows of driven motion without the repetitions of the last row."""
     changes = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1))
     return rows[: changes[-1] + 2] if changes.size else rows[:1]
 
@@ -48,6 +53,15 @@ def without_rest(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 def replay_note(
     body: str, provenance: str, simulation: SimulationMuJoCo, rows: NDArray[np.float64], intervals: int
 ) -> str:
+    """Return instructions for replaying the rows of a driven body.
+
+    Args:
+        body: Name of the driven body.
+        provenance: Provenance of its motion.
+        simulation: The simulation that the file reproduces.
+        rows: Rows of driven motion in the file, shape [row_count, 19].
+        intervals: Number of intervals of the experiment.
+    """
     steps = round(SAMPLE_INTERVAL_S / simulation.model.opt.timestep)
     return (
         f"Driven body {body!r} (motion: {provenance}): custom numeric 'driver/{body}' holds {len(rows)} rows of "
@@ -61,18 +75,18 @@ def replay_note(
 
 
 def add_stiffness_tables(simulation: SimulationMuJoCo) -> list[str]:
-    """Add what of the backend's flex tables does not compile from XML, as custom numbers; returns how to use it."""
+    """Add flex tables that MuJoCo does not compile from XML as custom numbers; return instructions for their use."""
     model = simulation.model
     plain = mujoco.MjModel.from_xml_string(ElementTree.tostring(exact_xml(simulation), encoding="unicode"))
     notes = []
     for index in range(model.nflex):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, index)
         for table in TABLES:
-            values, compiled = (_flex_table(one, table, index) for one in (model, plain))
+            values, compiled = (flex_table(one, table, index) for one in (model, plain))
             if np.allclose(values, compiled, rtol=0.0, atol=SAME_TABLE * np.abs(values).max(initial=0.0)):
                 continue
             values = values.reshape(_row_count(model, table, index), -1)
-            title, start = f"{table}/{name}", _start(model, table, index)
+            title, start = f"{table}/{name}", int(getattr(model, f"{table}adr")[index])
             place, width = f"model.{table}[{start} : {start + values.size}]", values.shape[1]
             if table == "flex_bending":
                 numbers: dict[str, NDArray[Any]] = {"weight": _weights(values, compiled.reshape(values.shape))}
@@ -96,26 +110,15 @@ def add_stiffness_tables(simulation: SimulationMuJoCo) -> list[str]:
     return notes
 
 
-def _start(model: mujoco.MjModel, table: str, index: int) -> int:
-    return int(getattr(model, f"{table}adr")[index])
-
-
-def _flex_table(model: mujoco.MjModel, table: str, index: int) -> NDArray[np.float64]:
-    """What of a compiled table belongs to one flex."""
-    start, values = _start(model, table, index), np.asarray(getattr(model, table))
-    later = [other for other in getattr(model, f"{table}adr").tolist() if other > start]
-    return values[start : min(later, default=len(values))] if start >= 0 else values[:0]
-
-
 def _row_count(model: mujoco.MjModel, table: str, index: int) -> int:
-    """Rows of a table of one flex: one an edge, a cell or an element."""
+    """Return the number of rows of a table of one flex, which has one row per edge, cell or element."""
     if table == "flex_bending":
         return int(model.flex_edgenum[index])
     return int(np.prod(model.flex_cellnum[index]) if model.flex_interp[index] else model.flex_elemnum[index])
 
 
 def _distinct(rows: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Where each distinct row occurs first, in that order, and which of these each row is."""
+    """Return the index of the first occurrence of each distinct row, and each row's number among the distinct rows."""
     _, first, kind = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -124,7 +127,7 @@ def _distinct(rows: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.i
 
 
 def _weights(rows: NDArray[np.float64], compiled: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Factor on each compiled row that gives the row wanted, bit for bit."""
+    """Return the factor on each compiled row that gives the desired row bit for bit."""
     largest = np.abs(compiled).argmax(axis=1)[:, None]
     wanted, given = (np.take_along_axis(one, largest, axis=1)[:, 0] for one in (rows, compiled))
     weights = np.divide(wanted, given, out=np.ones(len(rows)), where=given != 0.0)
@@ -134,7 +137,7 @@ def _weights(rows: NDArray[np.float64], compiled: NDArray[np.float64]) -> NDArra
 
 
 def expanded(text: str) -> str:
-    """A file's text with every row of a table in its place: which rows are equal bit for bit differs by machine."""
+    """Return a file's text with all table rows written out, since bitwise equality of rows depends on the machine."""
 
     def rows(match: re.Match[str]) -> str:
         kind = [int(index) for index in match["kind"].split()]
@@ -149,7 +152,7 @@ def expanded(text: str) -> str:
 
 
 def exact_xml(simulation: SimulationMuJoCo) -> ElementTree.Element:
-    """MuJoCo's XML with the digits after the sixth, which its writer leaves out."""
+    """Return MuJoCo's XML with all digits; MuJoCo's writer drops those after the sixth."""
     spec = simulation.spec
     root = ElementTree.fromstring(spec.to_xml())
     for element, source in _sources(root, spec):
@@ -162,7 +165,7 @@ def exact_xml(simulation: SimulationMuJoCo) -> ElementTree.Element:
 
 
 def _shorten(root: ElementTree.Element) -> None:
-    """Make slides the default joint, and put each point body on one line: a deformable body has hundreds."""
+    """Make slides the default joint and write each point body on one line, since deformable bodies have hundreds."""
     for element in root.iter("joint"):
         if element.get("type") == "slide":
             del element.attrib["type"]
@@ -180,7 +183,7 @@ def _shorten(root: ElementTree.Element) -> None:
 
 
 def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[ElementTree.Element, Any]]:
-    """Elements that hold numbers, each with its object in the editable model."""
+    """Yield each element with numbers and its object in the editable model."""
     for path, find in (("option", lambda _: spec.option), ("asset/mesh", spec.mesh), ("tendon/spatial", spec.tendon)):
         yield from ((element, find(element.get("name", ""))) for element in root.findall(path))
     yield from zip(root.findall("contact/pair"), spec.pairs, strict=True)
@@ -202,18 +205,18 @@ ALIASES = {
     "inertial": {"pos": "ipos", "diaginertia": "inertia"},
     "flex": {"vertex": "vert", "nodecoord": "node", "node": "nodebody"},
 }
-"""Names in MuJoCo's editable model where they differ from the XML's, by element."""
+"""Attribute names of the editable model that differ from those of the XML, by XML element."""
 
 
 def _restore_digits(element: ElementTree.Element, source: Any) -> None:
-    """Give every number back the digits that MuJoCo's XML writer drops: it prints six, and 1/9000 s needs more."""
+    """Replace the numbers of an element, which have six digits, by the exact numbers of the editable model."""
     aliases = ALIASES.get(element.tag, {})
     for key, text in element.items():
         exact = getattr(source, aliases.get(key, key), None)
         if exact is None or not NUMBER.fullmatch(text.split(" ")[0]):
             continue
         written = np.array(text.split(), dtype=np.float64)
-        # Trailing defaults are not written.
+        # MuJoCo omits trailing defaults.
         values = np.atleast_1d(np.asarray(exact, np.float32 if key == "vertex" and element.tag == "mesh" else None))
         values = values[: written.size]
         if written.shape == values.shape and np.allclose(written, values, rtol=1e-5, atol=1e-12):
@@ -221,5 +224,5 @@ def _restore_digits(element: ElementTree.Element, source: Any) -> None:
 
 
 def _digits(values: float | NDArray[Any]) -> str:
-    """The shortest numbers that read back the same, in the precision that they have: that of meshes is single."""
+    """Return the shortest decimals that parse to the same numbers in their precision, which is single for meshes."""
     return " ".join(str(value).removesuffix(".0") for value in np.atleast_1d(values))

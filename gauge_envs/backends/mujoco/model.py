@@ -1,4 +1,4 @@
-"""Scene -> MuJoCo model."""
+"""Conversion of a scene to a MuJoCo model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 EXPLICIT_PAIR_LIMIT = 1000
-"""Contacts with more geom pairs than this go through MuJoCo's broad phase instead of explicit pairs."""
+"""Largest number of explicit geom pairs of a contact; contacts with more use MuJoCo's broad phase."""
 
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -49,13 +49,13 @@ DISABLE_FLAGS = {
     "multiccd": mujoco.mjtDisableBit.mjDSBL_MULTICCD,
     "island": mujoco.mjtDisableBit.mjDSBL_ISLAND,
 }
-"""Settings that are on unless their bit is set."""
+"""MuJoCo's disable bit of each setting that is on by default."""
 ENABLE_FLAGS = {
     "diagexact": mujoco.mjtEnableBit.mjENBL_DIAGEXACT,
     "sleep": mujoco.mjtEnableBit.mjENBL_SLEEP,
     "speculative": mujoco.mjtEnableBit.mjENBL_SPECULATIVE,
 }
-"""Settings that are off unless their bit is set."""
+"""MuJoCo's enable bit of each setting that is off by default."""
 SAME_NAME_OPTIONS = (
     "impratio",
     "iterations",
@@ -68,15 +68,15 @@ SAME_NAME_OPTIONS = (
     "ccd_tolerance",
     "sleep_tolerance",
 )
-"""Options of MuJoCo that settings have by the same name."""
+"""Settings that have the name of their MuJoCo option."""
 
 
 def add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape) -> list[mujoco.MjsGeom]:
-    """Add a shape to a body as geoms that collide with nothing; concave solids become one mesh a convex piece."""
+    """Add a shape to a body as geoms without contacts; a concave solid becomes one mesh per convex piece."""
     if isinstance(shape, ConvexUnion):
         geoms = []
         for index, piece in enumerate(shape.pieces_m):
-            # Vertices about the piece's own mean: MuJoCo merges vertices of meshes that lie far from the origin.
+            # The volume integral gives the exact inertia of a convex piece.
             points = np.asarray(piece)
             mesh = spec.add_mesh(name=f"{name}/{index}", uservert=points.ravel())
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
@@ -98,11 +98,14 @@ def add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape
 
 
 def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
-    """Compile a scene; returns the editable and the compiled model, and the parts of its deformable bodies.
+    """Compile a scene.
 
-    Bodies keep their names; a body without a hinge has a free joint of the same name. Driven bodies are free bodies
-    of huge mass without weight, whose pose and velocity are written before each interval: unlike a mocap body they
-    have a velocity, and so they carry what rests on them.
+    Bodies keep their names; a dynamic or driven body has a hinge or a free joint of the same name. A driven body is a
+    free body of very large mass without weight, whose pose and velocity are written before each interval. Unlike a
+    mocap body it has a velocity, so it carries the bodies that rest on it.
+
+    Returns:
+        The editable model, the compiled model, and the parts of the deformable bodies by name.
     """
     spec = mujoco.MjSpec()
     _set_options(spec, settings)
@@ -142,10 +145,10 @@ def _set_options(spec: mujoco.MjSpec, settings: SettingsMuJoCo) -> None:
 
 
 def _collision_shape(body: RigidBody) -> Shape:
-    """The shape that collides: a cylinder that carries things becomes a prism.
+    """Return the collision shape; a fixed or driven cylinder becomes a prism.
 
-    MuJoCo finds two or three contact points between a cylinder's flat face and a box and puts them so that friction
-    comes out 5 % off; between polyhedra it is right to 0.03 %.
+    MuJoCo finds two or three contact points between a cylinder's flat face and a box. Their positions make friction
+    5 % wrong; between polyhedra the error is 0.03 %.
     """
     if not isinstance(body.shape, Cylinder) or body.motion is Motion.DYNAMIC:
         return body.shape
@@ -186,7 +189,7 @@ def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -
     spec.worldbody.add_site(name=f"{name}/anchor", pos=tether.anchor_m)
     spec.body(tether.body).add_site(name=f"{name}/end")
     tendon = spec.add_tendon(name=name, limited=True, range=[0.0, tether.length_m])
-    # Twice the step is the stiffest limit that stays stable.
+    # Twice the time step is the stiffest stable limit.
     tendon.solref_limit = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
     tendon.solimp_limit = [0.9999, 0.9999, 0.001, 0.5, 2.0]
     tendon.wrap_site(f"{name}/anchor")
@@ -203,7 +206,7 @@ def _add_contact(
 ) -> None:
     constants = contact_constants(contact, settings)
     pairs = list(scene.colliding_pairs(contact))
-    # A geom has no `solreffriction`; without one a single bit says the same as all pairs.
+    # One contact bit is equivalent to all pairs, except for `solreffriction`, which geoms do not have.
     if (
         set(contact.first) == set(contact.second)
         and len(pairs) > EXPLICIT_PAIR_LIMIT

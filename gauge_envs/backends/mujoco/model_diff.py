@@ -1,4 +1,4 @@
-"""Differences between two compiled MuJoCo models that change the physics."""
+"""Differences between two compiled MuJoCo models that affect the physics."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ __all__ = [
 
 
 SAME_DOUBLE = 1e-9
+"""Relative difference below which double-precision numbers count as equal: machines differ in their last digits."""
 
 
 SAME_SINGLE = 3e-7
-"""Numbers of a model that are as close as this, over the largest of their row, are equal: sines and sums differ in
-their last digits between machines, and meshes are kept in single precision."""
+"""Relative difference below which single-precision numbers, such as mesh vertices, count as equal."""
 
 
 OBJECTS: Mapping[str, tuple[mujoco.mjtObj, tuple[str, ...]]] = {
@@ -46,37 +46,40 @@ OBJECTS: Mapping[str, tuple[mujoco.mjtObj, tuple[str, ...]]] = {
         ),
     ),
 }
-"""Arrays of a compiled model that a file states, by kind of object; their rows are told by the object's name."""
+"""Arrays of a compiled model that a file defines, by kind of object; a change is reported with the object's name."""
 
 
 PAIR_FIELDS = ("dim", "friction", "margin", "gap", "solref", "solreffriction", "solimp")
 
 
 TABLES = ("mesh_vert", "flex_vert", "flex_stiffness", "flex_bending", "dof_damping", "dof_armature", "dof_frictionloss")
-"""Arrays that are told as a whole."""
+"""Arrays whose changes are reported as a whole."""
 
 
 WITHOUT_EFFECT = ("names", "name_", "numeric", "text", "tex_", "mat_", "cam_", "light_", "sensor", "skin_", "key_")
+"""Prefixes of the names of arrays that do not affect the motion."""
 
 
 WITHOUT_EFFECT_ENDS = ("_rgba", "_matid", "_group", "_user", "_castshadow")
-"""Beginnings and ends of the names of arrays that change no motion."""
+"""Suffixes of the names of arrays that do not affect the motion."""
 
 
 MOST_ROWS = 4
-"""So many objects are told one by one; more are counted."""
+"""Largest number of changed objects that are listed one by one."""
 
 
 def is_same(values: Any, expected: Any) -> bool:
+    """Return whether values equal the expected ones up to rounding."""
     return bool(np.allclose(values, expected, rtol=SAME_DOUBLE, atol=1e-12))
 
 
 def same_or(value: float, expected: float) -> float:
+    """Return the expected value if the value equals it up to rounding, otherwise the value."""
     return expected if is_same(value, expected) else value
 
 
 def model_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
-    """How a compiled model differs from another in what moves it, a line each; none where it does not."""
+    """Yield one line for each physical difference of a model from the model that the backend builds."""
     lines = [*_option_changes(model, built)]
     for kind, (objects, names) in OBJECTS.items():
         titles = [_titles(one, objects, kind) for one in (model, built)]
@@ -85,7 +88,7 @@ def model_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]
     for name in TABLES:
         lines += _array_change(name, np.asarray(getattr(model, name)), np.asarray(getattr(built, name)))
     if not lines:
-        # What follows from the rest is told only where the rest tells nothing.
+        # Derived arrays are compared only if nothing else differs.
         for name in _arrays(built):
             lines += _array_change(name, np.asarray(getattr(model, name)), np.asarray(getattr(built, name)))
     yield from lines
@@ -165,4 +168,5 @@ def _array_change(name: str, values: NDArray[Any], expected: NDArray[Any]) -> It
 
 
 def format_value(value: Any) -> str:
+    """Return a number or an array as text with ten significant digits."""
     return " ".join(f"{number:.10g}" for number in np.atleast_1d(value).tolist())

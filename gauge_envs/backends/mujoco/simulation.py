@@ -1,4 +1,4 @@
-"""One MuJoCo simulation: driven, advanced, and its state read."""
+"""A MuJoCo simulation: driving, stepping and reading of its state."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class SimulationMuJoCo(Simulation):
 
     Args:
         scene: The scene.
-        settings: Numerical settings in force, `timestep_s` among them.
-        spec: Its editable model.
+        settings: Numerical settings in force, including `timestep_s`.
+        spec: The editable model.
         model: The compiled model.
-        parts: What reads its deformable bodies, by name.
+        parts: Parts of its deformable bodies, by name.
 
     Attributes:
-        settings: As given.
+        settings: Numerical settings in force.
         spec: The editable model, for export and inspection.
         model: The compiled model.
-        data: Its state.
+        data: MuJoCo's state of the model.
     """
 
     def __init__(
@@ -59,11 +59,11 @@ class SimulationMuJoCo(Simulation):
         self._scene = scene
 
     def reset(self, seed: int) -> None:
-        """Return to the scene's start; MuJoCo draws no random numbers, so the seed changes nothing."""
+        """Return to the scene's start. MuJoCo draws no random numbers, so the seed has no effect."""
         mujoco.mj_resetData(self.model, self.data)
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Write the body's pose and velocity, and the force that accelerates its huge mass as asked."""
+        """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
         if body not in self._driven:
             self._driven[body] = _driven_views(self.model, self.data, body)
         place, speed, force, mass_kg = self._driven[body]
@@ -72,11 +72,11 @@ class SimulationMuJoCo(Simulation):
         speed[:3] = velocity[:3]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
         speed[3:] = _rotated_back(pose.quaternion, velocity[3:])
-        # Mass and all moments of inertia of a driven body are the same number.
+        # The mass and all moments of inertia of a driven body are the same number.
         force[:] = mass_kg * acceleration
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
-        """Force and torque on a dynamic body; see `World.apply_wrench`."""
+        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self.data.xfrc_applied[self.model.body(body).id] = wrench
 
     def advance(self, seconds: float) -> None:
@@ -84,11 +84,11 @@ class SimulationMuJoCo(Simulation):
         mujoco.mj_step(self.model, self.data, nstep=round(seconds / self._timestep_s))
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Poses and velocities of bodies, shape [len(names), 13]; see `Simulation.body_states`."""
+        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
         return self._reader(names).states()
 
     def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
-        """Advance and read positions; see `Simulation.sample_positions`."""
+        """Advance and return positions; see `Simulation.sample_positions`."""
         positions = np.empty((count, len(names), 3))
         read = self._reader(names).read_positions
         steps = round(interval_s / self._timestep_s)
@@ -104,30 +104,33 @@ class SimulationMuJoCo(Simulation):
         return self._readers[key]
 
     def nodes(self, name: str) -> NDArray[np.float64]:
-        """Nodes of a deformable body now [m], shape [node_count, 3]."""
+        """Return the current nodes of a deformable body [m], shape [node_count, 3]."""
         return nodes_of(self._parts[name], name)
 
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
-        """Reader of material points: shape functions of the elements in solids, places along ropes and rods."""
+        """Return a reader of material points of soft bodies, ropes and rods, or None for cloth; see `World.track`."""
         part = self._parts[name]
         return part.track(points_m) if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo) else None
 
     def state(self) -> NDArray[np.float64]:
-        """Integration state, shape [state_size]."""
+        """Return MuJoCo's integration state, shape [state_size]."""
         state = np.empty(self._state_size)
         mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         return state
 
     def restore(self, state: NDArray[np.float64]) -> None:
-        """Go back to an integration state."""
+        """Restore an integration state."""
         mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def close(self) -> None:
-        """Nothing is held outside memory."""
+        """Do nothing, since the simulation only holds memory."""
 
 
 class _StateReader(Protocol):
-    """Reads the states of a fixed list of bodies."""
+    """Reader of the states of a fixed list of bodies.
+
+    It keeps views of MuJoCo's arrays, because fetching an array costs more than reading from it.
+    """
 
     def states(self) -> NDArray[np.float64]: ...
 
@@ -149,7 +152,7 @@ def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
 
 
 def _driven_views(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> tuple[NDArray[np.float64], ...]:
-    """Pose, velocity and force of a free body in MuJoCo's own arrays, and its mass."""
+    """Return views of MuJoCo's arrays with the pose, velocity, force and mass of a free body."""
     position, speed = _free_joint_addresses(model, name)
     index = model.body(name).id
     place, velocity = data.qpos[position : position + 7], data.qvel[speed : speed + 6]
@@ -175,7 +178,7 @@ class _OneFreeBody:
         self._angular = data.qvel[velocity + 3 : velocity + 6]
 
     def states(self) -> NDArray[np.float64]:
-        """State of the body, shape [1, 13]."""
+        """Return the state of the body, shape [1, 13]."""
         state = np.empty((1, 13))
         row = state[0]
         row[:7] = self._pose
@@ -184,12 +187,12 @@ class _OneFreeBody:
         return state
 
     def read_positions(self, out: NDArray[np.float64]) -> None:
-        """Position of the body into `out`, shape [1, 3]."""
+        """Write the position of the body to `out`, shape [1, 3]."""
         out[0] = self._position
 
 
 class _FreeBodies:
-    """Free bodies: qpos and qvel by index arrays."""
+    """Several free bodies, read from qpos and qvel by index arrays."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
         addresses = [_free_joint_addresses(model, name) for name in names]
@@ -199,7 +202,7 @@ class _FreeBodies:
         self._velocities = starts[:, 1:] + np.arange(6)
 
     def states(self) -> NDArray[np.float64]:
-        """States of the bodies, shape [body_count, 13]."""
+        """Return the states of the bodies, shape [body_count, 13]."""
         states = np.empty((len(self._poses), 13))
         states[:, :7] = self._qpos[self._poses]
         states[:, 7:] = self._qvel[self._velocities]
@@ -208,12 +211,12 @@ class _FreeBodies:
         return states
 
     def read_positions(self, out: NDArray[np.float64]) -> None:
-        """Positions of the bodies into `out`, shape [body_count, 3]."""
+        """Write the positions of the bodies to `out`, shape [body_count, 3]."""
         out[:] = self._qpos[self._poses[:, :3]]
 
 
 class _AnyBodies:
-    """Free, hinged and fixed bodies, through MuJoCo's kinematics."""
+    """Free, hinged and fixed bodies, read through MuJoCo's kinematics."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
         self._model = model
@@ -223,7 +226,7 @@ class _AnyBodies:
         self._velocity = np.empty(6)
 
     def states(self) -> NDArray[np.float64]:
-        """States of the bodies, shape [body_count, 13]."""
+        """Return the states of the bodies, shape [body_count, 13]."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_comVel(self._model, self._data)
@@ -238,14 +241,14 @@ class _AnyBodies:
         return states
 
     def read_positions(self, out: NDArray[np.float64]) -> None:
-        """Positions of the bodies into `out`, shape [body_count, 3]."""
+        """Write the positions of the bodies to `out`, shape [body_count, 3]."""
         mujoco.mj_kinematics(self._model, self._data)
         for row, (_, position, _) in zip(out, self._bodies, strict=True):
             row[:] = position
 
 
 class _OneHingedBody(_AnyBodies):
-    """A single hinged body: it moves on a circle, which is faster to evaluate than MuJoCo's kinematics."""
+    """A single hinged body; evaluating its circle is faster than MuJoCo's kinematics."""
 
     def __init__(self, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge) -> None:
         super().__init__(model, data, (hinge.body,))
@@ -257,7 +260,7 @@ class _OneHingedBody(_AnyBodies):
         self._circle = np.column_stack([hinge.anchor_m + along, arm - along, np.cross(axis, arm)]).tolist()
 
     def read_positions(self, out: NDArray[np.float64]) -> None:
-        """Position of the body into `out`, shape [1, 3]."""
+        """Write the position of the body to `out`, shape [1, 3]."""
         angle = self._angle.item()
         cosine, sine = cos(angle), sin(angle)
         for axis, (centre, arm, side) in enumerate(self._circle):

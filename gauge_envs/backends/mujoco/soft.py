@@ -1,8 +1,8 @@
-"""Soft bodies in MuJoCo: boxes of isotropic material, alone or bonded in a row, as quadratic finite elements.
+"""Soft bodies in MuJoCo: boxes of isotropic material, alone or bonded in a soft row, as quadratic finite elements.
 
-A row of boxes is one flex. Its elements ("cells" in MuJoCo) are 27-node boxes with linear elasticity in a frame that
-turns with each cell; the nodes are point bodies with three slide joints. Linear elements and tetrahedra of the same
-cost are up to 38 % too stiff in torsion.
+A soft row is one flex. Its elements ("cells" in MuJoCo) are corotational 27-node boxes with linear elasticity; the
+nodes are point bodies with three slide joints. Linear elements and tetrahedra of the same cost are up to 38 % too stiff
+in torsion.
 """
 
 from __future__ import annotations
@@ -27,32 +27,33 @@ __all__ = [
 ]
 
 LONE_CELLS = (4, 2)
-"""Cells along and across a lone body: torsion of a 1:3.5 bar within 3 % of theory, shear within 3 % of finer cells."""
+"""Cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a finer
+mesh."""
 
 BONDED_CELLS = (2, 1)
-"""Cells along and across each body of a row; its swing is 1 % slower with twice as many, at four times the cost."""
+"""Cells along and across each body of a soft row; twice as many make its swing 1 % slower at four times the cost."""
 
 POINT_SPACING_M = 0.0125
-"""Largest distance between neighbouring points of the surface that collides, and of `nodes`."""
+"""Largest distance between neighbouring points of the colliding surface and of `nodes` [m]."""
 
 SKIN_M = 0.0005
-"""Thickness of the layer around the surface that collides; MuJoCo needs one."""
+"""Thickness of the layer around the colliding surface [m]; MuJoCo requires one."""
 
 CONTACT_SOLREF = (0.005, 1.0)
 CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""MuJoCo softens contacts in proportion to the lightness of what touches: a foam's nodes weigh 20 mg. With its default
-impedance a cube sinks right through a foam; so close to 1 it sinks in by 0.2 mm."""
+"""Constants of contacts. MuJoCo softens the contacts of light bodies, and the nodes of a foam weigh 20 mg. A cube sinks
+through the foam with MuJoCo's default impedance, and by 0.2 mm with this one."""
 
 
 class SoftPartMuJoCo(FlexPart):
-    """One soft body, or several bonded in a row, of a MuJoCo model.
+    """One soft body, or one soft row, of a MuJoCo model.
 
-    Material in a grip moves rigidly with it and is not simulated: the elements span what is free, whose mass they
-    have. `nodes`, `block_nodes` and `track` read the free material only.
+    Material in a grip moves rigidly and is not simulated: the elements span the free material and have its mass.
+    `nodes`, `block_nodes` and `track` read the free material only.
 
     Attributes:
-        name: Name of the row's first body, and of the flex.
-        names: Names of the bodies, in their order along the row.
+        name: Name of the first body of the soft row, and of the flex.
+        names: Names of the bodies, in their order along the soft row.
         flex: The flex in the editable model.
         rest_m: World positions of a regular grid of points at the start, surface included [m], shape [node_count, 3].
     """
@@ -61,63 +62,63 @@ class SoftPartMuJoCo(FlexPart):
         self,
         flex: mujoco.MjsFlex,
         lattice: _Lattice,
-        row: SoftRow,
+        soft_row: SoftRow,
         points: Points,
     ) -> None:
         self.name = flex.name
-        self.names = tuple(block.body.name for block in row.blocks)
+        self.names = tuple(block.body.name for block in soft_row.blocks)
         self.flex = flex
         self._lattice = lattice
-        self._row = row
+        self._soft_row = soft_row
         self.points = points
         self.rest_m = lattice.grid_m(lattice.subdivisions)
         self._grid = lattice.weights(self.rest_m)
-        self._nodes = {block.body.name: np.flatnonzero(block.holds(self.rest_m)) for block in row.blocks}
+        self._nodes = {block.body.name: np.flatnonzero(block.holds(self.rest_m)) for block in soft_row.blocks}
 
     def complete(self, model: mujoco.MjModel) -> None:
-        """Give each cell the stiffness of its material."""
+        """Write the stiffness of each cell's material."""
         cells = self._lattice.cells
         start = int(model.flex_stiffnessadr[self.flex.id])
         matrices = model.flex_stiffness[start : start + np.prod(cells) * 81 * 81].reshape(*cells, -1)
         along = np.moveaxis(matrices, self._lattice.axis, 0)
-        each = len(along) // len(self._row.blocks)
-        for index, block in enumerate(self._row.blocks):
+        each = len(along) // len(self._soft_row.blocks)
+        for index, block in enumerate(self._soft_row.blocks):
             along[index * each : (index + 1) * each] = _cell_stiffness(self._lattice.cell_m, block.body)
-        # Whatever MuJoCo derives from the stiffness.
+        # Recompute the constants that MuJoCo derives from the stiffness.
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def nodes(self) -> NDArray[np.float64]:
-        """World positions of the grid of points now [m], shape [node_count, 3]."""
+        """Return the current world positions of the grid of points [m], shape [node_count, 3]."""
         return self._grid @ self.points.positions()
 
     def block_nodes(self, name: str) -> NDArray[np.intp]:
-        """Rows of `nodes` that belong to a body; those on a bonded face belong to both, shape [block_node_count]."""
+        """Return indices into `nodes` of a body's nodes, shape [block_node_count]; bonded faces belong to both."""
         return self._nodes[name]
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
-        """Reader of arbitrary material points, exact for the elements: their own shape functions interpolate.
+        """Return a reader of material points, which interpolates with the shape functions of the elements.
 
         Args:
             points_m: World positions at the start [m], shape [point_count, 3].
 
         Returns:
-            Function without arguments that returns where the points are now [m], shape [point_count, 3].
+            Function without arguments that returns the current positions of the points [m], shape [point_count, 3].
 
         Raises:
             ShapeError: A point lies outside the free material.
         """
-        weights = self._lattice.weights(self._row.checked(np.asarray(points_m, dtype=np.float64)))
+        weights = self._lattice.weights(self._soft_row.checked(np.asarray(points_m, dtype=np.float64)))
         return lambda: weights @ self.points.positions()
 
 
 class _Lattice:
-    """Regular box of 27-node cells, aligned with the world axes.
+    """Box-shaped lattice of 27-node cells, aligned with the world axes.
 
     Attributes:
         cells: Number of cells along x, y, z.
-        axis: World axis of the row.
+        axis: Index of the world axis of the soft row.
         cell_m: Edge lengths of a cell [m], shape [3].
-        subdivisions: Steps of the point grid in one cell along x, y, z.
+        subdivisions: Intervals of the point grid in one cell along x, y, z.
         rest_m: Positions of the element nodes [m], z fastest, shape [lattice_node_count, 3].
     """
 
@@ -133,15 +134,15 @@ class _Lattice:
         self.rest_m = self.grid_m((2, 2, 2))
 
     def grid_m(self, subdivisions: tuple[int, ...]) -> NDArray[np.float64]:
-        """Regular grid of positions [m], z fastest, with that many steps in each cell."""
+        """Return a regular grid of positions [m], z fastest, with the given intervals in each cell."""
         steps = [np.arange(n * part + 1) / part for n, part in zip(self.cells, subdivisions, strict=True)]
         return self._low_m + self.cell_m * np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
 
     def node_masses(self, cell_kg: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Masses of the nodes [kg], z fastest, from those of the cells along the row: Simpson's rule, as MuJoCo's.
+        """Return the masses of the nodes [kg], z fastest, by Simpson's rule as in MuJoCo.
 
         Args:
-            cell_kg: Mass of one cell in each layer along the row [kg], shape [cells[axis]].
+            cell_kg: Mass of one cell in each layer along the soft row [kg], shape [cells[axis]].
         """
         masses = np.zeros(self.shape)
         simpson = np.array([1.0, 4.0, 1.0]) / 6.0
@@ -151,7 +152,7 @@ class _Lattice:
         return masses.ravel()
 
     def weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
-        """Matrix that turns node positions into those of material points, shape [point_count, lattice_node_count]."""
+        """Return the matrix from node positions to material points, shape [point_count, lattice_node_count]."""
         places = (points_m - self._low_m) / self.cell_m
         cell = np.clip(np.floor(places).astype(int), 0, np.array(self.cells) - 1)
         x = places - cell
@@ -169,30 +170,31 @@ def add_soft(
     spec: mujoco.MjSpec,
     bodies: Sequence[SoftBody],
     *,
-    glued: Mapping[str, Sequence[RigidAttachment]],
+    attachments: Mapping[str, Sequence[RigidAttachment]],
     cells: tuple[int, int] | None = None,
     damping_s: float = 1e-4,
 ) -> SoftPartMuJoCo:
-    """Add a soft body, or a row of soft bodies bonded face to face, that collides with nothing yet.
+    """Add a soft body or a soft row without contacts.
 
     Args:
-        spec: Editable model; it has the rigid bodies already.
-        bodies: One body, or all bodies of a row in any order.
-        glued: What is glued to rigid bodies, by name of the soft body; only the two ends of the row may be.
-        cells: Cells along and across each body; by default `LONE_CELLS` or `BONDED_CELLS`.
-        damping_s: Viscous part of the material's stress, as the time by which it multiplies the rate of strain.
+        spec: Editable model that contains the rigid bodies.
+        bodies: One body, or all bodies of a soft row in any order.
+        attachments: Attachments to rigid bodies, by name of the soft body; only the row's ends may be attached.
+        cells: Cells along and across each body; `LONE_CELLS` or `BONDED_CELLS` by default.
+        damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends (`SoftRow.of`), of equal free
-            lengths.
+        UnsupportedSceneError: The bodies do not form a soft row (see `SoftRow.of`), or their free lengths differ.
     """
-    row = SoftRow.of(bodies, glued)
-    axis, blocks, low_m, high_m = row.axis, row.blocks, row.low_m, row.high_m
+    soft_row = SoftRow.of(bodies, attachments)
+    axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
     along, across = cells or (LONE_CELLS if len(blocks) == 1 else BONDED_CELLS)
     lattice = _Lattice(low_m, high_m, tuple(along * len(blocks) if i == axis else across for i in range(3)), axis)
     inner_m = low_m[axis] + lattice.cell_m[axis] * along * np.arange(1, len(blocks))
     if np.any(abs(inner_m - [block.low_m[axis] for block in blocks[1:]]) > TOLERANCE_M):
-        raise UnsupportedSceneError(f"bonded soft bodies of unequal free length: {[b.body.name for b in blocks]}")
+        raise UnsupportedSceneError(
+            f"bonded soft bodies {[b.body.name for b in blocks]} have unequal free lengths: make them equal"
+        )
 
     name = blocks[0].body.name
     flex = spec.worldbody.make_flex(
@@ -206,12 +208,12 @@ def add_soft(
         pos=(0.5 * (low_m + high_m)).tolist(),
         radius=SKIN_M,
     )
-    # `complete` writes each cell's own stiffness; these two only make MuJoCo reserve the memory.
+    # `complete` writes the stiffness of each cell; these two values only make MuJoCo reserve the memory.
     flex.young, flex.poisson = blocks[0].body.young_modulus_pa, blocks[0].body.poisson_ratio
     flex.damping = damping_s
     flex.contype, flex.conaffinity = 0, 0
     flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-    # Priority: MuJoCo would average these with the other geom's, which is far too soft.
+    # Without priority, MuJoCo would average these constants with those of the other geom, which is far too soft.
     flex.priority = 1
     flex.solref, flex.solimp = list(CONTACT_SOLREF), list(CONTACT_SOLIMP)
 
@@ -220,38 +222,31 @@ def add_soft(
         spec.body(node).mass = mass
     layers = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
     held: dict[int, RigidAttachment] = {}
-    for side, glue in row.ends.items():
-        held |= dict.fromkeys(layers[0 if side == "low" else -1].ravel().tolist(), glue)
-        _add_gripped_material(spec, flex, glue, low_m, high_m, axis, side)
+    for side, attachment in soft_row.ends.items():
+        held |= dict.fromkeys(layers[0 if side == "low" else -1].ravel().tolist(), attachment)
+        _add_gripped_material(spec, flex, soft_row, side)
     names = list(flex.nodebody)
     flex.nodebody, places = attached_points(names, lattice.rest_m, held)
     flex.node = places.ravel()
-    # Only now: deleting a body that a flex uses deletes the flex.
+    # Deleting a body that a flex uses deletes the flex, so its references change first.
     for index in held:
         spec.delete(spec.body(names[index]))
-    return SoftPartMuJoCo(flex, lattice, row, Points(names, lattice.rest_m, held))
+    return SoftPartMuJoCo(flex, lattice, soft_row, Points(names, lattice.rest_m, held))
 
 
-def _add_gripped_material(
-    spec: mujoco.MjSpec,
-    flex: mujoco.MjsFlex,
-    glue: RigidAttachment,
-    low_m: NDArray[np.float64],
-    high_m: NDArray[np.float64],
-    axis: int,
-    side: str,
-) -> None:
-    """Draw what sits in a grip as a box that moves with it, touches nothing and weighs nothing."""
-    if glue.region.depth_m == 0.0:
+def _add_gripped_material(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, soft_row: SoftRow, side: str) -> None:
+    """Add a massless box without contacts that shows the material in a grip."""
+    attachment, axis, low_m, high_m = soft_row.ends[side], soft_row.axis, soft_row.low_m, soft_row.high_m
+    if attachment.region.depth_m == 0.0:
         return
     centre, size = 0.5 * (low_m + high_m), high_m - low_m
-    size[axis] = glue.region.depth_m
+    size[axis] = attachment.region.depth_m
     centre[axis] = low_m[axis] - 0.5 * size[axis] if side == "low" else high_m[axis] + 0.5 * size[axis]
-    spec.body(glue.body).add_geom(
+    spec.body(attachment.body).add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=(0.5 * size).tolist(),
-        pos=glue.pose.to_body(centre).tolist(),
-        quat=glue.pose.rotation.inv().as_quat(scalar_first=True).tolist(),
+        pos=attachment.pose.to_body(centre).tolist(),
+        quat=attachment.pose.rotation.inv().as_quat(scalar_first=True).tolist(),
         rgba=flex.rgba,
         mass=0.0,
         contype=0,
@@ -260,7 +255,7 @@ def _add_gripped_material(
 
 
 def _cell_stiffness(size_m: NDArray[np.float64], body: SoftBody) -> NDArray[np.float64]:
-    """Stiffness of one cell as MuJoCo stores it, shape [81 * 81]: that of a model of nothing else."""
+    """Return the stiffness of one cell as MuJoCo stores it, shape [81 * 81], from a model of one cell."""
     spec = mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     flex = spec.worldbody.make_flex(

@@ -1,4 +1,4 @@
-"""NVIDIA Newton: rigid bodies by its MuJoCo solver; cloth, foam, ropes and rods by VBD; foam by implicit MPM too."""
+"""NVIDIA Newton: its MuJoCo solver for rigid bodies, VBD for deformable bodies, implicit MPM as a choice for foam."""
 
 from gauge_envs.backends.newton.backend import BackendNewton
 

@@ -1,4 +1,4 @@
-"""Newton behind the backend contract. The engine is imported with the first build: it takes seconds."""
+"""The Newton backend. The first build imports the engine, which takes seconds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support, Worlds
 from gauge_envs.backends.newton.settings import settings_for
-from gauge_envs.backends.newton.support import undoable
+from gauge_envs.backends.newton.support import unsupported_features
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
@@ -22,10 +22,12 @@ MODULES = ("newton", "warp", "mujoco_warp")
 
 
 class BackendNewton(Backend):
-    """NVIDIA Newton on the CPU or a GPU: rigid bodies by its MuJoCo solver, all else by VBD, foam by implicit MPM too.
+    """NVIDIA Newton on the CPU or a GPU.
+
+    Its MuJoCo solver simulates rigid scenes and VBD all others; presets `mpm...` select implicit MPM for foam.
 
     Raises:
-        MissingExtraError: Newton or what it needs is not installed.
+        MissingExtraError: Newton or one of its dependencies is not installed.
     """
 
     name = "newton"
@@ -36,22 +38,22 @@ class BackendNewton(Backend):
                 raise MissingExtraError("backend 'newton'", "newton", ModuleNotFoundError(name=module))
 
     def versions(self) -> dict[str, str]:
-        """Versions of the engine and of what it computes with."""
+        """Return the versions of the engine and of its solver packages."""
         return {package: version(package) for package in ("newton", "warp-lang", "mujoco-warp", "mujoco")}
 
     def supports(self, scene: Scene) -> Support:
-        """What each of Newton's solvers can do; see `support.undoable`."""
-        return Support(tuple(undoable(scene)))
+        """Return the features of a scene that Newton's solvers do not support; see `support.unsupported_features`."""
+        return Support(tuple(unsupported_features(scene)))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build a scene; settings are those of the preset's solver, see `settings.py`."""
+        """Build a scene; settings are the fields of the settings class of the preset's solver."""
         _start_quietly()
         from gauge_envs.backends.newton.simulation import SimulationNewton
 
         return SimulationNewton(scene, settings_for(scene, settings))
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
-        """Build scenes as the worlds of one model, which a single step advances."""
+        """Build scenes as worlds of one model, which advance in the same step."""
         _start_quietly()
         from gauge_envs.backends.newton.simulation import WorldsNewton
 
@@ -60,7 +62,7 @@ class BackendNewton(Backend):
 
 @cache
 def _start_quietly() -> None:
-    """Keep Warp from telling of every kernel that it loads."""
+    """Keep Warp from logging every kernel that it loads."""
     import warp
 
     warp.config.log_level = warp.LOG_WARNING

@@ -1,4 +1,4 @@
-"""Cloth in Newton: a triangle mesh with a stable Neo-Hookean membrane and dihedral hinges, for vertex block descent."""
+"""Cloth for Newton's VBD: a triangle mesh with a stable Neo-Hookean membrane and dihedral hinges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.newton.vbd import Pin
+from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.scene import Cloth, Motion
@@ -29,7 +29,7 @@ class ClothPartNewton:
         rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3]; y of the cloth runs fastest.
         triangles: Vertex indices within the cloth, shape [triangle_count, 3].
         particles: Its particles in the model.
-        pins: Vertices that moving bodies hold, for `LoopVBD`.
+        pins: Vertices that kinematic bodies hold, for `StepperVBD`.
     """
 
     def __init__(
@@ -48,11 +48,11 @@ class ClothPartNewton:
         self.pins = tuple(pins)
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """World positions of the vertices in a state [m], shape [vertex_count, 3]; kept in single precision."""
+        """Return the world positions of the vertices in a state [m], shape [vertex_count, 3], in single precision."""
         return state.particle_q.numpy()[self.particles].astype(np.float64)
 
     def track(self, points_m: ArrayLike) -> None:
-        """None: interpolation between the nodes finds material points."""
+        """Return None, since interpolation between the nodes locates material points."""
         return None
 
 
@@ -60,32 +60,32 @@ def add_cloth(
     builder: newton.ModelBuilder,
     cloth: Cloth,
     *,
-    glued: Sequence[RigidAttachment] = (),
+    attachments: Sequence[RigidAttachment] = (),
     bodies: Mapping[str, int] | None = None,
     cell_m: float,
     stretch_damping_n_s_per_m: float = 0.0,
     bend_damping_n_s: float = 0.0,
 ) -> ClothPartNewton:
-    """Add a cloth to a model in the making; what it collides with is up to `SurfaceContacts`.
+    """Add a cloth to a model builder; `SurfaceContacts` determines its contacts.
 
-    Its constants are those of `materials.newton_vbd`. Glued vertices have no mass and are put where the body is, so
-    they are exact to single precision: 0.06 micrometres within 1 m of the origin.
+    The mapping `scene.fabrics.newton_vbd` gives its constants. Attached vertices have no mass and are placed on their
+    body. They are exact in single precision: 0.06 micrometres within 1 m of the origin.
 
     Args:
-        builder: Model in the making; it has the rigid bodies already.
+        builder: Model builder that contains the rigid bodies.
         cloth: The cloth.
-        glued: Regions that are pinned or driven; a vertex in two of them belongs to the first.
-        bodies: Index of each rigid body, by its name; of those that are glued and move.
-        cell_m: Wanted edge length of the cells [m]; the nearest one that divides a side is used.
-        stretch_damping_n_s_per_m: Newton's `tri_kd`: viscosity of the membrane, on the rate of Green's strain doubled.
+        attachments: Attached regions; a vertex in two regions belongs to the first.
+        bodies: Model index of each kinematic body that holds the cloth, by name.
+        cell_m: Desired edge length of the cells [m]; the nearest length that divides a side is used.
+        stretch_damping_n_s_per_m: Newton's `tri_kd`: viscosity of the membrane per rate of twice Green's strain.
         bend_damping_n_s: Newton's `edge_kd`: torque of a hinge per rate of its angle and per length.
 
     Raises:
-        UnsupportedSceneError: A region is glued to a dynamic body, or is not an edge of the sheet.
+        UnsupportedSceneError: A region is attached to a dynamic body, or is not an edge of the cloth.
     """
-    sheet = ClothGrid(cloth, cell_m)
-    rest = cloth.pose.to_world(np.column_stack([sheet.plane_m, np.zeros(len(sheet.plane_m))]))
-    held = held_vertices(sheet, cloth, glued)
+    grid = ClothGrid(cloth, cell_m)
+    rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))
+    held = held_vertices(grid, cloth, attachments)
     constants = newton_vbd(Fabric.of(cloth)).constants
     start = len(builder.particle_q)
     builder.add_cloth_mesh(
@@ -94,29 +94,29 @@ def add_cloth(
         scale=1.0,
         vel=wp.vec3(0.0, 0.0, 0.0),
         vertices=[wp.vec3(*point) for point in rest],
-        indices=sheet.triangles.ravel().tolist(),
+        indices=grid.triangles.ravel().tolist(),
         density=cloth.areal_density_kg_per_m2,
         tri_ke=constants["tri_ke"],
         tri_ka=constants["tri_ka"],
         tri_kd=stretch_damping_n_s_per_m,
         edge_ke=newton_edge_ke(
             bend_stiffness_n_m_per_rad=constants["edge_ke_times_mean_edge_length"],
-            mean_edge_length_m=sheet.mean_edge_length_m(),
+            mean_edge_length_m=grid.mean_edge_length_m(),
         ),
         edge_kd=bend_damping_n_s,
         particle_radius=0.5 * cloth.thickness_m,
         label=cloth.name,
     )
-    masses = cloth.areal_density_kg_per_m2 * sheet.vertex_areas_m2()
+    masses = cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()
     masses[list(held)] = 0.0
     builder.particle_mass[start : start + len(rest)] = masses.tolist()
     pins = [
         Pin(
             particle=start + index,
-            body=(bodies or {})[glue.body],
-            place_m=tuple(glue.pose.to_body(rest[index]).tolist()),
+            body=(bodies or {})[attachment.body],
+            place_m=tuple(attachment.pose.to_body(rest[index]).tolist()),
         )
-        for index, glue in held.items()
-        if glue.motion is Motion.KINEMATIC
+        for index, attachment in held.items()
+        if attachment.motion is Motion.KINEMATIC
     ]
-    return ClothPartNewton(cloth, rest_m=rest, triangles=sheet.triangles, start=start, pins=pins)
+    return ClothPartNewton(cloth, rest_m=rest, triangles=grid.triangles, start=start, pins=pins)

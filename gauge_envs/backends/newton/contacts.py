@@ -1,6 +1,6 @@
-"""Contacts of a scene in Newton's terms: constants belong to bodies there, not to pairs. Needs no engine.
+"""Contacts of a rigid scene in Newton, whose contact constants belong to shapes and not to pairs. Needs no engine.
 
-Of the two bodies of a pair, one whose contacts all have the same constants carries them, and goes before the other.
+A body whose contacts all have the same constants carries them with priority over the other body of each pair.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ __all__ = [
     "ShapeConstants",
     "carried_constants",
     "pair_constants",
-    "undoable_contacts",
+    "unsupported_contacts",
 ]
 
 FRICTION_AS_NORMAL = -1.0
-"""A friction gain that is neither positive nor zero leaves friction the contact's own time constant. Newton's default
-gives light bodies one that is far below the step, and they hop."""
+"""Negative friction gain, with which friction has the time constant of the contact. Newton's default gain gives light
+bodies a time constant far below the time step, and they hop."""
 
 
 @dataclass(frozen=True)
 class ShapeConstants:
-    """What a shape carries for its contacts, in MuJoCo's terms."""
+    """Contact constants of a shape, under MuJoCo's names."""
 
     friction: float
     solref: tuple[float, float]
@@ -35,19 +35,19 @@ class ShapeConstants:
 
 
 def _constants(contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp) -> ShapeConstants:
-    """Constants of a contact.
+    """Return the constants of a contact.
 
     Args:
         contact: The contact.
-        mass_kg: Mass that the two bodies have against each other, m1 m2 / (m1 + m2).
+        mass_kg: Reduced mass of the two bodies, m1 m2 / (m1 + m2).
         settings: Settings of the solver.
     """
     if contact.mode is ContactMode.SUSTAINED:
         return ShapeConstants(
             contact.friction, settings.sustained_solref, settings.sustained_solimp, FRICTION_AS_NORMAL
         )
-    # One step turns the normal speed into -e times itself, as in the MuJoCo backend. Friction must stop the tangential
-    # speed instead: a damping of 1/h, which Newton makes of a gain times the bodies' inverse mass.
+    # One step changes the normal velocity v to -e v, as in the MuJoCo backend. Friction must stop the tangential motion
+    # instead. That needs a damping of 1/h, which Newton computes as a gain times the inverse mass of the bodies.
     step, width = settings.timestep_s, settings.impact_solimp[1]
     solref = (-settings.impact_stiffness / step**2, -(1.0 + contact.restitution) / step)
     share = (1.0 - width) / settings.impratio + width
@@ -61,7 +61,7 @@ def _reduced_mass_kg(scene: Scene, first: str, second: str) -> float:
 
 
 def pair_constants(scene: Scene, settings: SettingsMuJoCoWarp) -> dict[frozenset[str], ShapeConstants]:
-    """Constants of each pair of bodies that collide."""
+    """Return the constants of each colliding pair of bodies."""
     return {
         frozenset(pair): _constants(contact, _reduced_mass_kg(scene, *pair), settings)
         for contact in scene.contacts
@@ -70,7 +70,7 @@ def pair_constants(scene: Scene, settings: SettingsMuJoCoWarp) -> dict[frozenset
 
 
 def carried_constants(pairs: dict[frozenset[str], ShapeConstants]) -> dict[str, ShapeConstants]:
-    """Constants of the bodies that have the same in all their contacts; those carry them, with priority."""
+    """Return the constants of each body whose contacts all have the same; such a body carries them with priority."""
     found: dict[str, set[ShapeConstants]] = {}
     for pair, constants in pairs.items():
         for name in pair:
@@ -78,8 +78,8 @@ def carried_constants(pairs: dict[frozenset[str], ShapeConstants]) -> dict[str, 
     return {name: next(iter(every)) for name, every in found.items() if len(every) == 1}
 
 
-def undoable_contacts(scene: Scene, settings: SettingsMuJoCoWarp) -> Iterator[str]:
-    """What of a scene's contacts Newton cannot do, a sentence each: its constants belong to shapes, not to pairs."""
+def unsupported_contacts(scene: Scene, settings: SettingsMuJoCoWarp) -> Iterator[str]:
+    """Yield one sentence for each group of contacts whose constants Newton's shapes cannot carry."""
     pairs = pair_constants(scene, settings)
     carried = carried_constants(pairs)
     mixed = sorted({name for pair in pairs if not pair & set(carried) for name in pair})

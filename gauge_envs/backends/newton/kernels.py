@@ -1,4 +1,4 @@
-"""Kernels of the Newton backend; Warp compiles them, so their types are Warp's."""
+"""Warp kernels of the Newton backend; Warp compiles them, so they use Warp's types."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def prescribe(
     body_q: wp.array[wp.transform],
     body_qd: wp.array[wp.spatial_vector],
 ):
-    """Poses and velocities of driven bodies some steps after their drive; they accelerate uniformly."""
+    """Write poses and velocities of uniformly accelerated driven bodies, some steps after their drive."""
     # Spatial vectors hold the linear part first.
     i = wp.tid()
     t = float(elapsed[i] + steps_ahead) * timestep_s
     elapsed[i] = elapsed[i] + counts
-    way = t * velocity[i] + 0.5 * t * t * acceleration[i]
-    turn = wp.spatial_bottom(way)
-    angle = wp.length(turn)
+    displacement = t * velocity[i] + 0.5 * t * t * acceleration[i]
+    rotation_vector = wp.spatial_bottom(displacement)
+    angle = wp.length(rotation_vector)
     rotation = wp.quat_identity()
     if angle > 0.0:
-        rotation = wp.quat_from_axis_angle(turn / angle, angle)
-    position = wp.transform_get_translation(start[i]) + wp.spatial_top(way)
+        rotation = wp.quat_from_axis_angle(rotation_vector / angle, angle)
+    position = wp.transform_get_translation(start[i]) + wp.spatial_top(displacement)
     body_q[body[i]] = wp.transform(position, rotation * wp.transform_get_rotation(start[i]))
     body_qd[body[i]] = velocity[i] + t * acceleration[i]
 
@@ -52,7 +52,7 @@ def bodies_to_joints(
     joint_q: wp.array[float],
     joint_qd: wp.array[float],
 ):
-    """Poses and velocities of bodies into the coordinates of their free joints."""
+    """Copy poses and velocities of bodies to the coordinates of their free joints."""
     i = wp.tid()
     for k in range(7):
         joint_q[coordinate[i] + k] = body_q[body[i]][k]
@@ -68,7 +68,7 @@ def predict(
     last_velocity: wp.array[wp.vec3],
     displacement: wp.array[wp.vec3],
 ):
-    """Way of each particle in a step that accelerates as the last one did."""
+    """Write the displacement of each particle in a step with the acceleration of the last step."""
     i = wp.tid()
     if inverse_mass[i] > 0.0:
         displacement[i] = timestep_s * (2.0 * velocity[i] - last_velocity[i])
@@ -83,7 +83,7 @@ def hold(
     body_q: wp.array[wp.transform],
     particle_q: wp.array[wp.vec3],
 ):
-    """Particles to their places on bodies."""
+    """Move particles to their positions on bodies."""
     i = wp.tid()
     particle_q[particle[i]] = wp.transform_point(body_q[body[i]], place[i])
 
@@ -101,7 +101,7 @@ def carry(
     particle_qd: wp.array[wp.vec3],
     particle_qd_grad: wp.array[wp.mat33],
 ):
-    """Particles to their places on bodies before a step, with the velocity that takes them to those after it."""
+    """Move particles to their positions on bodies before a step, with the velocity that leads to those after it."""
     i = wp.tid()
     here = wp.transform_point(body_q[body[i]], place[i])
     there = wp.transform_point(body_q_after[body[i]], place[i])

@@ -1,9 +1,9 @@
-"""Ropes and rods in Newton: a chain of rigid segments for vertex block descent.
+"""Ropes and rods for Newton's VBD: chains of rigid segments.
 
-Each segment is a body with the mass and inertia of its piece of the line. Newton's rod joints hold the ends of
-neighbours together; a rod's also resist bending by E I over a segment's length, and twist by G J over it. At a clamp
-a joint stands for half a segment and is twice as stiff. A load at the free end of n segments then deflects it as
-theory says, but for 1 part in 2 n^2.
+Each segment is a body with the mass and inertia of its piece of the line. Newton's rod joints connect neighbouring
+segments. The joints of a rod also resist bending with E I and twist with G J, both over the length of a segment. A
+joint at a clamp represents half a segment and is twice as stiff. With n segments, the deflection by a load at the free
+end then exceeds that of theory by 1 part in 2 n^2.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.newton.rigid import WORLD
 from gauge_envs.backends.newton.stepper import warp_transform
-from gauge_envs.backends.newton.vbd import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.lines import LINE_AXIS, attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = [
@@ -33,20 +34,20 @@ __all__ = [
     "add_line",
 ]
 
-TURN_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
-"""Turns z, along which Newton's capsules and rod joints lie, to a line's own axis."""
+ROTATION_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
+"""Rotation from z, the axis of Newton's capsules and rod joints, to the axis of a line."""
 
 CLEAR_RADII = 2.5
-"""Segments whose ends are nearer than this along the line touch by their shape alone, so they never collide."""
+"""Clearance along the line, in radii, below which segments never collide, since they touch in every shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Anchor:
-    """A point of a body: of a segment, or of what an end is glued to.
+    """A point of a segment, or of the body that an end is attached to.
 
     Attributes:
         body: Index of the body; -1 for the world.
-        place_m: Where it is in the body's frame [m].
+        place_m: Position of the point in the body's frame [m].
         start: Rotation of the body at the start.
     """
 
@@ -57,13 +58,13 @@ class _Anchor:
 
 @dataclass(frozen=True, kw_only=True)
 class _CrossSection:
-    """What a line's section resists.
+    """Stiffness of the cross-section of a line.
 
     Attributes:
-        stretch_n: Force per strain, E A, or as much of it as can be had [N].
+        stretch_n: Force per strain, E A, limited by the largest stable joint stiffness [N].
         bend_n_m2: Moment per curvature, E I [N m^2].
         twist_n_m2: Torque per twist, G J [N m^2].
-        damping_s: Time by which the rates of curvature and twist are multiplied.
+        damping_s: Time that multiplies the rates of curvature and twist [s].
     """
 
     stretch_n: float
@@ -73,7 +74,7 @@ class _CrossSection:
 
     @classmethod
     def of(cls, line: Rope | Rod, *, largest_stretch_n: float, damping_s: float) -> _CrossSection:
-        """Section of a rod, or of a rope: inextensible and perfectly flexible."""
+        """Return the cross-section of a rod or a rope; a rope is inextensible and perfectly flexible."""
         if isinstance(line, Rope):
             return cls(stretch_n=largest_stretch_n, bend_n_m2=0.0, twist_n_m2=0.0, damping_s=0.0)
         area, inertia = pi * line.radius_m**2, pi / 4.0 * line.radius_m**4
@@ -93,11 +94,11 @@ class LinePartNewton:
     Attributes:
         name: Name of the line.
         rest_m: World positions of the nodes at the start, along the line's axis [m], shape [node_count, 3].
-        anchors: The two points whose middle each node is: ends of neighbours, or one point twice.
-        keeps_direction: Whether it keeps its direction in what holds its ends, as a rod does.
+        anchors: Two points for each node, whose midpoint is the node: ends of neighbours, or one point twice.
+        keeps_direction: Whether attached ends keep their direction, as those of a rod do.
         segments: Bodies of the segments, along the line's axis.
-        shapes: Their capsules.
-        pins: None, as no particles are held.
+        shapes: Capsules of the segments.
+        pins: Empty, since a line has no particles.
     """
 
     name: str
@@ -109,17 +110,17 @@ class LinePartNewton:
     pins: tuple[Pin, ...] = ()
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """World positions of the nodes in a state [m], shape [node_count, 3]; kept in single precision."""
+        """Return the world positions of the nodes in a state [m], shape [node_count, 3], in single precision."""
         return self._nodes(_poses(state))
 
     def track(self, points_m: ArrayLike) -> Callable[[newton.State], NDArray[np.float64]]:
-        """Reader of points in or on the line, which keep their place along it and turn with it.
+        """Return a reader of material points in or on the line, which move with their cross-section.
 
         Args:
             points_m: World positions at the start [m], shape [point_count, 3].
 
         Returns:
-            Function of a state that returns where the points are in it [m], shape [point_count, 3].
+            Function of a state that returns the positions of the points [m], shape [point_count, 3].
 
         Raises:
             ShapeError: A point lies beyond an end.
@@ -130,17 +131,17 @@ class LinePartNewton:
         places = (self.rest_m - self.rest_m[0]) @ axis
         along = (points - self.rest_m[0]) @ axis
         if not np.all((along > -1e-5) & (along < places[-1] + 1e-5)):
-            raise ShapeError(f"a point lies beyond an end of {self.name!r}")
+            raise ShapeError(f"a point lies beyond an end of {self.name!r}: track points within its length")
         low = np.clip(np.searchsorted(places, along) - 1, 0, len(places) - 2)
         share = ((along - places[low]) / (places[low + 1] - places[low]))[:, None]
         offsets = points - self.rest_m[0] - along[:, None] * axis
 
         def read(state: newton.State) -> NDArray[np.float64]:
             poses = _poses(state)
-            nodes, turns = self._nodes(poses), self._turns(poses)
+            nodes, rotations = self._nodes(poses), self._rotations(poses)
             centres = (1.0 - share) * nodes[low] + share * nodes[low + 1]
-            turn = (1.0 - share) * turns[low] + share * turns[low + 1]
-            return np.asarray(centres + Rotation.from_quat(turn).apply(offsets))
+            rotation = (1.0 - share) * rotations[low] + share * rotations[low + 1]
+            return np.asarray(centres + Rotation.from_quat(rotation).apply(offsets))
 
         return read
 
@@ -150,16 +151,16 @@ class LinePartNewton:
         ends = poses[bodies, :3] + Rotation.from_quat(poses[bodies, 3:]).apply(places)
         return np.asarray(ends.reshape(-1, 2, 3).mean(axis=1))
 
-    def _turns(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rotation of the line at each node since the start, as unit quaternions, shape [node_count, 4]."""
-        # What holds an end of a rope turns by itself; the second of a pair is always a segment, but for a grip's tip.
+    def _rotations(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the rotation of the line at each node since the start, as unit quaternions, shape [node_count, 4]."""
+        # The holder of a rope's end rotates independently. The second anchor of a pair is a segment, except at a tip.
         anchors = [anchor for pair in self.anchors for anchor in (pair if self.keeps_direction else (pair[1], pair[1]))]
         now = Rotation.from_quat(poses[[anchor.body for anchor in anchors], 3:])
-        turns = (now * Rotation.concatenate([anchor.start for anchor in anchors]).inv()).as_quat()
-        # A quaternion and its negative are one rotation; along the line the nearer one is taken, so that means exist.
-        signs = np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0.0, -1.0, 1.0)
-        turns[1:] *= np.cumprod(signs)[:, None]
-        means = turns.reshape(-1, 2, 4).mean(axis=1)
+        rotations = (now * Rotation.concatenate([anchor.start for anchor in anchors]).inv()).as_quat()
+        # A quaternion and its negative are one rotation. The nearer one of both along the line has a meaningful mean.
+        signs = np.where(np.sum(rotations[1:] * rotations[:-1], axis=1) < 0.0, -1.0, 1.0)
+        rotations[1:] *= np.cumprod(signs)[:, None]
+        means = rotations.reshape(-1, 2, 4).mean(axis=1)
         return np.asarray(means / np.linalg.norm(means, axis=1, keepdims=True))
 
 
@@ -167,56 +168,59 @@ def add_line(
     builder: newton.ModelBuilder,
     line: Rope | Rod,
     *,
-    glued: Sequence[RigidAttachment] = (),
+    attachments: Sequence[RigidAttachment] = (),
     bodies: Mapping[str, int],
     segments: int,
     joint_stiffness_n_per_m: float,
     damping_s: float = 0.0,
     touches_itself: bool = False,
 ) -> LinePartNewton:
-    """Add a rope or a rod to a model in the making; it collides with every shape that it is not kept apart from.
+    """Add a rope or a rod to a model builder; it collides with every shape that is not excluded.
 
-    What is in a grip is part of the body that holds it, and its mass is left out.
+    The material in a grip is part of the body that holds it, and its mass is omitted.
 
     Args:
-        builder: Model in the making; it has the rigid bodies already.
-        line: The line. A rope's Young's modulus is not used, since a rope is inextensible.
-        glued: What its ends are glued to. There a rod keeps its direction, and a rope its place alone.
-        bodies: Index of each rigid body, by its name; -1 for fixed ones.
-        segments: Number of segments of what is outside of grips.
-        joint_stiffness_n_per_m: Springs that hold the ends of neighbours together; of a softer rod, E A over
-            the length of a segment.
-        damping_s: Viscosity of a rod in bending and twist, as the time by which it multiplies the rate of curvature.
-        touches_itself: Whether segments collide with those that are not near them along the line.
+        builder: Model builder that contains the rigid bodies.
+        line: The line. A rope's Young's modulus is unused, because a rope is inextensible.
+        attachments: Attachments of its ends. An attached rod keeps its direction; a rope only keeps its position.
+        bodies: Model index of each rigid body, by name; -1 for fixed bodies.
+        segments: Number of segments outside the grips.
+        joint_stiffness_n_per_m: Largest stiffness of the joints between segments [N/m]; a softer rod has E A over the
+            length of a segment.
+        damping_s: Viscosity of a rod in bending and twist, as the time that multiplies the rate of curvature [s].
+        touches_itself: Whether segments collide with those that are not close along the line.
 
     Raises:
-        UnsupportedSceneError: Something else than an end is glued, a length of a rope, or all of a rod.
+        UnsupportedSceneError: A region is not an end, an attached region of a rope has a depth, or the attached regions
+            cover the whole line.
     """
-    ends = attached_ends(line, glued)
+    ends = attached_ends(line, attachments)
     low_m, high_m = _free_places_m(line, ends)
     length_m = (high_m - low_m) / segments
     nodes_m = points_on_axis(line, low_m + length_m * np.arange(segments + 1))
-    turn = line.pose.rotation * TURN_TO_AXIS[LINE_AXIS[type(line)]]
-    fixed = {0 if side == "low" else segments - 1 for side, glue in ends.items() if bodies[glue.body] == WORLD}
+    rotation = line.pose.rotation * ROTATION_TO_AXIS[LINE_AXIS[type(line)]]
+    fixed = {
+        0 if side == "low" else segments - 1 for side, attachment in ends.items() if bodies[attachment.body] == WORLD
+    }
     links = [
-        _add_segment(builder, line, 0.5 * (nodes_m[i] + nodes_m[i + 1]), turn, length_m, on_world=i in fixed)
+        _add_segment(builder, line, 0.5 * (nodes_m[i] + nodes_m[i + 1]), rotation, length_m, on_world=i in fixed)
         for i in range(segments)
     ]
     shapes = _add_capsules(builder, line, links, length_m=length_m, ends=ends)
     _keep_near_apart(builder, shapes, length_m, clear_m=CLEAR_RADII * line.radius_m, all_of_it=not touches_itself)
 
     half = 0.5 * length_m
-    low = [_Anchor(body=link, place_m=(0.0, 0.0, -half), start=turn) for link in links]
-    high = [_Anchor(body=link, place_m=(0.0, 0.0, half), start=turn) for link in links]
+    low = [_Anchor(body=link, place_m=(0.0, 0.0, -half), start=rotation) for link in links]
+    high = [_Anchor(body=link, place_m=(0.0, 0.0, half), start=rotation) for link in links]
     first = _held(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
     last = _held(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
-    # What holds an end comes first in its pair, since Newton wants the world as parent.
+    # The holder of an end comes first in its pair, because Newton accepts the world only as parent.
     anchors = list(zip([first, *high[:-1], last], [*low, high[-1]], strict=True))
     section = _CrossSection.of(line, largest_stretch_n=joint_stiffness_n_per_m * length_m, damping_s=damping_s)
     for index, (parent, child) in enumerate(anchors):
         if parent is not child:
-            stands_for_m = length_m if 0 < index < segments else half
-            _add_joint(builder, parent, child, turn, section, stands_for_m=stands_for_m, label=line.name)
+            span_m = length_m if 0 < index < segments else half
+            _add_joint(builder, parent, child, rotation, section, span_m=span_m, label=line.name)
     tips = {side: _gripped_tip(line, side, ends, bodies) for side in ("low", "high")}
     return LinePartNewton(
         name=line.name,
@@ -229,7 +233,7 @@ def add_line(
 
 
 def _free_places_m(line: Rope | Rod, ends: Mapping[str, RigidAttachment]) -> tuple[float, float]:
-    """Where what is outside of grips begins and ends, from the middle of the line [m]."""
+    """Return the ends of the free length, as signed distances from the middle of the line [m]."""
     low, high = (ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high"))
     return low - 0.5 * line.length_m, 0.5 * line.length_m - high
 
@@ -237,7 +241,10 @@ def _free_places_m(line: Rope | Rod, ends: Mapping[str, RigidAttachment]) -> tup
 def _gripped_tip(
     line: Rope | Rod, side: str, ends: Mapping[str, RigidAttachment], bodies: Mapping[str, int]
 ) -> tuple[NDArray[np.float64], list[tuple[_Anchor, _Anchor]]]:
-    """Node at an end that lies in a grip, if one does: its place [m], shape [0 or 1, 3], and its anchors."""
+    """Return the node at a gripped end of the line: its position [m], shape [0 or 1, 3], and its anchors.
+
+    Both are empty if the end is not in a grip.
+    """
     if side not in ends or ends[side].region.depth_m == 0.0:
         return np.zeros((0, 3)), []
     place_m = points_on_axis(line, np.array([-0.5 if side == "low" else 0.5]) * line.length_m)
@@ -246,39 +253,34 @@ def _gripped_tip(
 
 
 def _poses(state: newton.State) -> NDArray[np.float64]:
-    """Poses of all bodies, and last of the world, so that its index -1 finds it, shape [body_count + 1, 7]."""
+    """Return the poses of all bodies, shape [body_count + 1, 7]; the last row, index -1, is the world."""
     return np.vstack([state.body_q.numpy().astype(np.float64), [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]])
 
 
-def _held(glue: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
-    """Point of the body that an end is glued to."""
-    index = bodies[glue.body]
+def _held(attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
+    """Return the point of the rigid body that holds an end."""
+    index = bodies[attachment.body]
     if index == WORLD:
-        return _Anchor(body=index, place_m=_vector(point_m), start=Rotation.identity())
-    return _Anchor(body=index, place_m=_vector(glue.pose.to_body(point_m)), start=glue.pose.rotation)
-
-
-def _vector(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
+        return _Anchor(body=index, place_m=vector(point_m), start=Rotation.identity())
+    return _Anchor(body=index, place_m=vector(attachment.pose.to_body(point_m)), start=attachment.pose.rotation)
 
 
 def _add_segment(
     builder: newton.ModelBuilder,
     line: Rope | Rod,
     centre_m: NDArray[np.float64],
-    turn: Rotation,
+    rotation: Rotation,
     length_m: float,
     *,
     on_world: bool,
 ) -> int:
     mass = line.mass_kg * length_m / line.length_m
     _, inertia = mass_properties(Cylinder(radius_m=line.radius_m, length_m=length_m), mass)
-    w, x, y, z = turn.as_quat(scalar_first=True).tolist()
-    # Newton gives a body a free joint to the world, which is not for one that a rod joint ties to it.
+
+    # `add_body` also adds a free joint to the world, which a segment with a rod joint to the world must not have.
     add = builder.add_link if on_world else builder.add_body
     return add(
-        xform=warp_transform(Pose(position_m=_vector(centre_m), quaternion=(w, x, y, z))),
+        xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)),
         mass=mass,
         inertia=wp.mat33(inertia),
         lock_inertia=True,
@@ -294,7 +296,7 @@ def _add_capsules(
     length_m: float,
     ends: Mapping[str, RigidAttachment],
 ) -> tuple[int, ...]:
-    """Capsules of the segments; where the line ends freely, the round end lies within it."""
+    """Add the capsules of the segments; the round end of a free end lies within the line."""
     shapes = []
     for index, link in enumerate(links):
         low = line.radius_m if index == 0 and "low" not in ends else 0.0
@@ -324,15 +326,15 @@ def _add_joint(
     builder: newton.ModelBuilder,
     parent: _Anchor,
     child: _Anchor,
-    turn: Rotation,
+    rotation: Rotation,
     section: _CrossSection,
     *,
-    stands_for_m: float,
+    span_m: float,
     label: str,
 ) -> None:
-    """Join two anchors that are at one place, as a length of the line would."""
+    """Join two anchors at the same position with the stiffness of a length of the line [m]."""
     frames = [
-        wp.transform(wp.vec3(*anchor.place_m), wp.quat(*(anchor.start.inv() * turn).as_quat().tolist()))
+        wp.transform(wp.vec3(*anchor.place_m), wp.quat(*(anchor.start.inv() * rotation).as_quat().tolist()))
         for anchor in (parent, child)
     ]
     joint = builder.add_joint_rod(
@@ -341,11 +343,11 @@ def _add_joint(
         parent_xform=frames[0],
         child_xform=frames[1],
         rest_rotation=wp.quat_identity(),
-        stretch_stiffness=section.stretch_n / stands_for_m,
-        bend_stiffness=section.bend_n_m2 / stands_for_m,
-        bend_damping=section.damping_s * section.bend_n_m2 / stands_for_m,
-        twist_stiffness=section.twist_n_m2 / stands_for_m,
-        twist_damping=section.damping_s * section.twist_n_m2 / stands_for_m,
+        stretch_stiffness=section.stretch_n / span_m,
+        bend_stiffness=section.bend_n_m2 / span_m,
+        bend_damping=section.damping_s * section.bend_n_m2 / span_m,
+        twist_stiffness=section.twist_n_m2 / span_m,
+        twist_damping=section.damping_s * section.twist_n_m2 / span_m,
         label=label,
     )
     if parent.body == WORLD:

@@ -1,9 +1,9 @@
-"""Soft bodies for Newton's implicit material point method: boxes of particles on a grid, the pairing of the paper.
+"""Soft bodies for Newton's implicit material point method (MPM), which the paper uses: boxes of particles on a grid.
 
-The grid limits how well this does. A velocity is linear within a voxel, and a gripped particle holds all nodes of its
-voxel, so a voxel at a grip is rigid up to its far side. With the solver's default the stress of an elastic material
-relaxes whenever a solve stops at its cap on iterations; here the strain is kept. Tetrahedra with vertex block descent
-(`soft.py`) are closer to theory and much cheaper.
+The grid limits the accuracy. Velocity is linear within a voxel, and a gripped particle holds all nodes of its voxel, so
+a voxel at a grip is rigid up to its far side. By default, the solver relaxes elastic stress whenever a solve stops at
+its maximum number of iterations; this module keeps the strain. Tetrahedra with VBD (`soft.py`) are more accurate and
+much cheaper.
 """
 
 from __future__ import annotations
@@ -18,108 +18,113 @@ from newton.solvers import SolverImplicitMPM
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from gauge_envs.backends.newton.kernels import carry, hold
+from gauge_envs.backends.newton.pins import Pin, PinnedParticles
 from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.newton.vbd import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.scene import Motion, SoftBody
 
 __all__ = [
-    "LoopMPM",
-    "MPMPart",
+    "SoftPartMPM",
+    "StepperMPM",
     "add_soft_mpm",
     "fitted_voxel_m",
 ]
 
 GRIPPED_SIZE = 0.3
-"""Size of a gripped point, which has no volume to fill, in terms of its cell."""
+"""Size of a gripped point relative to its cell; a gripped point has no volume to fill."""
 
 NEIGHBOURS = 24
-"""Material points from which the place of another one is interpolated."""
+"""Number of material points from which a tracked point is interpolated."""
 
 VOXEL_RANGE = (0.85, 1.15)
-"""Voxels between these multiples of the wanted one are tried by `fitted_voxel_m`."""
+"""Voxel sizes that `fitted_voxel_m` tries, as multiples of the desired size."""
 
 
 def fitted_voxel_m(
     bodies: Sequence[SoftBody],
     *,
-    glued: Mapping[str, Sequence[RigidAttachment]],
+    attachments: Mapping[str, Sequence[RigidAttachment]],
     voxel_m: float,
     points_per_voxel_edge: int = 2,
 ) -> float:
-    """Edge of a voxel [m], near a wanted one, that makes the rigid voxels at the grips end where the grips end.
+    """Return the voxel edge [m], close to a desired one, with which the rigid voxels end where the grips end.
 
-    A voxel is centred at the world's origin, and a point in a grip holds its whole voxel. So the free length is that
-    between two grid planes, which may be a voxel less than it should be.
+    One voxel is centred at the world's origin, and a point in a grip holds its whole voxel. The free length is
+    therefore the distance of two grid planes, which may be a voxel too short.
+
+    Args:
+        bodies: One body, or all bodies of a soft row in any order.
+        attachments: Attachments to rigid bodies, by name of the soft body.
+        voxel_m: Desired edge of a voxel [m].
+        points_per_voxel_edge: Material points along the edge of a voxel.
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `SoftRow.of`.
+        UnsupportedSceneError: The bodies do not form a soft row; see `SoftRow.of`.
     """
-    row = SoftRow.of(bodies, glued)
-    low, high = row.low_m[row.axis], row.high_m[row.axis]
+    soft_row = SoftRow.of(bodies, attachments)
+    low, high = soft_row.low_m[soft_row.axis], soft_row.high_m[soft_row.axis]
     candidates = voxel_m * np.linspace(*VOXEL_RANGE, 601)
     # The outermost gripped point sits half a spacing beyond the face.
     half = 0.5 * candidates / points_per_voxel_edge
     misses = np.zeros((2, len(candidates)))
-    if "low" in row.ends:
+    if "low" in soft_row.ends:
         misses[0] = (np.ceil((low - half) / candidates - 0.5) + 0.5) * candidates - low
-    if "high" in row.ends:
+    if "high" in soft_row.ends:
         misses[1] = high - (np.floor((high + half) / candidates - 0.5) + 0.5) * candidates
     return float(candidates[np.argmin(np.square(misses).sum(axis=0))])
 
 
-class MPMPart:
+class SoftPartMPM:
     """One soft body, or several bonded in a row, as material points of a Newton model.
 
     Attributes:
         name: Name of the row's first body.
         names: Names of the bodies, in their order along the row.
         rest_m: World positions of the free material points at the start [m], shape [node_count, 3].
-        particles: Its particles in the model; the free ones come first.
-        pins: Points in the grip of a moving body, for `LoopMPM`.
+        particles: Its particles in the model; free particles come first.
+        pins: Particles that kinematic bodies hold, for `StepperMPM`.
     """
 
     def __init__(
         self,
-        row: SoftRow,
+        soft_row: SoftRow,
         free_m: NDArray[np.float64],
         gripped_m: NDArray[np.float64],
         *,
         start: int,
         pins: Sequence[Pin],
     ) -> None:
-        self.name = row.blocks[0].body.name
-        self.names = tuple(block.body.name for block in row.blocks)
+        self.name = soft_row.blocks[0].body.name
+        self.names = tuple(block.body.name for block in soft_row.blocks)
         self.rest_m = free_m
         self.particles = slice(start, start + len(free_m) + len(gripped_m))
         self.pins = tuple(pins)
-        self._row = row
+        self._soft_row = soft_row
         self._points_m = np.concatenate([free_m, gripped_m])
-        self._rows = {block.body.name: np.flatnonzero(block.holds(free_m)) for block in row.blocks}
+        self._node_indices = {block.body.name: np.flatnonzero(block.holds(free_m)) for block in soft_row.blocks}
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """World positions of the free points in a state [m], shape [node_count, 3]; kept in single precision."""
+        """Return the world positions of the free points in a state [m], shape [node_count, 3], in single precision."""
         return state.particle_q.numpy()[self.particles][: len(self.rest_m)].astype(np.float64)
 
     def block_nodes(self, name: str) -> NDArray[np.intp]:
-        """Rows of `nodes` that belong to a body, shape [block_node_count]."""
-        return self._rows[name]
+        """Return indices into `nodes` of a body's nodes, shape [block_node_count]."""
+        return self._node_indices[name]
 
     def track(self, points_m: ArrayLike) -> Callable[[newton.State], NDArray[np.float64]]:
-        """Reader of arbitrary points: weighted mean of the nearest ones, exact where these deform alike.
+        """Return a reader of material points: a weighted mean of the nearest particles, exact for linear deformation.
 
         Args:
             points_m: World positions at the start [m], shape [point_count, 3].
 
         Returns:
-            Function of a state that returns where the points are in it [m], shape [point_count, 3].
+            Function of a state that returns the positions of the points [m], shape [point_count, 3].
 
         Raises:
             ShapeError: A point lies outside the free material.
         """
-        points = self._row.checked(np.asarray(points_m, dtype=np.float64))
+        points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
         nearest, weights = _linear_weights(self._points_m, points)
 
         def read(state: newton.State) -> NDArray[np.float64]:
@@ -132,13 +137,13 @@ class MPMPart:
 def _linear_weights(
     sources_m: NDArray[np.float64], points_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Moving least squares: for each point its nearest sources, and weights that reproduce linear functions.
+    """Return the nearest sources of each point and moving-least-squares weights that reproduce linear functions.
 
     Returns:
-        Rows of the sources and their weights, both of shape [point_count, NEIGHBOURS].
+        Indices of the sources and their weights, both of shape [point_count, NEIGHBOURS].
     """
     distance, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
-    # Falls to 2 % at the farthest of the neighbours.
+    # The weight falls to 2 % at the farthest neighbour.
     near = np.exp(-4.0 * np.square(distance / distance[:, -1:]))
     offsets = sources_m[nearest] - points_m[:, None]
     basis = np.concatenate([np.ones_like(offsets[..., :1]), offsets / distance[:, -1:, None]], axis=-1)
@@ -152,60 +157,66 @@ def add_soft_mpm(
     builder: newton.ModelBuilder,
     bodies: Sequence[SoftBody],
     *,
-    glued: Mapping[str, Sequence[RigidAttachment]],
+    attachments: Mapping[str, Sequence[RigidAttachment]],
     indices: Mapping[str, int],
     spacing_m: float,
     damping_s: float = 0.0,
-) -> MPMPart:
-    """Add a soft body, or a row of soft bodies bonded face to face, as material points.
+) -> SoftPartMPM:
+    """Add a soft body or a soft row as material points.
 
-    `SolverImplicitMPM.register_custom_attributes` must have been called. Points in a grip have no mass, which to this
-    solver means that they impose their velocity on the grid.
+    `SolverImplicitMPM.register_custom_attributes` must have been called. Points in a grip have no mass; the solver lets
+    such points impose their velocity on the grid.
 
     Args:
-        builder: Model in the making; it has the rigid bodies already.
-        bodies: One body, or all bodies of a row in any order.
-        glued: What is glued to rigid bodies, by name of the soft body; only the two ends of the row may be.
-        indices: Index of each rigid body in the model, by its name; of those that grip the row and move.
-        spacing_m: Largest distance between neighbouring points [m]; half a voxel gives 8 a voxel.
-        damping_s: Relaxation time of the elastic stress, Newton's `mpm:damping`.
+        builder: Model builder that contains the rigid bodies.
+        bodies: One body, or all bodies of a soft row in any order.
+        attachments: Attachments to rigid bodies, by name of the soft body; only the row's ends may be attached.
+        indices: Model index of each kinematic body that grips the row, by name.
+        spacing_m: Largest distance between neighbouring points [m]; half a voxel gives 8 points per voxel.
+        damping_s: Relaxation time of the elastic stress, Newton's `mpm:damping` [s].
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a row that is gripped at its ends; see `SoftRow.of`.
+        UnsupportedSceneError: The bodies do not form a soft row; see `SoftRow.of`.
     """
-    row = SoftRow.of(bodies, glued)
+    soft_row = SoftRow.of(bodies, attachments)
     start = builder.particle_count
     free: list[NDArray[np.float64]] = []
-    for block in row.blocks:
+    for block in soft_row.blocks:
         points, cell_m = _points_m(block.low_m, block.high_m, spacing_m)
         _add_points(builder, points, cell_m, block.body, block.density_kg_per_m3, damping_s)
         free.append(points)
     gripped: list[NDArray[np.float64]] = [np.zeros((0, 3))]
     pins: list[Pin] = []
-    for side, glue in row.ends.items():
-        block = row.blocks[0] if side == "low" else row.blocks[-1]
+    for side, attachment in soft_row.ends.items():
+        block = soft_row.blocks[0] if side == "low" else soft_row.blocks[-1]
         low_m, high_m = block.low_m.copy(), block.high_m.copy()
-        depth_m = max(glue.region.depth_m, spacing_m)
+        depth_m = max(attachment.region.depth_m, spacing_m)
         if side == "low":
-            low_m[row.axis], high_m[row.axis] = block.low_m[row.axis] - depth_m, block.low_m[row.axis]
+            low_m[soft_row.axis], high_m[soft_row.axis] = (
+                block.low_m[soft_row.axis] - depth_m,
+                block.low_m[soft_row.axis],
+            )
         else:
-            low_m[row.axis], high_m[row.axis] = block.high_m[row.axis], block.high_m[row.axis] + depth_m
+            low_m[soft_row.axis], high_m[soft_row.axis] = (
+                block.high_m[soft_row.axis],
+                block.high_m[soft_row.axis] + depth_m,
+            )
         points, cell_m = _points_m(low_m, high_m, spacing_m)
         first = builder.particle_count
         _add_points(builder, points, cell_m, block.body, 0.0, damping_s)
         gripped.append(points)
-        if glue.motion is Motion.KINEMATIC:
+        if attachment.motion is Motion.KINEMATIC:
             pins.extend(
-                Pin(particle=first + number, body=indices[glue.body], place_m=(x, y, z))
-                for number, (x, y, z) in enumerate(glue.pose.to_body(points).tolist())
+                Pin(particle=first + number, body=indices[attachment.body], place_m=(x, y, z))
+                for number, (x, y, z) in enumerate(attachment.pose.to_body(points).tolist())
             )
-    return MPMPart(row, np.concatenate(free), np.concatenate(gripped), start=start, pins=pins)
+    return SoftPartMPM(soft_row, np.concatenate(free), np.concatenate(gripped), start=start, pins=pins)
 
 
 def _points_m(
     low_m: NDArray[np.float64], high_m: NDArray[np.float64], spacing_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Middles of the cells of a box [m], shape [point_count, 3], and the size of a cell [m], shape [3]."""
+    """Return the centres of the cells of a box [m], shape [point_count, 3], and the size of a cell [m], shape [3]."""
     counts = np.maximum(1, np.ceil((high_m - low_m) / spacing_m - 1e-6)).astype(int)
     cell_m = (high_m - low_m) / counts
     steps = np.meshgrid(*(np.arange(count) + 0.5 for count in counts), indexing="ij")
@@ -225,13 +236,13 @@ def _add_points(
         pos=[wp.vec3(*point) for point in points_m],
         vel=[wp.vec3(0.0, 0.0, 0.0)] * count,
         mass=[density_kg_per_m3 * volume_m3] * count,
-        # The solver takes a point for a cube with edges of twice its radius. A gripped one must stay in its voxel.
+        # The solver treats a point as a cube with edges of twice its radius. A gripped point must stay in its voxel.
         radius=[0.5 * volume_m3 ** (1 / 3) * (1.0 if density_kg_per_m3 else GRIPPED_SIZE)] * count,
         custom_attributes={
             "mpm:young_modulus": [body.young_modulus_pa] * count,
             "mpm:poisson_ratio": [body.poisson_ratio] * count,
             "mpm:damping": [damping_s] * count,
-            # The default yields at once under tension.
+            # With the default ratio, the material yields immediately under tension.
             "mpm:tensile_yield_ratio": [1.0] * count,
         },
     )
@@ -240,23 +251,22 @@ def _add_points(
 # --- stepping --------------------------------------------------------------------------------------------------------
 
 
-class LoopMPM(Stepper):
-    """Steps particles with `newton.solvers.SolverImplicitMPM`; rigid bodies are fixed or driven.
+class StepperMPM(Stepper):
+    """Stepper of particles with `newton.solvers.SolverImplicitMPM`; rigid bodies are fixed or driven.
 
-    It runs without a graph: the grid is allocated anew in every step, which a recorded step cannot do on the CPU.
+    It records no graph, because each step allocates a new grid, and a recorded step cannot do so on the CPU.
 
     Args:
         model: The finalized model.
         driven: Indices of the kinematic bodies.
-        pins: Points that moving bodies hold.
-        timestep_s: Step [s].
+        pins: Particles that kinematic bodies hold.
+        timestep_s: Time step [s].
         voxel_m: Edge of a voxel [m].
-        iterations: Cap on the iterations of the stress solver.
+        iterations: Maximum number of iterations of the stress solver.
         tolerance: Residual at which the stress solver stops.
-        integration_scheme: `gimp`, where points fill their cells, or `pic`, where they are points. A strain that is
-            constant in a voxel does not see all motion of points that share it evenly: with `pic` and two points along
-            an edge, voxels of 12 mm give a tenth of the stress. With `gimp` a bar that is twisted by more than 45
-            degrees diverges.
+        integration_scheme: `gimp`, in which points fill their cells, or `pic`, in which they have no extent. With
+            `pic`, the constant strain of a voxel misses motions of evenly spaced points: with two points along an edge,
+            voxels of 12 mm give a tenth of the stress. With `gimp`, a bar diverges at a twist of more than 45 degrees.
     """
 
     def __init__(
@@ -275,28 +285,25 @@ class LoopMPM(Stepper):
             voxel_size=voxel_m,
             max_iterations=iterations,
             tolerance=tolerance,
-            # Strain that a capped solve leaves over would be forgotten: the stress came out at half.
+            # Otherwise the residual strain of an unconverged solve is lost, and the stress is half the correct value.
             carry_residual_strain="unconverged",
-            # Keeps the memory from one step to the next in the state, where a snapshot finds it.
+            # Keeps the warm start in the state, so that snapshots contain it.
             warmstart_mode="particles",
             integration_scheme=integration_scheme,
-            # Contact at the points: by default, on the grid's nodes, a driven cube sinks 16 mm into the foam.
+            # Contact at the points. With contact at the grid nodes, the default, a driven cube sinks 16 mm into foam.
             collider_basis="pic27",
             air_drag=0.0,
             separate_worlds=model.world_count > 1,
         )
         super().__init__(model, SolverImplicitMPM(model, config), driven=driven, timestep_s=timestep_s)
-        with wp.ScopedDevice(model.device):
-            self._held = wp.array([pin.particle for pin in pins], dtype=wp.int32)
-            self._holders = wp.array([pin.body for pin in pins], dtype=wp.int32)
-            self._places = wp.array([pin.place_m for pin in pins], dtype=wp.vec3)
+        self._pinned = PinnedParticles(pins, model.device)
 
     def record(self) -> None:
-        """Only keep the start."""
+        """Keep the start; no graph is recorded."""
         self._first = [array.numpy().copy() for array in self._arrays()]
 
     def advance(self, seconds: float) -> None:
-        """Run the steps one by one."""
+        """Run the steps one by one, without a graph."""
         self._send_commands()
         for _ in range(round(seconds / self.timestep_s)):
             self._step(self._states[self._current], self._states[1 - self._current])
@@ -304,29 +311,14 @@ class LoopMPM(Stepper):
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(after.body_q, after.body_qd, steps_ahead=1)
-        pins = [self._held, self._holders, self._places]
-        if self._held.size:
-            wp.launch(
-                carry,
-                dim=self._held.size,
-                inputs=[*pins, state.body_q, after.body_q, after.body_qd, self.timestep_s],
-                outputs=[state.particle_q, state.particle_qd, state.mpm.particle_qd_grad],
-                device=self.model.device,
-            )
-        # Contact impulses of the last step live in the solver, where no snapshot finds them: each step starts without.
+        self._pinned.carry(state, after, self.timestep_s)
+        # Snapshots do not contain the solver's contact impulses of the last step, so each step starts without them.
         self.solver.reset(state, flags=0)
         self.solver.step(state, after, self._control, None, self.timestep_s)
-        if self._held.size:
-            wp.launch(
-                hold,
-                dim=self._held.size,
-                inputs=[*pins, after.body_q],
-                outputs=[after.particle_q],
-                device=self.model.device,
-            )
+        self._pinned.hold(after.body_q, after.particle_q)
 
     def _arrays(self) -> list[wp.array]:
-        """The states and the drive: the solver's own arrays are those of a grid that lives for one step."""
+        """Return the arrays of both states and of the drives; the solver's own arrays live for one step only."""
         found: list[wp.array] = []
         for state in self._states:
             found += [state.particle_q, state.particle_qd]

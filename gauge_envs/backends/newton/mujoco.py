@@ -1,8 +1,9 @@
-"""Rigid scenes on Newton's MuJoCo solver (MuJoCo Warp), with contacts from Newton's own collision pipeline.
+"""Rigid scenes on Newton's MuJoCo solver (MuJoCo Warp), with contacts from Newton's collision pipeline.
 
-In single precision MuJoCo Warp's own normal between two boxes is off by more than a degree in 2 of 100 contacts that
-are 1 to 10 um deep, in 8 that are 0.1 to 1 um deep, and in 56 below: cubes on a slope then scatter by up to 7 % about
-Coulomb's acceleration. Newton's normals are good to 0.02 degrees, and the scatter is that of double precision.
+The collision detection of MuJoCo Warp is not used, because its normals are inaccurate in single precision. Between two
+boxes they are off by more than a degree in 2 % of the contacts that are 1 to 10 um deep. That share is 8 % at a depth
+of 0.1 to 1 um, and 56 % below. Accelerations of cubes on a slope then scatter by up to 7 % about Coulomb's law.
+Newton's normals are accurate to 0.02 degrees, and the scatter is that of double precision.
 """
 
 from __future__ import annotations
@@ -25,42 +26,42 @@ from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene import Scene
 
 __all__ = [
-    "LoopMuJoCo",
+    "StepperMuJoCo",
     "add_contacts",
     "shape_config",
 ]
 
 CONTACT_POINTS_PER_PAIR = 8
-"""Room for the contact points of a pair of shapes; Newton reduces a face on a face to four or five."""
+"""Reserved contact points per pair of shapes; Newton reduces two faces in contact to four or five points."""
 
 ROWS_PER_POINT = 4
-"""Constraints of a contact point: four edges of a pyramidal cone, or three of an elliptic one."""
+"""Constraints of a contact point: four for the edges of a pyramidal cone, three for an elliptic cone."""
 
 ROWS_PER_WELD = 6
-"""Constraints that hold a driven body."""
+"""Constraints of a driven body."""
 
 SOLIMP_SHAPE = (0.5, 2.0)
-"""Midpoint and power of the impedance curve, MuJoCo's own; without effect where the impedance is constant."""
+"""Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
 
 NO_FRICTION = 2e-5
-"""Just above the least coefficient that MuJoCo Warp accepts, of shapes whose contacts are carried by others."""
+"""Friction of frictionless shapes and of those that carry no constants, just above MuJoCo Warp's smallest value."""
 
 SOLREF_AS_GIVEN = 1
-"""Newton's code of a shape whose `solref` is MuJoCo's own, and not made of its stiffness and damping."""
+"""Newton's code for a shape whose `solref` is given, and not computed from its stiffness and damping."""
 
 CONTACT_GAP_M = 0.002
-"""Distance at which Newton starts to list a contact; more than anything goes in a step."""
+"""Distance at which Newton detects a contact [m], more than the displacement of any body in one step."""
 
 
 def shape_config() -> newton.ModelBuilder.ShapeConfig:
-    """Constants of a shape before `add_contacts`; without density, as masses are given."""
+    """Return the constants of a shape before `add_contacts`; its density is zero because masses are given."""
     return newton.ModelBuilder.ShapeConfig(
         density=0.0, gap=CONTACT_GAP_M, mu=NO_FRICTION, mu_torsional=0.0, mu_rolling=0.0, kf=FRICTION_AS_NORMAL
     )
 
 
 def add_contacts(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp) -> None:
-    """Give shapes the constants of their contacts, and keep all others apart."""
+    """Write the contact constants of shapes, and exclude all collisions without a contact in the scene."""
     pairs = pair_constants(scene, settings)
     for name, constants in carried_constants(pairs).items():
         for shape in index.shapes[name]:
@@ -85,8 +86,8 @@ def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, 
         attribute.values = (attribute.values or {}) | {shape: value}
 
 
-class LoopMuJoCo(Stepper):
-    """Steps rigid bodies with MuJoCo Warp, which finds the contacts itself.
+class StepperMuJoCo(Stepper):
+    """Stepper of rigid bodies with MuJoCo Warp and contacts of Newton's collision pipeline.
 
     Args:
         model: The finalized model.
@@ -97,7 +98,7 @@ class LoopMuJoCo(Stepper):
     def __init__(self, model: newton.Model, *, driven: Sequence[int], settings: SettingsMuJoCoWarp) -> None:
         pair_count = model.shape_contact_pair_count // model.world_count
         with warnings.catch_warnings():
-            # Newton 1.8 asks for MuJoCo 3.17. This package needs 4.0, and the laws hold with it (tests).
+            # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
             warnings.filterwarnings("ignore", message="MuJoCo dependency version mismatch")
             solver = SolverMuJoCo(
                 model,
@@ -108,7 +109,7 @@ class LoopMuJoCo(Stepper):
                 iterations=settings.iterations,
                 ls_iterations=settings.line_search_iterations,
                 tolerance=settings.tolerance,
-                # A weld for each body that could become kinematic would multiply the constraints.
+                # Otherwise Newton adds a weld for each body that could become kinematic, and many constraints.
                 kinematic_switchable_roots=False,
                 use_mujoco_contacts=not pair_count,
                 disable_contacts=not pair_count,
@@ -118,7 +119,7 @@ class LoopMuJoCo(Stepper):
         self._pipeline = newton.CollisionPipeline(model) if pair_count else None
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
-        # This solver reads joints, not bodies: a driven body is written to both.
+        # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
         joints = {body: joint for joint, body in enumerate(model.joint_child.numpy().tolist())}
         starts = [model.joint_q_start.numpy(), model.joint_qd_start.numpy()]
         with wp.ScopedDevice(model.device):
@@ -128,8 +129,8 @@ class LoopMuJoCo(Stepper):
             )
 
     def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
-        """Force and torque on a body; see `World.apply_wrench`."""
-        # Steps go to and fro between the two states, and each reads the wrenches of the one that it starts from.
+        """Apply a force and a torque to a body; see `World.apply_wrench`."""
+        # Steps alternate between the two states, and each step reads the wrenches of its start state.
         for state in self._states:
             wrenches = state.body_f.numpy()
             wrenches[body] = wrench
@@ -148,5 +149,5 @@ class LoopMuJoCo(Stepper):
         if self._pipeline is not None:
             self._pipeline.collide(state, self._contacts)
         self.solver.step(state, after, self._control, self._contacts, self.timestep_s)
-        # The solver leaves a driven body where the step found it.
+        # The solver does not move driven bodies.
         self._prescribe(after.body_q, after.body_qd, steps_ahead=1)

@@ -1,4 +1,4 @@
-"""Rigid bodies of a scene -> bodies and shapes of a Newton model."""
+"""Conversion of rigid bodies of a scene to bodies and shapes of a Newton model."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ __all__ = [
 ]
 
 WORLD = -1
-"""Newton's index of the world, as of a body."""
+"""Newton's body index of the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigidIndex:
-    """Where the rigid bodies of one scene are in a model.
+    """Indices of the rigid bodies and shapes of one scene in a model.
 
     Attributes:
-        bodies: Index of each body; -1 for fixed ones, whose shapes belong to the world.
-        shapes: Indices of the shapes of each body.
+        bodies: Index of each body, by name; -1 for fixed bodies, whose shapes belong to the world.
+        shapes: Indices of the shapes of each body, by name.
     """
 
     bodies: dict[str, int] = field(default_factory=dict)
@@ -45,14 +45,14 @@ def add_bodies(
     config: newton.ModelBuilder.ShapeConfig,
     has_prisms: bool = False,
 ) -> RigidIndex:
-    """Add the rigid bodies of a scene, with hinges as joints and driven bodies as kinematic ones.
+    """Add the rigid bodies of a scene; hinges become revolute joints and driven bodies kinematic bodies.
 
     Args:
-        builder: Model in the making.
-        scene: Its scene.
-        config: Contact constants of every shape; its density must be 0, as masses are set here.
-        has_prisms: Whether prisms stand for cylinders, which carry boxes better; particles meet cylinders three times
-            faster.
+        builder: Model builder.
+        scene: The scene.
+        config: Contact constants of every shape; its density must be 0, since this function sets the masses.
+        has_prisms: Whether prisms replace cylinders. Boxes rest better on prisms; particles collide with cylinders
+            three times faster.
     """
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     index = RigidIndex()
@@ -128,7 +128,7 @@ def _hull(points_m: NDArray[np.float64]) -> newton.Mesh:
 
 
 def keep_apart(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex) -> None:
-    """Let shapes collide only where a contact of the scene says so."""
+    """Exclude collisions between all shapes that have no contact in the scene."""
     pairs = {frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)}
     for body in scene.bodies:
         for one, other in combinations(index.shapes[body.name], 2):

@@ -1,7 +1,7 @@
-"""Numerical settings of the Newton backend: the presets, and which preset a scene gets.
+"""Numerical settings of the Newton backend: its presets and the choice of a preset for a scene.
 
-Newton has many solvers, and each has its own settings. A preset names its solver; it is picked from what the scene
-contains, never from how well it scores.
+Each of Newton's solvers has its own settings, and a preset names its solver. The content of a scene determines its
+preset; scores have no influence.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import Field
 
 from gauge_envs.backends.newton.stability import longest_timestep_s
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
-from gauge_envs.backends.shared.attachments import bonded_rows
+from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 
 __all__ = [
@@ -29,11 +29,11 @@ __all__ = [
 
 
 class SettingsNewton(SteppedSettings):
-    """Settings that every solver has.
+    """Settings of every solver.
 
     Attributes:
-        solver: Newton's name of the solver.
-        device: Where it runs: `cpu`, `cuda:0`, ...
+        solver: Solver, under Newton's name.
+        device: Warp device, such as `cpu` or `cuda:0`.
     """
 
     solver: str
@@ -44,19 +44,19 @@ class SettingsMuJoCoWarp(SettingsNewton):
     """Settings of Newton's MuJoCo solver, MuJoCo Warp in single precision.
 
     Attributes:
-        integrator: Its name of the integrator.
+        integrator: Integrator, under Newton's name.
         cone: Friction cone.
-        impratio: Ratio of frictional to normal constraint impedance; above 1 it keeps resting bodies from creeping.
-        iterations: Cap on solver iterations.
-        line_search_iterations: Cap on iterations of each line search.
+        impratio: Ratio of frictional to normal constraint impedance; values above 1 reduce the creep of resting bodies.
+        iterations: Maximum number of solver iterations.
+        line_search_iterations: Maximum number of iterations of each line search.
         tolerance: Solver tolerance.
         sustained_solref: Time constant [s] and damping ratio of sustained contacts.
         sustained_solimp: Impedance of sustained contacts: d0, dwidth, width [m].
         impact_stiffness: Dimensionless stiffness s of impacts, as in the MuJoCo backend: the direct solref of a pair is
             (-s/h^2, -(1+e)/h). Newton's own `restitution` has no effect in this solver.
-        impact_solimp: Impedance of impacts; constant in depth, since the rebound would depend on depth otherwise.
-        newton_material: Leave stiffness, damping and friction gain of contacts at Newton's own values, whatever the
-            four settings above say; the scene's restitution then has no effect.
+        impact_solimp: Impedance of impacts. It is constant in depth, so that the rebound does not depend on depth.
+        newton_material: Keep Newton's default stiffness, damping and friction gain of contacts. The four settings above
+            and the scene's restitution then have no effect.
     """
 
     solver: Literal["SolverMuJoCo"] = "SolverMuJoCo"
@@ -77,34 +77,35 @@ class SettingsVBD(SettingsNewton):
     """Settings of Newton's vertex block descent, for cloth and soft bodies.
 
     Attributes:
-        iterations: Descents over all vertices in a step. What is left of the error is a stiffness that is too low.
-        starts_from_acceleration: Start each step where the last one's acceleration leads, and not in free fall as
-            Newton does. The equations are the same, but a third of the iterations are enough; with Newton's own start
-            a hanging strip of rayon stretches by 22 % too much at 1440 Hz and 5 iterations.
-        cloth_cell_m: Wanted edge length of a cloth's cells.
+        iterations: Descents over all vertices in a step. With too few iterations, the stiffness is too low.
+        starts_from_acceleration: Use the last acceleration in the initial guess of each step, instead of free fall as
+            Newton does. The equations are the same, but a third of the iterations is enough. With free fall, a hanging
+            strip of rayon stretches by 22 % too much at 1440 Hz and 5 iterations.
+        cloth_cell_m: Desired edge length of a cloth's cells.
         soft_cell_m: Largest edge length of a soft body's cells, each of five tetrahedra. At 12.5 mm, a quarter of the
             benchmark's foam, a bar is 1 % too stiff in tension, 14 % in shear and 28 % in torsion.
-        stretch_damping_n_s_per_m: Viscosity of a cloth's membrane, Newton's `tri_kd`. Its default, 10, is that of a
-            cloth in honey; the implicit step damps enough.
+        stretch_damping_n_s_per_m: Viscosity of a cloth's membrane, Newton's `tri_kd`. Newton's default of 10 is far too
+            large; the implicit step damps enough.
         bend_damping_n_s: Viscosity of a cloth's hinges, Newton's `edge_kd`.
-        soft_damping_s: Viscosity of a soft body, as the time by which it multiplies the rate of strain.
-        soft_rigid_ratio: A block this many times as stiff as the softest that it is bonded to in a row, and in no grip,
-            is a rigid body: elastic, it would hardly move for a hundred times the steps. The row bends less by the
-            ratio's inverse. Infinity makes all elastic.
-        soft_contact_radius_m: Distance from a node of a soft body at which what touches it is held.
-        contact_per_stretch: Penalty of a cloth's contacts over its stretch stiffness: stiff enough that the cloth
-            yields before it sinks in, by 0.04 mm where a probe stretches it by 2 %, and soft enough for few iterations.
-        soft_contact_stiffness_n_per_m: Penalty of a soft body's contacts. At 1e3 a cube sinks in by millimetres, at 1e5
-            nodes at its edge are thrown aside.
-        contact_damping_n_s_per_m: Damping of contacts. Newton counts it to the normal force but not to the load of
+        soft_damping_s: Viscosity of a soft body, as the time that multiplies the rate of strain.
+        soft_rigid_ratio: A block outside grips is rigid if it is at least this many times as stiff as the softest block
+            of its soft row; an elastic one would need a hundred times the steps. The row bends less by the inverse of
+            the ratio. With infinity all blocks are elastic.
+        soft_contact_radius_m: Distance from a node of a soft body at which contact starts.
+        contact_per_stretch: Contact stiffness of a cloth over its stretch stiffness. It is so stiff that the cloth
+            stretches before a body sinks in: by 0.04 mm if a probe stretches it by 2 %. It is so soft that few
+            iterations are enough.
+        soft_contact_stiffness_n_per_m: Contact stiffness of a soft body. At 1e3 a cube sinks in by millimetres; at 1e5
+            the nodes at its edge are thrown aside.
+        contact_damping_n_s_per_m: Damping of contacts. Newton adds it to the normal force but not to the load of
             friction, so a cube on a slope slides too far with it.
-        contact_gap_m: Distance from a shape at which a contact is found; more than anything goes in a step.
-        full_surface: Let edges and faces of a mesh collide with shapes, and not its vertices alone: needed where
-            something is narrower than the cells, or rests on the cloth.
-        friction_speed_m_per_s: Speed of sliding from which friction is Coulomb's; below, it falls to zero.
-        self_contact_thickness_m: Distance at which surfaces start to push each other apart.
-        self_contact_reach_m: Further distance at which pairs are found. Newton cuts every motion in a step to 0.425 of
-            both together.
+        contact_gap_m: Distance from a shape at which a contact is detected; more than any displacement in a step.
+        full_surface: Let edges and faces of a mesh collide with shapes, and not only its vertices. Bodies that are
+            narrower than the cells, or rest on the cloth, need it.
+        friction_speed_m_per_s: Sliding speed above which friction is Coulomb's; below, it decreases to zero.
+        self_contact_thickness_m: Distance at which the contact force between surfaces starts.
+        self_contact_reach_m: Additional distance at which pairs of surfaces are detected. Newton limits the
+            displacement in a step to 0.425 of the sum of both.
     """
 
     solver: Literal["SolverVBD"] = "SolverVBD"
@@ -128,22 +129,22 @@ class SettingsVBD(SettingsNewton):
 
 
 class SettingsLines(SettingsNewton):
-    """Settings of Newton's vertex block descent for ropes and rods, which are chains of rigid bodies there.
+    """Settings of Newton's vertex block descent for ropes and rods, which are chains of rigid segments.
 
     Attributes:
         iterations: Descents over all bodies in a step.
-        rod_segments: Segments of a rod; a load at its end bends it by 1 part in 2 n^2 too much.
-        rod_damping_s: Viscosity of a rod in bending and twist, as the time by which it multiplies its rate.
-        rope_segment_m: Wanted length of a rope's segments.
-        rod_joint_stiffness_n_per_m: Largest springs that hold the ends of a rod's segments together, lengthwise and
-            across; E A over the length of a segment where that is less. Stiffer ones need more digits than single
-            precision has, and more iterations.
-        rope_strain: Stretch of a rope by its weight and that of the heaviest body at its ends. Springs that are stiffer
-            than loads ask for make noise in single precision, which adds to friction: a rope of 5 g with springs of
-            1e5 N/m slides down a slope of 30 degrees with a friction of 0.5 for 0.3.
+        rod_segments: Number n of segments of a rod; its deflection by a load at its end is 1 part in 2 n^2 too large.
+        rod_damping_s: Viscosity of a rod in bending and twist, as the time that multiplies the rate of curvature.
+        rope_segment_m: Desired length of a rope's segments.
+        rod_joint_stiffness_n_per_m: Largest stiffness of the joints between a rod's segments, axial and transverse. A
+            softer rod has E A over the length of a segment. Stiffer joints exceed single precision and need more
+            iterations.
+        rope_strain: Strain of a rope under its weight and that of the heaviest body at its ends. Stiffer joints cause
+            noise in single precision, which adds to friction: with joints of 1e5 N/m, a rope of 5 g slides down a slope
+            of 30 degrees with a friction of 0.5 instead of 0.3.
         contact_depth_m: Depth to which the same weight sinks in at a single contact; the same noise limits it.
-        contact_damping_n_s_per_m: Damping of a contact that closes.
-        friction_speed_m_per_s: Speed of sliding that Newton takes as small when it linearizes friction.
+        contact_damping_n_s_per_m: Damping of a closing contact.
+        friction_speed_m_per_s: Sliding speed that Newton treats as small when it linearizes friction.
     """
 
     solver: Literal["SolverVBD"] = "SolverVBD"
@@ -162,13 +163,13 @@ class SettingsMPM(SettingsNewton):
     """Settings of Newton's implicit material point method, for soft bodies.
 
     Attributes:
-        voxel_m: Wanted edge of a voxel; the one nearby that puts grid planes where the grips end is used, since a
-            gripped point makes all of its voxel rigid.
+        voxel_m: Desired edge of a voxel. The edge is adjusted so that grid planes lie at the ends of the grips, since a
+            gripped point makes its whole voxel rigid.
         points_per_voxel_edge: Material points along the edge of a voxel.
-        iterations: Cap on the iterations of the stress solver.
-        tolerance: Residual at which it stops.
-        integration_scheme: `gimp`, points that fill their cell: stress within 1 to 5 % of theory, but a twist of 90
-            degrees diverges. `pic`, points: survives it, and hides motion inside a voxel.
+        iterations: Maximum number of iterations of the stress solver.
+        tolerance: Residual at which the stress solver stops.
+        integration_scheme: `gimp`, with points that fill their cells, has stress within 1 to 5 % of theory but diverges
+            at a twist of 90 degrees. `pic`, with points without extent, is stable there but misses motion in a voxel.
         soft_damping_s: Relaxation time of the elastic stress, Newton's `mpm:damping`.
     """
 
@@ -183,10 +184,11 @@ class SettingsMPM(SettingsNewton):
 
 PRESETS: dict[str, SettingsNewton] = {
     # Chosen on closed forms, not on scores. The angular momentum of a tumbling brick drifts by 0.7 % in half a second,
-    # in proportion to the step. A carried body creeps by omega^2 r times half the contact's time constant, as in
-    # MuJoCo; a shorter one lets sliding cubes hop higher.
+    # in proportion to the time step. A body on a rotating plate creeps by omega^2 r times half the contact's time
+    # constant, as in MuJoCo; with a shorter time constant, sliding cubes hop higher.
     "rigid": SettingsMuJoCoWarp(preset="rigid", timestep_s=1 / 3600),
-    # Newton as it comes, at the rate of the paper's rigid runs; only masses, shapes and friction are the scene's.
+    # Newton's documented defaults, at the rate of the paper's rigid runs; only masses, shapes and friction come from
+    # the scene.
     "out_of_box": SettingsMuJoCoWarp(
         preset="out_of_box", timestep_s=1 / 180, cone="pyramidal", impratio=1.0, newton_material=True
     ),
@@ -194,18 +196,18 @@ PRESETS: dict[str, SettingsNewton] = {
         preset="impact_chain", timestep_s=1 / 9000, impact_solimp=(0.9999, 0.9999, 0.001)
     ),
     "contact_free": SettingsMuJoCoWarp(preset="contact_free", timestep_s=1 / 1800, integrator="rk4"),
-    # Cloth. Chosen by convergence: over 2 s of a fling, paths are within 0.4 mm of those with twice the rate and three
-    # times the iterations, and elastic extensions within 1 % of theory.
+    # Cloth. Chosen by convergence: over 2 s of a fling, trajectories are within 0.4 mm of those with twice the rate and
+    # three times the iterations. Elastic extensions are within 1 % of theory.
     "cloth": SettingsVBD(preset="cloth", timestep_s=1 / 1440),
-    # Something narrow pushes into the cloth: several contacts of a face share its load, and friction needs more
-    # iterations to come right.
+    # A narrow body pushes into the cloth: several contacts of a face share its load, and friction needs more iterations
+    # to converge.
     "cloth_probed": SettingsVBD(preset="cloth_probed", timestep_s=1 / 1440, iterations=5, full_surface=True),
-    # Bodies rest on the cloth: with 3, 5 and 10 iterations their friction is 12, 5 and 0.4 % too low.
+    # Dynamic bodies rest on the cloth: with 3, 5 and 10 iterations their friction is 12, 5 and 0.4 % too low.
     "cloth_loaded": SettingsVBD(preset="cloth_loaded", timestep_s=1 / 1440, iterations=10, full_surface=True),
     "cloth_fine": SettingsVBD(preset="cloth_fine", timestep_s=1 / 2880, iterations=10),
-    # The paper's rate with Newton's own start of a step.
+    # The paper's rate with Newton's initial guess of a step.
     "cloth_180hz": SettingsVBD(preset="cloth_180hz", timestep_s=1 / 180, iterations=10, starts_from_acceleration=False),
-    # Foam. Short steps with few iterations: at the same cost, 900 Hz with 10 leaves five times the error.
+    # Foam. Short steps with few iterations: at the same cost, 900 Hz with 10 iterations has five times the error.
     "soft": SettingsVBD(
         preset="soft",
         timestep_s=1 / 3600,
@@ -222,9 +224,10 @@ PRESETS: dict[str, SettingsNewton] = {
         full_surface=True,
         contact_gap_m=0.005,
     ),
-    # Bonded blocks, of which some may touch what others pass through: vertices alone collide. A row of foam and rubber
-    # swings at 2.50 Hz with these, at 2.59 with cells of 12.5 mm, at 2.53 with half the step and at 2.49 with that and
-    # cells of 6.25 mm. Steps below 0.1 ms are no better: single precision then damps it.
+    # Bonded blocks. Only vertices collide, since blocks of one row may have different collision partners. A soft row of
+    # foam and rubber swings at 2.50 Hz with these settings, and at 2.59 Hz with cells of 12.5 mm. It swings at 2.53 Hz
+    # with half the time step, and at 2.49 Hz with cells of 6.25 mm in addition. Time steps below 0.1 ms do not help,
+    # since single precision then damps the swing.
     "soft_row": SettingsVBD(
         preset="soft_row",
         timestep_s=1 / 3600,
@@ -232,13 +235,15 @@ PRESETS: dict[str, SettingsNewton] = {
         soft_cell_m=0.0125 / 1.5,
         contact_gap_m=0.005,
     ),
-    # Single precision limits a rod: springs ten times as stiff, or steps a quarter as long, come near to the last digit
-    # of its places. The iterations are what a rod of 1 GPa needs; one of 10 MPa is the same within 0.1 % with 10.
+    # Single precision limits a rod: with joints ten times as stiff, or a quarter of the time step, displacements come
+    # close to the last digit of positions. A rod of 1 GPa needs these iterations; for a rod of 10 MPa, 10 iterations
+    # give the same result within 0.1 %.
     "rod": SettingsLines(preset="rod", timestep_s=1 / 3600),
-    # With a ball of 60 times the rope's weight a swing from level gains 0.4 % of its energy; with half of the
-    # iterations 1 %, and with a third of the strain at half the rate 9 %.
+    # A ball of 60 times the rope's weight that swings from horizontal gains 0.4 % of its energy. With half the
+    # iterations it gains 1 %, and with a third of the strain at half the rate 9 %.
     "rope": SettingsLines(preset="rope", timestep_s=1 / 7200, iterations=20, contact_depth_m=3e-5),
-    # The paper's solver for foam, at a fifth of its rate of 900 Hz, and at all of it: 20 and 70 s a simulated second.
+    # The paper's solver for foam, at a fifth of the paper's rate of 900 Hz and at that rate. A simulated second takes
+    # 20 and 70 s.
     "mpm": SettingsMPM(preset="mpm", timestep_s=1 / 180),
     "mpm_full": SettingsMPM(preset="mpm_full", timestep_s=1 / 900),
 }
@@ -248,7 +253,7 @@ def _preset_name(scene: Scene) -> str:
     if any(isinstance(body, Cloth) for body in scene.deformables):
         return _cloth_preset(scene)
     if any(isinstance(body, SoftBody) for body in scene.deformables):
-        return "soft_row" if any(len(row) > 1 for row in bonded_rows(scene)) else "soft"
+        return "soft_row" if any(len(bodies) > 1 for bodies in bonded_soft_bodies(scene)) else "soft"
     if any(isinstance(body, Rope) for body in scene.deformables):
         return "rope"
     if any(isinstance(body, Rod) for body in scene.deformables):
@@ -277,14 +282,14 @@ def _cloth_preset(scene: Scene) -> str:
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsNewton:
-    """Settings of a scene: its preset, with a user's changes put in.
+    """Return the settings of a scene: its preset with a user's changes.
 
-    A stiff and light fabric needs shorter steps than its preset's for the same iterations: the step is halved until
-    they are enough, unless the changes say how long it is.
+    A stiff and light fabric needs a shorter time step than that of its preset for the same iterations. The time step is
+    halved until the iterations are enough, unless the changes define it.
 
     Raises:
-        UnknownNameError: No such preset.
-        ParameterError: No such setting, or an impossible value.
+        UnknownNameError: The preset does not exist.
+        ParameterError: A setting does not exist or has an invalid value.
     """
     settings = resolve_settings("Newton", PRESETS, preset=_preset_name(scene), changes=changes)
     if isinstance(settings, SettingsVBD) and settings.starts_from_acceleration and "timestep_s" not in (changes or {}):

@@ -1,4 +1,4 @@
-"""How long a step of vertex block descent may be. Needs no engine."""
+"""Longest stable time step of vertex block descent. Needs no engine."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ __all__ = [
 ]
 
 ITERATIONS_PER_RATIO = 0.33
-"""Iterations in a step, over the ratio of elastic to inertial stiffness, from which the last acceleration may be used.
+"""Smallest number of iterations, over the ratio of elastic to inertial stiffness, to start from the last acceleration.
 
-Measured on falling sheets of all six fabrics: energy rises by less than 0.2 % of the fall above 0.24, by more than 1 %
+Measured on falling cloth of all six fabrics: energy rises by less than 0.2 % of the fall above 0.24, by more than 1 %
 below 0.23, and without bound below 0.15.
 """
 
 
 def longest_timestep_s(cloth: Cloth, *, cell_m: float, iterations: int) -> float:
-    """Longest step with which so many iterations are enough for `LoopVBD(predict=True)` [s].
+    """Return the longest time step [s] for which the iterations are enough for `StepperVBD(predict=True)`.
 
-    On a square grid the shape functions' squared gradients around a vertex, times area, add up to 4. Hinges are left
-    out: at 25 mm they add 0.1 %.
+    On a square grid the squared gradients of the shape functions around a vertex, times area, add up to 4. Hinges are
+    neglected; with cells of 25 mm they add 0.1 %.
     """
     constants = newton_vbd(Fabric.of(cloth)).constants
     modulus = constants["tri_ka"] + 2.0 * constants["tri_ke"]

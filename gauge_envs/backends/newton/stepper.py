@@ -1,7 +1,7 @@
-"""Steps a Newton model: prescribed motion, the solver's step, recorded as a graph; state that comes back bit for bit.
+"""Stepper of a Newton model: prescribed motion, the recorded step of the solver, and snapshots of the state.
 
-Warp starts each kernel from Python, which costs more than the kernel itself in scenes as small as these. A step is
-therefore recorded once, as a graph on either device, and replayed: 20 to 100 times faster, with the same bits.
+Warp launches each kernel from Python, which costs more than the kernel itself in such small scenes. A step is therefore
+recorded once as a graph, on the CPU or a GPU, and replayed. That is 20 to 100 times faster and bitwise identical.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ __all__ = [
 ]
 
 WARM_UP_STEPS = 2
-"""Steps before recording: solvers allocate what they need in the first ones. Even, so that the states end in place."""
+"""Number of steps before recording, in which solvers allocate their arrays; even, so that both states end in place."""
 
 Snapshot = list[NDArray[Any]]
 
 
 def warp_transform(pose: Pose) -> wp.transform:
-    """Warp's transform of a pose; warp keeps quaternions as x, y, z, w."""
+    """Return Warp's transform of a pose; Warp's quaternions are x, y, z, w."""
     w, x, y, z = pose.quaternion
     return wp.transform(wp.vec3(*pose.position_m), wp.quat(x, y, z, w))
 
 
 class Stepper(ABC):
-    """Steps one model with one solver.
+    """Stepper of one model with one solver.
 
     Args:
         model: The finalized model.
         solver: Its solver.
         driven: Indices of the kinematic bodies.
-        timestep_s: Step of the solver [s].
+        timestep_s: Time step of the solver [s].
     """
 
     def __init__(self, model: newton.Model, solver: Any, *, driven: Sequence[int], timestep_s: float) -> None:
@@ -63,7 +63,7 @@ class Stepper(ABC):
             self._acceleration = wp.zeros(count, dtype=wp.spatial_vector)
             body_q = model.body_q.numpy() if model.body_count else np.zeros((0, 7))
             self._start = wp.array(body_q[list(driven)].reshape(count, 7), dtype=wp.transform)
-        # Drives are collected in memory and sent to the device with the next advance, all at once.
+        # The next `advance` sends all collected drives to the device at once.
         self._commands: dict[int, tuple[Any, ...]] = {}
         self._current = 0
         self._graphs: list[Any] = []
@@ -71,10 +71,10 @@ class Stepper(ABC):
 
     @abstractmethod
     def _step(self, state: newton.State, after: newton.State) -> None:
-        """Put the driven bodies where they belong and step from one state to the other; it will be recorded."""
+        """Move the driven bodies and step from one state to the other; `record` records this method."""
 
     def record(self) -> None:
-        """Record the step in both directions; the model then stands at its start again."""
+        """Record the step in both directions between the two states, then return to the start."""
         states = self._states
         first = self._snapshot()
         for _ in range(WARM_UP_STEPS // 2):
@@ -84,7 +84,7 @@ class Stepper(ABC):
             with wp.ScopedCapture(device=self.model.device) as capture:
                 self._step(state, after)
             self._graphs.append(capture.graph)
-        # Arrays that the solver allocated while warming up were empty before; zero is what fresh ones hold.
+        # Arrays that the solver allocated during the warm-up are zero at the start.
         self._first = self._completed(first)
         self.reset()
 
@@ -98,7 +98,7 @@ class Stepper(ABC):
         self._current = 0
 
     def drive(self, body: int, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Prescribe a kinematic body from the next step on; see `Simulation.drive`."""
+        """Prescribe a kinematic body from the next step on; see `World.drive`."""
         w, x, y, z = pose.quaternion
         self._commands[self._rows[body]] = ([*pose.position_m, x, y, z, w], velocity, acceleration)
 
@@ -106,9 +106,11 @@ class Stepper(ABC):
         """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`.
 
         Raises:
-            BackendError: The solver is not one whose answer to them is known.
+            BackendError: Applied forces are not validated for the solver.
         """
-        raise BackendError(f"{type(self.solver).__name__} takes no applied force or torque here: use SolverMuJoCo")
+        raise BackendError(
+            f"{type(self.solver).__name__} applies no force or torque here: choose a preset with SolverMuJoCo"
+        )
 
     def advance(self, seconds: float) -> None:
         """Replay the recorded step."""
@@ -134,11 +136,11 @@ class Stepper(ABC):
 
     @property
     def now(self) -> newton.State:
-        """State that the last step wrote."""
+        """The state that the last step wrote."""
         return self._states[self._current]
 
     def body_states(self, bodies: Sequence[int]) -> NDArray[np.float64]:
-        """Poses and velocities of bodies by their index, shape [len(bodies), 13]; see `World.body_states`."""
+        """Return poses and velocities of bodies by index, shape [len(bodies), 13]; see `World.body_states`."""
         poses = self.now.body_q.numpy()[bodies].astype(np.float64)
         velocities = self.now.body_qd.numpy()[bodies].astype(np.float64)
         # Newton's linear velocity is that of the centre of mass.
@@ -147,11 +149,11 @@ class Stepper(ABC):
         return np.column_stack([poses[:, :3], poses[:, 6], poses[:, 3:6], linear, velocities[:, 3:]])
 
     def state(self) -> tuple[int, dict[int, tuple[Any, ...]], Snapshot]:
-        """Everything that `restore` needs."""
+        """Return a snapshot for `restore`."""
         return self._current, dict(self._commands), [array.numpy().copy() for array in self._arrays()]
 
     def restore(self, state: tuple[int, dict[int, tuple[Any, ...]], Snapshot]) -> None:
-        """Go back to what `state` returned."""
+        """Restore a snapshot that `state` returned."""
         self._current, commands, snapshot = state
         self._commands = dict(commands)
         self._restore_arrays(snapshot)
@@ -159,7 +161,7 @@ class Stepper(ABC):
     # --- snapshots ---
 
     def _arrays(self) -> list[wp.array]:
-        """Every array that a step may change: both states, the solver's memory, and the drive."""
+        """Return every array that a step may change: those of both states, of the solver and of the drives."""
         found: dict[int, wp.array] = {}
         for root in (*self._states, self.solver):
             found |= {id(array): array for array in _arrays_in(root, depth=3)}
@@ -173,13 +175,13 @@ class Stepper(ABC):
             array.assign(values)
 
     def _prescribe(self, body_q: wp.array, body_qd: wp.array, *, steps_ahead: int = 0, counts: bool = True) -> None:
-        """Write pose and velocity of the driven bodies.
+        """Write poses and velocities of the driven bodies.
 
         Args:
             body_q: Poses of all bodies.
             body_qd: Velocities of all bodies.
-            steps_ahead: 0 for the start of the coming step, 1 for its end.
-            counts: Whether this is the step's last, so that the next step goes on from its end.
+            steps_ahead: 0 for the start of the current step, 1 for its end.
+            counts: Whether this is the last call in the step, so that the elapsed time advances by one step.
         """
         if self._rows:
             wp.launch(
@@ -201,7 +203,7 @@ class Stepper(ABC):
 
 
 def _arrays_in(root: Any, *, depth: int) -> Iterator[wp.array]:
-    """Warp arrays among the attributes of an object, and of the plain objects that it holds."""
+    """Yield the Warp arrays among the attributes of an object and of its attributes, down to a depth."""
     for value in vars(root).values():
         for entry in value if isinstance(value, list | tuple) else (value,):
             if isinstance(entry, wp.array):

@@ -1,4 +1,4 @@
-"""Contacts of bodies that are made of particles, in Newton's terms. Needs no engine."""
+"""Contacts of cloth and soft bodies, which consist of particles in Newton. Needs no engine."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 __all__ = [
     "SurfaceContacts",
     "surface_contacts",
-    "undoable_surface_contacts",
+    "unsupported_surface_contacts",
 ]
 
 PARTICLES = ""
-"""Stands for all bodies that are made of particles: Newton has one friction for all of them. No body has this name."""
+"""Placeholder name of all bodies made of particles, which share one friction in Newton; no body has this name."""
 
 FRICTION_FLOOR = 1e-9
-"""Stands for zero, which has no logarithm."""
+"""Replacement for zero friction, which has no logarithm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceContacts:
-    """What bodies made of particles touch, and the coefficients from which Newton makes each pair's friction.
+    """Collision partners of particles, and the friction coefficients of both sides.
 
-    Newton's friction of a pair is the geometric mean of both sides.
+    Newton's friction of a pair is the geometric mean of the coefficients of both sides.
 
     Attributes:
         friction: Coefficient of all particles.
-        shape_friction: Coefficient of the shapes of each rigid body, by its name; of the stiff blocks of soft bodies,
-            which are rigid here, too.
+        shape_friction: Coefficient of the shapes of each rigid body, by name, including rigid blocks of soft rows.
         touched: Rigid bodies that particles collide with.
-        passed: For each of these, the bodies made of particles that pass through it.
-        itself: Whether particles collide with each other's surface.
+        passed: For each touched body, the bodies made of particles that pass through it.
+        itself: Whether surfaces made of particles collide with each other.
     """
 
     friction: float = 0.0
@@ -46,18 +45,18 @@ class SurfaceContacts:
 
 
 def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts:
-    """Coefficients of friction for a scene, such that each pair gets its own, and what collides with what.
+    """Return the collision partners and the coefficients that give each pair of the scene its friction.
 
     Args:
         scene: The scene.
-        per_body: Whether each body made of particles can have its own rigid bodies to collide with; so it is where
-            vertices alone collide.
+        per_body: Whether each body made of particles can collide with other rigid bodies than the rest. This needs
+            collisions of vertices only.
 
     Raises:
-        UnsupportedSceneError: No coefficients give every pair its friction, or some of several bodies that are made of
-            particles would touch what they pass through.
+        UnsupportedSceneError: No coefficients give every pair its friction, or a body made of particles would collide
+            with a body that it passes through.
     """
-    problems = list(undoable_surface_contacts(scene, per_body=per_body))
+    problems = list(unsupported_surface_contacts(scene, per_body=per_body))
     if problems:
         raise UnsupportedSceneError("; ".join(problems))
     pairs = _pairs(scene)
@@ -74,8 +73,8 @@ def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts
     )
 
 
-def undoable_surface_contacts(scene: Scene, *, per_body: bool = False) -> Iterator[str]:
-    """What of a scene's contacts Newton's VBD cannot do, a sentence each; arguments as of `surface_contacts`."""
+def unsupported_surface_contacts(scene: Scene, *, per_body: bool = False) -> Iterator[str]:
+    """Yield one sentence for each contact that VBD does not support; arguments as in `surface_contacts`."""
     try:
         pairs = _pairs(scene)
     except UnsupportedSceneError as error:
@@ -86,15 +85,19 @@ def undoable_surface_contacts(scene: Scene, *, per_body: bool = False) -> Iterat
         got = float(np.sqrt(sides[first] * sides[second]))
         if not np.isclose(got, friction, rtol=1e-3, atol=1e-6):
             yield (
-                f"the friction of {first or 'what is deformable'!r} on {second or 'what is deformable'!r} is "
-                f"{friction:g}: Newton takes the geometric mean of one coefficient a body, and no such coefficients "
-                "give every pair its own"
+                f"the friction of {first or 'deformable bodies'!r} on {second or 'deformable bodies'!r} is "
+                f"{friction:g}: Newton takes the geometric mean of one coefficient per body, and no coefficients give "
+                "every pair its friction"
             )
     yield from _partial_contacts(scene, per_body=per_body)
 
 
 def _partial_contacts(scene: Scene, *, per_body: bool) -> Iterator[str]:
-    """Bodies made of particles touch each other all or not at all, and a shape too where edges and faces collide."""
+    """Yield one sentence for each contact that involves only some of the bodies made of particles.
+
+    Newton lets all of their surfaces collide with each other, or none. The same holds for a shape if edges and faces
+    collide.
+    """
     soft, met = _soft_bodies(scene), _met(scene)
     among = {name: touching for name, touching in met.items() if name in soft}
     if among and (set(among) != soft or any(touching != soft for touching in among.values())):
@@ -109,9 +112,9 @@ def _soft_bodies(scene: Scene) -> frozenset[str]:
 
 
 def _met(scene: Scene) -> dict[str, frozenset[str]]:
-    """Bodies made of particles that touch each body.
+    """Return the bodies made of particles that touch each body, by name.
 
-    A rigid body that one is glued to is left out: it is part of it, and the seam would be in contact all along.
+    A body does not touch the rigid body that it is attached to, since they would be in contact all along the seam.
     """
     soft = _soft_bodies(scene)
     seams = {(a.deformable, a.to) for a in scene.attachments if a.to not in soft}
@@ -125,7 +128,7 @@ def _met(scene: Scene) -> dict[str, frozenset[str]]:
 
 
 def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
-    """Friction of each pair of bodies that VBD resolves, those made of particles as one."""
+    """Return the friction of each pair of bodies that VBD simulates; bodies made of particles count as one."""
     soft = _soft_bodies(scene)
     lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
     moving = soft | lines | {body.name for body in scene.dynamic_bodies}
@@ -137,12 +140,15 @@ def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
                     continue
                 low, high = sorted(PARTICLES if name in soft else name for name in (first, second))
                 if found.setdefault((low, high), contact.friction) != contact.friction:
-                    raise UnsupportedSceneError(f"{first!r} and {second!r} have two coefficients of friction")
+                    raise UnsupportedSceneError(
+                        f"{first!r} and {second!r} have two coefficients of friction: Newton takes one for all "
+                        "deformable bodies"
+                    )
     return found
 
 
 def _side_frictions(pairs: dict[tuple[str, str], float]) -> dict[str, float]:
-    """Coefficient of each side, the least squares solution of log a + log b = 2 log(friction of the pair)."""
+    """Return the coefficient of each side, the least-squares solution of log a + log b = 2 log(pair friction)."""
     names = sorted({name for pair in pairs for name in pair})
     matrix = np.zeros((len(pairs), len(names)))
     for row, pair in zip(matrix, pairs, strict=True):

@@ -1,8 +1,9 @@
-"""Newton's vertex block descent for deformable bodies: held particles, contact constants, and the loop.
+"""Newton's vertex block descent (VBD) for deformable bodies: held particles, contact constants, and the stepper.
 
 Each step descends block by block (vertices of one colour at a time) towards the minimum of an implicit Euler step. The
-error that is left falls with iterations and, much faster, with the step: the stiffness that a vertex sees is weighed
-against its mass over the step squared. Many short steps with few iterations are therefore cheaper than the converse.
+remaining error falls with the number of iterations and, much faster, with the time step: what matters is the stiffness
+at a vertex relative to its mass over the squared time step. Many short steps with few iterations are therefore cheaper
+than few long steps with many.
 """
 
 from __future__ import annotations
@@ -17,44 +18,29 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gauge_envs.backends.newton.kernels import hold, predict
+from gauge_envs.backends.newton.kernels import predict
+from gauge_envs.backends.newton.pins import Pin, PinnedParticles
 from gauge_envs.backends.newton.stability import ITERATIONS_PER_RATIO
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import SurfaceContacts
 from gauge_envs.errors import ParameterError
 
 __all__ = [
-    "LoopVBD",
-    "Pin",
     "SelfContact",
+    "StepperVBD",
     "apply_contacts",
     "passing_pairs",
     "stiffness_ratio",
 ]
 
 SPEED_HEADROOM = 1.5
-"""Factor on the fastest particle's speed within which no particle is at the end of an interval, beside free fall."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pin:
-    """A particle without mass of its own that a moving rigid body holds.
-
-    Attributes:
-        particle: Its index in the model.
-        body: Index of the body; one that no force moves.
-        place_m: Where it is in the body's frame [m].
-    """
-
-    particle: int
-    body: int
-    place_m: tuple[float, float, float]
+"""Assumed largest growth of the fastest particle's speed within an interval, in addition to free fall."""
 
 
 def apply_contacts(
     contacts: SurfaceContacts, builder: newton.ModelBuilder, shapes: Mapping[str, Sequence[int]]
 ) -> None:
-    """Write friction and collision flags of the shapes of each rigid body, by its name, into a builder."""
+    """Write the friction and the collision flags of shapes, given by name of their rigid body, to a builder."""
     for name, indices in shapes.items():
         for shape in indices:
             if name in contacts.shape_friction:
@@ -67,16 +53,16 @@ def apply_contacts(
 def passing_pairs(
     contacts: SurfaceContacts, particles: Mapping[str, NDArray[np.intp]], shapes: Mapping[str, Sequence[int]]
 ) -> NDArray[np.intp]:
-    """Particles and shapes that pass through each other although others of either do not.
+    """Return the pairs of a particle and a shape that are excluded from collision.
 
     Args:
-        contacts: What collides.
-        particles: Indices in the model of each body's particles, by its name; one on a bonded face is of both bodies,
-            and collides with what either does.
-        shapes: Indices of the shapes of each rigid body, by its name.
+        contacts: Collision partners of the scene.
+        particles: Model indices of each body's particles, by name. A particle on a bonded face belongs to both bodies
+            and collides if either of them does.
+        shapes: Model indices of the shapes of each rigid body, by name.
 
     Returns:
-        Index of a particle and of a shape, shape [pair_count, 2].
+        Index of the particle and of the shape of each pair, shape [pair_count, 2].
     """
     pairs = [np.zeros((0, 2), dtype=np.intp)]
     for rigid, through in contacts.passed.items():
@@ -91,12 +77,12 @@ def passing_pairs(
 
 @dataclass(frozen=True, kw_only=True)
 class SelfContact:
-    """How surfaces made of particles keep apart.
+    """Parameters of contacts between surfaces made of particles.
 
     Attributes:
-        thickness_m: Distance at which they start to push; well below the mesh's edges.
-        reach_m: Further distance at which pairs are found. Newton cuts every particle's motion between two detections
-            to 0.425 of both together, so the fastest particle must stay below that in a step.
+        thickness_m: Distance at which the contact force starts [m]; much less than the edges of the mesh.
+        reach_m: Additional distance at which pairs are detected [m]. Newton limits the displacement of each particle
+            between two detections to 0.425 of the sum of both, so the fastest particle must stay below that in a step.
     """
 
     thickness_m: float
@@ -104,25 +90,25 @@ class SelfContact:
 
 
 class _Solver(newton.solvers.SolverVBD):
-    """Vertex block descent that starts each step where the last one's acceleration leads.
+    """Vertex block descent whose initial guess of a step uses the acceleration of the last step.
 
-    Newton starts from free fall. What is at rest is then g h^2 away from where a step must end, and the part of this
-    that few iterations leave over makes cloth sag as if it were softer: rayon by a fifth at 1440 Hz with 5 iterations.
-    Starting with the last acceleration has no such error at rest and a smaller one in motion. It is unstable where
-    iterations remove less than about half of an error, see `ITERATIONS_PER_RATIO`.
+    Newton's initial guess is free fall. At rest it is wrong by g h^2, and few iterations remove only a part of that
+    error. Cloth then sags as if it were softer: rayon by a fifth at 1440 Hz with 5 iterations. The last acceleration as
+    a guess has no such error at rest and a smaller one in motion. It is unstable if the iterations remove less than
+    about half of an error, see `ITERATIONS_PER_RATIO`.
 
     Args:
         model: The model.
         iterations: Descents in a step.
-        predict: Whether to do so; otherwise it is Newton's own.
-        given: Further settings of `newton.solvers.SolverVBD`.
+        predict: Whether to use the last acceleration; otherwise the guess is Newton's.
+        given: Other settings of `newton.solvers.SolverVBD`.
     """
 
     def __init__(self, model: newton.Model, *, iterations: int, predict: bool, **given: Any) -> None:
         super().__init__(model, iterations=iterations, **given)
-        # Adds up each particle's contacts by themselves. Otherwise, unless the mode is deterministic, the order depends
-        # on the number of worlds, and what rests on cloth makes much of a rounding. The mode itself would do, but its
-        # kernels take seconds to load on a CPU, whose one thread always does the same.
+        # Sum the contacts of each particle separately. Otherwise the order of the sum depends on the number of worlds,
+        # and bodies that rest on cloth amplify its rounding error. The deterministic mode would prevent this too, but
+        # its kernels take seconds to load on the CPU, where a single thread is deterministic anyway.
         self._particle_contact_use_gather = True
         self._predicts = predict
         self._last_qd = wp.zeros(model.particle_count, dtype=wp.vec3, device=model.device)
@@ -144,10 +130,11 @@ class _Solver(newton.solvers.SolverVBD):
 
 
 def stiffness_ratio(model: newton.Model, timestep_s: float) -> float:
-    """Largest ratio of the elastic to the inertial stiffness of a vertex, others held, in the shape at the start.
+    """Return the largest ratio of elastic to inertial stiffness of a vertex with fixed neighbours, in the start shape.
 
-    The elastic one is, of each membrane and tetrahedron, its P wave modulus times volume times the squared gradient of
-    the vertex's shape function; of each hinge its stiffness times the squared gradient of its angle.
+    The elastic stiffness of a membrane triangle or tetrahedron is its P-wave modulus times its area or volume times the
+    squared gradient of the vertex's shape function. That of a hinge is its stiffness times the squared gradient of its
+    angle.
     """
     stiffness = np.zeros(model.particle_count)
     if model.tri_count:
@@ -168,7 +155,7 @@ def stiffness_ratio(model: newton.Model, timestep_s: float) -> float:
 def _add_stiffness(
     total: NDArray[np.float64], elements: NDArray[Any], poses: NDArray[Any], modulus: NDArray[np.float64]
 ) -> None:
-    """Add each element's share at its vertices; rows of a pose are gradients of all but the first shape function."""
+    """Add the stiffness of elements at their vertices; a pose contains the gradients of all shape functions but one."""
     later = np.asarray(poses, dtype=np.float64)
     gradients = np.concatenate([-later.sum(axis=1, keepdims=True), later], axis=1)
     np.add.at(total, elements, modulus[:, None] * np.square(gradients).sum(axis=-1))
@@ -192,35 +179,36 @@ def _add_hinges(total: NDArray[np.float64], model: newton.Model) -> None:
     np.add.at(total, edges[inner], stiffness[:, None] * np.square(gradients))
 
 
-class LoopVBD(Stepper):
-    """Steps particles, and dynamic rigid bodies if there are any, with `newton.solvers.SolverVBD`.
+class StepperVBD(Stepper):
+    """Stepper of particles and dynamic rigid bodies with `newton.solvers.SolverVBD`.
 
-    An implicit step wants what is prescribed at its end: driven bodies are put there first, and with them the
-    particles that they hold.
+    An implicit step needs the prescribed motion at its end. Driven bodies and the particles that they hold therefore
+    move to their positions at the end of the step first.
 
     Args:
         model: The finalized, coloured model.
         driven: Indices of the kinematic bodies.
-        pins: Particles that moving bodies hold.
-        timestep_s: Step [s].
+        pins: Particles that kinematic bodies hold.
+        timestep_s: Time step [s].
         iterations: Descents over all colours in a step.
-        predict: Whether a step starts where the last one's acceleration leads, and not in free fall as Newton has it:
-            cloth then has its full stiffness with a third of the iterations.
-        contacts: What particles touch.
-        contact_stiffness_n_per_m: Penalty of a particle against a rigid shape or another particle's surface. Newton
-            averages this and the shape's own; `Model.shape_material_ke` is set to the same.
-        contact_damping_n_s_per_m: Damping while a contact closes, set on both sides likewise. Newton counts it to the
-            normal force but not to the load of friction, so chattering contacts lose friction by it.
-        contact_gap_m: Distance from a shape at which a particle's contact is found; more than it goes in a step.
-        full_surface: Whether edges and faces of a mesh collide with shapes, and not its vertices alone: for bodies
-            narrower than the mesh. Several contacts then share a load, and friction takes ten iterations to come right.
-        passing: Particles and shapes that do not collide, from `passing_pairs`, shape [pair_count, 2]. The model needs
-            a particle that is not active, which stands for each of these in the solver's list of pairs.
-        friction_speed_m_per_s: Speed of sliding from which friction is that of Coulomb; below, it falls to zero.
-        self_contact: How surfaces keep apart; None lets them pass through each other, whatever `contacts` say.
+        predict: Whether the initial guess of a step uses the last acceleration instead of free fall, Newton's guess.
+            Cloth then reaches its full stiffness with a third of the iterations.
+        contacts: Collision partners and friction of particles.
+        contact_stiffness_n_per_m: Contact stiffness of a particle against a rigid shape or another surface of
+            particles. Newton averages it with that of the shape, which is set to the same value.
+        contact_damping_n_s_per_m: Damping of a closing contact, set on both sides. Newton adds it to the normal force
+            but not to the load of friction, so chattering contacts lose friction.
+        contact_gap_m: Distance from a shape at which a particle's contact is detected [m]; more than its displacement
+            in a step.
+        full_surface: Whether edges and faces of a mesh collide with shapes, and not only its vertices. Bodies narrower
+            than the mesh need this. Several contacts then share a load, and friction needs ten iterations to converge.
+        passing: Pairs of a particle and a shape that do not collide, from `passing_pairs`, shape [pair_count, 2]. The
+            model then needs an inactive particle, which replaces those of the pairs in the solver's list.
+        friction_speed_m_per_s: Sliding speed above which friction is Coulomb's; below, it decreases to zero.
+        self_contact: Parameters of contacts between surfaces; None disables them.
 
     Raises:
-        ParameterError: The last acceleration is to be used and iterations are too few for that.
+        ParameterError: `predict` is true and the iterations are too few for it.
     """
 
     def __init__(
@@ -271,36 +259,26 @@ class LoopVBD(Stepper):
             **_self_contact_settings(self._self_contact),
         )
         super().__init__(model, solver, driven=driven, timestep_s=timestep_s)
-        with wp.ScopedDevice(model.device):
-            self._held = wp.array([pin.particle for pin in pins], dtype=wp.int32)
-            self._holders = wp.array([pin.body for pin in pins], dtype=wp.int32)
-            self._places = wp.array([pin.place_m for pin in pins], dtype=wp.vec3)
+        self._pinned = PinnedParticles(pins, model.device)
         self._open_graphs: list[Any] = []
         self._closed_graphs: list[Any] = []
 
     def _step(self, state: newton.State, after: newton.State) -> None:
-        # Where no body moves under forces the solver takes poses at both ends of the step from the two states.
+        # Without dynamic bodies, the solver reads the poses at both ends of the step from the two states.
         ahead = state if self._integrates_bodies else after
         self._prescribe(ahead.body_q, ahead.body_qd, steps_ahead=1)
-        if self._held.size:
-            wp.launch(
-                hold,
-                dim=self._held.size,
-                inputs=[self._held, self._holders, self._places, ahead.body_q],
-                outputs=[state.particle_q],
-                device=self.model.device,
-            )
+        self._pinned.hold(ahead.body_q, state.particle_q)
         if self._pipeline is not None:
             self._pipeline.collide(state, self._contacts)
         self.solver.step(state, after, self._control, self._contacts, self.timestep_s)
 
     def record(self) -> None:
-        """Record the step in both directions, with and without self-contact where there is any."""
+        """Record the step in both directions, with self-contact and, if the scene has self-contact, without it."""
         super().record()
         self._closed_graphs = self._graphs
         if self._self_contact is None:
             return
-        # The solver reads this in every step that it runs, so a graph keeps the value that it was recorded with.
+        # A graph keeps the value of this flag at its recording.
         self.solver.particle_enable_self_contact = False
         self._graphs = []
         super().record()
@@ -308,24 +286,24 @@ class LoopVBD(Stepper):
         self.solver.particle_enable_self_contact = True
 
     def advance(self, seconds: float) -> None:
-        """Replay the recorded step, without self-contact as long as nothing can meet in this interval."""
+        """Replay the recorded step, without self-contact if no surfaces can touch in this interval."""
         if self._self_contact is not None:
             self._graphs = self._closed_graphs if self._may_meet(seconds) else self._open_graphs
         super().advance(seconds)
 
     def _may_meet(self, seconds: float) -> bool:
-        """Whether surfaces can come within their thickness in an interval: half of this model's cost hangs on it."""
+        """Return whether surfaces can touch in an interval [s]; self-contact takes half of the computing time."""
         assert self._self_contact is not None
         now = self.now
         speed = float(np.sqrt(np.square(now.particle_qd.numpy()).sum(axis=1).max()))
         if self._rows:
             speed = max(speed, float(np.abs(now.body_qd.numpy()[list(self._rows)]).max()))
-        way = (SPEED_HEADROOM * speed + 10.0 * seconds) * seconds
-        radius = self._self_contact.thickness_m + 2.0 * way
+        displacement_m = (SPEED_HEADROOM * speed + 10.0 * seconds) * seconds
+        radius_m = self._self_contact.thickness_m + 2.0 * displacement_m
         detector = self.solver.trimesh_collision_detector
         detector.refit(now.particle_q)
-        detector.vertex_triangle_collision_detection(radius)
-        detector.edge_edge_collision_detection(radius)
+        detector.vertex_triangle_collision_detection(radius_m)
+        detector.edge_edge_collision_detection(radius_m)
         info = self.solver.trimesh_collision_info
         return bool(
             info.vertex_colliding_triangles_count.numpy().any() or info.edge_colliding_edges_count.numpy().any()
@@ -337,13 +315,14 @@ def _check_iterations(model: newton.Model, *, timestep_s: float, iterations: int
     if iterations < needed:
         raise ParameterError(
             f"{iterations} iterations of vertex block descent at 1/{1.0 / timestep_s:.6g} s are too few for this "
-            f"stiffness and mesh: take {ceil(needed)}, or 1/{ceil(sqrt(needed / iterations) / timestep_s)} s"
+            f"stiffness and mesh: take {ceil(needed)}, or a timestep_s of "
+            f"1/{ceil(sqrt(needed / iterations) / timestep_s)} s"
         )
 
 
 def _let_pass(pipeline: newton.CollisionPipeline, passing: NDArray[np.intp]) -> None:
-    """Take pairs of a particle and a shape out of those that Newton looks at."""
-    # The number of pairs is fixed when the pipeline is made, but a particle that is not active touches nothing.
+    """Exclude pairs of a particle and a shape from Newton's collision detection."""
+    # The number of pairs is fixed, so an inactive particle, which has no contacts, replaces that of each pair.
     model = pipeline.model
     idle = int(np.flatnonzero((model.particle_flags.numpy() & int(newton.ParticleFlags.ACTIVE)) == 0)[0])
     pairs = pipeline.soft_rigid_contact_pairs.numpy()
@@ -366,6 +345,6 @@ def _self_contact_settings(self_contact: SelfContact | None) -> dict[str, Any]:
         "particle_enable_self_contact": True,
         "particle_self_contact_margin": self_contact.thickness_m,
         "particle_self_contact_gap": self_contact.reach_m,
-        # Once a step is enough where the reach covers a step's motion; the default detects twice.
+        # One detection per step is enough if the reach covers the motion in a step; the default is two.
         "collision_frequency_type": {slot: newton.solvers.SolverBase.CollisionFrequencyType.PRE_INIT},
     }

@@ -1,1 +1,1 @@
-"""Discretization of deformable bodies, shared by the engines."""
+"""Discretization of deformable bodies, shared by the backends."""

@@ -1,24 +1,28 @@
-"""What deformable bodies are glued to, whatever the engine."""
+"""Attachments of deformable bodies to rigid bodies and to each other, for every engine."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from types import UnionType
 
-from gauge_envs.scene import Motion, Pose, Region, Scene, SoftBody
+from gauge_envs.scene import Deformable, Motion, Pose, Region, Scene, SoftBody
 
 __all__ = [
     "RigidAttachment",
-    "bonded_rows",
+    "attachment_problems",
+    "attachments_by_body",
+    "bonded_soft_bodies",
     "rigid_attachments",
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigidAttachment:
-    """A region of a deformable body that is part of a rigid one.
+    """A region of a deformable body that moves with a rigid body.
 
     Attributes:
-        region: Which material, in the deformable body's frame.
+        region: The attached material, in the deformable body's frame.
         body: Name of the rigid body.
         motion: How the rigid body moves.
         pose: Start pose of the rigid body.
@@ -31,7 +35,7 @@ class RigidAttachment:
 
 
 def rigid_attachments(scene: Scene, name: str) -> list[RigidAttachment]:
-    """What a deformable body of a scene is glued to among the rigid ones."""
+    """Return the attachments of a deformable body to rigid bodies, in scene order."""
     rigid = {body.name: body for body in scene.bodies}
     return [
         RigidAttachment(region=a.region, body=a.to, motion=rigid[a.to].motion, pose=rigid[a.to].pose)
@@ -40,12 +44,34 @@ def rigid_attachments(scene: Scene, name: str) -> list[RigidAttachment]:
     ]
 
 
-def bonded_rows(scene: Scene) -> list[list[SoftBody]]:
-    """Soft bodies of a scene, those that are glued to each other together."""
-    rows = {body.name: [body] for body in scene.deformables if isinstance(body, SoftBody)}
+def attachments_by_body(scene: Scene, bodies: Iterable[Deformable]) -> dict[str, list[RigidAttachment]]:
+    """Return the attachments of several deformable bodies to rigid bodies, by name of the deformable body."""
+    return {body.name: rigid_attachments(scene, body.name) for body in bodies}
+
+
+def bonded_soft_bodies(scene: Scene) -> list[list[SoftBody]]:
+    """Return the soft bodies of a scene in groups; bodies that are attached to each other share a group."""
+    groups = {body.name: [body] for body in scene.deformables if isinstance(body, SoftBody)}
     for attachment in scene.attachments:
-        first, second = rows.get(attachment.deformable), rows.get(attachment.to)
+        first, second = groups.get(attachment.deformable), groups.get(attachment.to)
         if first is not None and second is not None and first is not second:
             first.extend(second)
-            rows |= {body.name: first for body in second}
-    return list({id(row): row for row in rows.values()}.values())
+            groups |= {body.name: first for body in second}
+    return list({id(group): group for group in groups.values()}.values())
+
+
+def attachment_problems(scene: Scene, *, not_to_dynamic: type | UnionType) -> Iterator[str]:
+    """Yield one sentence for each attachment that a backend cannot build.
+
+    Args:
+        scene: The scene.
+        not_to_dynamic: Types of deformable bodies that must not be attached to a dynamic body.
+    """
+    rigid = {body.name: body for body in scene.bodies}
+    soft = {body.name: body for body in scene.deformables}
+    for attachment in scene.attachments:
+        deformable, to = soft.get(attachment.deformable), rigid.get(attachment.to)
+        if deformable is None or (to is None and attachment.to not in soft):
+            yield f"{attachment.deformable!r} is attached to {attachment.to!r}, and one of them is not in the scene"
+        elif to is not None and to.motion is Motion.DYNAMIC and isinstance(deformable, not_to_dynamic):
+            yield f"{deformable.name!r} is attached to {to.name!r}, which moves under forces"

@@ -1,4 +1,4 @@
-"""Regular mesh of a cloth, whatever the engine."""
+"""Regular triangle mesh of a cloth, for every engine."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = [
 
 
 class ClothGrid:
-    """Regular triangulation of a cloth in its own plane; diagonals lean one way in even rows and the other in odd ones.
+    """Regular triangulation of a cloth in its own plane; diagonals alternate in direction from one row to the next.
 
     Args:
         cloth: The cloth.
-        cell_m: Wanted edge length of the cells [m].
+        cell_m: Desired edge length of the cells [m]. The nearest length that divides each side is used.
 
     Attributes:
         cell_m: Edge lengths along x and y [m].
@@ -44,17 +44,17 @@ class ClothGrid:
         self.triangles = np.where((j % 2 == 0)[:, None], rising, falling).reshape(-1, 3)
 
     def within(self, region: Region) -> NDArray[np.bool_]:
-        """Which vertices lie in a region, shape [vertex_count]."""
+        """Return whether each vertex lies in a region, shape [vertex_count]."""
         axis = "xy".index(region.axis)
         from_low = self.plane_m[:, axis] + 0.5 * self._size_m[axis]
         inward = from_low if region.side == "low" else self._size_m[axis] - from_low
         return np.asarray(inward <= region.depth_m + 1e-6 * self._size_m[axis])
 
     def vertex_areas_m2(self) -> NDArray[np.float64]:
-        """A quarter of the cells around each vertex [m^2], shape [vertex_count].
+        """Return a quarter of the area of the cells around each vertex [m^2], shape [vertex_count].
 
-        Thirds of triangles, Newton's choice, weigh the vertices of an edge unevenly: the diagonals meet at every
-        other one.
+        Newton gives each vertex a third of its triangles instead. That weighs the vertices of an edge unevenly,
+        because the diagonals meet at every second vertex.
         """
         along_x, along_y = (
             cell * np.where(np.arange(count + 1) % count == 0, 0.5, 1.0)
@@ -63,19 +63,28 @@ class ClothGrid:
         return np.outer(along_x, along_y).ravel()
 
     def mean_edge_length_m(self) -> float:
-        """Mean length of the edges, each counted once [m]."""
+        """Return the mean length of the edges [m]; each edge counts once."""
         edges = np.sort(self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         ends = self.plane_m[np.unique(edges, axis=0)]
         return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
 
 
-def held_vertices(sheet: ClothGrid, cloth: Cloth, glued: Sequence[RigidAttachment]) -> dict[int, RigidAttachment]:
-    """Which glue holds each glued vertex, the first of several."""
+def held_vertices(grid: ClothGrid, cloth: Cloth, attachments: Sequence[RigidAttachment]) -> dict[int, RigidAttachment]:
+    """Return the attachment of each attached vertex, by vertex index; the first attachment of several counts.
+
+    Raises:
+        UnsupportedSceneError: A region is attached to a dynamic body, or is a face and not an edge.
+    """
     held: dict[int, RigidAttachment] = {}
-    for glue in reversed(glued):
-        if glue.motion is Motion.DYNAMIC:
-            raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r}, which is dynamic")
-        if glue.region.axis == "z":
-            raise UnsupportedSceneError(f"cloth {cloth.name!r} is glued to {glue.body!r} by its face, not by an edge")
-        held |= dict.fromkeys(np.flatnonzero(sheet.within(glue.region)).tolist(), glue)
+    for attachment in reversed(attachments):
+        if attachment.motion is Motion.DYNAMIC:
+            raise UnsupportedSceneError(
+                f"cloth {cloth.name!r} is attached to {attachment.body!r}, which is dynamic: attach it to a fixed or "
+                "kinematic body"
+            )
+        if attachment.region.axis == "z":
+            raise UnsupportedSceneError(
+                f"cloth {cloth.name!r} is attached to {attachment.body!r} by its face: give a region along axis x or y"
+            )
+        held |= dict.fromkeys(np.flatnonzero(grid.within(attachment.region)).tolist(), attachment)
     return held

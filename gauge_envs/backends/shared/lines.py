@@ -1,4 +1,4 @@
-"""Ropes and rods, whatever the engine."""
+"""Geometry and attachments of ropes and rods, for every engine."""
 
 from __future__ import annotations
 
@@ -22,26 +22,34 @@ LINE_AXIS = {Rope: "x", Rod: "z"}
 
 
 def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> NDArray[np.float64]:
-    """World positions at the start of places along a line, from its middle [m], shape [place_count, 3]."""
+    """Return the world positions of points on a line at the start [m], shape [place_count, 3].
+
+    Args:
+        line: The rope or rod.
+        places_m: Signed distances of the points from the middle of the line [m], shape [place_count].
+    """
     points = np.zeros((len(places_m), 3))
     points[:, "xyz".index(LINE_AXIS[type(line)])] = places_m
     return line.pose.to_world(points)
 
 
-def attached_ends(line: Rope | Rod, glued: Sequence[RigidAttachment]) -> dict[str, RigidAttachment]:
-    """What the ends of a line are glued to, by side: `low` or `high`.
+def attached_ends(line: Rope | Rod, attachments: Sequence[RigidAttachment]) -> dict[str, RigidAttachment]:
+    """Return the attachments of the ends of a line, by side: `low` or `high`.
 
     Raises:
-        UnsupportedSceneError: Something else than an end is glued, a length of a rope, or all of a rod.
+        UnsupportedSceneError: A region is not an end of the line, an attached region of a rope has a depth, or the
+            attached regions cover the whole line.
     """
     ends: dict[str, RigidAttachment] = {}
-    for glue in glued:
-        if glue.region.axis != LINE_AXIS[type(line)] or glue.region.side in ends:
-            raise UnsupportedSceneError(f"{line.name!r} is glued elsewhere than at its two ends")
-        ends[glue.region.side] = glue
-    depth_m = sum(glue.region.depth_m for glue in ends.values())
+    for attachment in attachments:
+        if attachment.region.axis != LINE_AXIS[type(line)] or attachment.region.side in ends:
+            raise UnsupportedSceneError(
+                f"{line.name!r} is attached elsewhere than at its two ends: attach each end once"
+            )
+        ends[attachment.region.side] = attachment
+    depth_m = sum(attachment.region.depth_m for attachment in ends.values())
     if isinstance(line, Rope) and depth_m > 0.0:
-        raise UnsupportedSceneError(f"rope {line.name!r} is glued over a length, not at its end")
+        raise UnsupportedSceneError(f"rope {line.name!r} is attached over a length: set the region's depth_m to 0")
     if depth_m >= line.length_m:
-        raise UnsupportedSceneError(f"{line.name!r} is glued over all of its length")
+        raise UnsupportedSceneError(f"{line.name!r} is attached over all of its length: reduce the regions' depth_m")
     return ends

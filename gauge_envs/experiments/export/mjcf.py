@@ -1,4 +1,4 @@
-"""Write variants as MJCF files, with parameters and sources in the header."""
+"""Export of MJCF files, whose header names the variant, its parameters and its sources."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ __all__ = [
 
 
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
-    """Write the MuJoCo model of a variant as a self-contained file, in full precision.
+    """Write the MuJoCo model of a variant as a self-contained file in full precision.
 
-    The motion of a driven body is in custom numbers `driver/<body>`. Values that replace compiled tables of a
-    deformable body are in `<table>/<body>/...`. A comment at the top explains how to use both.
+    Custom numbers `driver/<body>` hold the motion of driven bodies. Custom numbers `<table>/<body>/...` hold the
+    compiled tables of deformable bodies that MuJoCo cannot derive from XML. A comment at the top explains their use.
 
     Raises:
         ResultFileError: The file cannot be written.
@@ -34,7 +34,7 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}: choose another path") from error
 
 
 def mjcf_text(experiment: TaskExperiment) -> str:

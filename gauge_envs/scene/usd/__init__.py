@@ -1,1 +1,1 @@
-"""Scene <-> USD: a layer that any USD tool opens, and back, also from layers that others wrote."""
+"""Conversion between scenes and USD layers, including layers that other tools wrote."""

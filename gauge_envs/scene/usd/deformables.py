@@ -1,4 +1,4 @@
-"""Deformable bodies of a USD layer of this package, what they are glued to, and the markers on them."""
+"""Reader of deformable bodies, attachments and markers of USD layers that this package wrote."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from gauge_envs.scene.bodies import Attachment, Cloth, Deformable, Markers, Region, Rod, Rope, SoftBody
-from gauge_envs.scene.geometry import Box
+from gauge_envs.scene.geometry import Box, vector
 from gauge_envs.scene.usd.layer import KINDS, FloatArray
-from gauge_envs.scene.usd.source import Source, single, vector
+from gauge_envs.scene.usd.source import Source, single
 
 __all__ = [
     "is_deformable",
@@ -27,37 +27,37 @@ FABRIC = (
     "shear_stiffness_n_per_m",
     "bend_stiffness_n_m_per_rad",
 )
-"""Constants of a cloth that have no standard attribute of their own."""
+"""Constants of a cloth without a standard attribute."""
 
 POINT_TYPES = ("Points", "Mesh")
 """Types of prims whose points can be markers."""
 
 Names = Mapping[Sdf.Path, str]
-"""Names of bodies in the scene by the paths of their prims."""
+"""Names of bodies in the scene, by path of the prim."""
 
 
 def is_deformable(prim: Usd.Prim) -> bool:
-    """Whether a prim is a deformable body, of this package or of others."""
-    # Schemas that usd-core does not have are named there alone.
+    """Return whether a prim is a deformable body, written by this package or another tool."""
+    # usd-core does not know these schemas and lists them only here.
     applied = prim.GetPrimTypeInfo().GetAppliedAPISchemas()
     return prim.HasAttribute("gauge:kind") or "OmniPhysicsDeformableBodyAPI" in applied
 
 
 def read_deformable(source: Source, prim: Usd.Prim, name: str) -> Deformable:
-    """A deformable body.
+    """Read a deformable body.
 
     Raises:
-        AssetError: It was not written by this package, was scaled, or lacks a constant.
+        AssetError: This package did not write it, or it is disabled, scaled or lacks a constant.
     """
     if not source.flag(prim.GetAttribute("omniphysics:deformableBodyEnabled"), default=True):
-        raise source.fault(prim, "its deformable body is disabled, and those of a scene are not: remove the prim")
+        raise source.fault(prim, "its deformable body is disabled: enable it or remove the prim")
     kind = source.text(prim.GetAttribute("gauge:kind"), tuple(KINDS.values()))
     if kind is None:
-        raise source.fault(prim, f"is a deformable body without gauge:kind: one of {', '.join(KINDS.values())}")
+        raise source.fault(prim, f"is a deformable body without gauge:kind: set one of {', '.join(KINDS.values())}")
     frame = source.frame(prim, Usd.TimeCode(source.start))
     if not np.array_equal(np.abs(frame.scale), np.ones(3)):
-        raise source.fault(prim, "is a scaled deformable body: edit its size in its place")
-    # Of a body that touches nothing the material has no friction, so that it is no physics material to UsdPhysics.
+        raise source.fault(prim, "is a scaled deformable body: remove the scale and edit its size")
+    # The material of a body without contacts has no friction, so `Source.material` would not find it.
     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0].GetPrim()
     values: dict[str, Any] = {
         "name": name,
@@ -80,7 +80,7 @@ def read_deformable(source: Source, prim: Usd.Prim, name: str) -> Deformable:
 
 
 def _positive(source: Source, prim: Usd.Prim, name: str, holder: Usd.Prim | None = None, standard: str = "") -> float:
-    """A constant, from its double and from an attribute of Omniverse's schema."""
+    """Read a positive constant from its `gauge:` double and from an attribute of Omniverse's schema."""
     reading = source.reading(holder.GetAttribute(standard)) if holder else None
     return _checked(source, prim, name, source.counted(prim.GetAttribute(f"gauge:{name}"), [reading]))
 
@@ -116,10 +116,10 @@ def _size(source: Source, prim: Usd.Prim, count: int) -> list[float]:
 
 
 def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:
-    """Enabled attachments in the stage's order.
+    """Yield the enabled attachments in the stage's order.
 
     Raises:
-        AssetError: One lacks its region, or names what is no body.
+        AssetError: An attachment lacks its region, or refers to a prim that is not a body.
     """
     for prim in source.prims():
         if not prim.HasAttribute("gauge:region_axis"):
@@ -139,10 +139,10 @@ def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:
 
 
 def read_markers(source: Source, names: Names) -> Markers | None:
-    """The markers; None where there are none.
+    """Read the markers; return None if the stage has none.
 
     Raises:
-        AssetError: There are two sets of them, or they name bodies or markers that do not exist.
+        AssetError: The stage has two sets of markers, or they refer to bodies or markers that do not exist.
     """
     prims = [prim for prim in source.prims() if prim.IsA(UsdGeom.Points) and prim.HasRelationship("gauge:bodies")]
     if not prims:
@@ -163,10 +163,10 @@ def read_markers(source: Source, names: Names) -> Markers | None:
 
 
 def world_points(source: Source, prim: Usd.Prim) -> FloatArray:
-    """Points of a Points or Mesh prim in the world at the start [m], shape [point_count, 3].
+    """Return the world positions of the points of a Points or Mesh prim at the start [m], shape [point_count, 3].
 
     Raises:
-        AssetError: It is of another type, or has no points.
+        AssetError: The prim has another type or no points.
     """
     if prim.GetTypeName() not in POINT_TYPES:
         found = prim.GetTypeName() or "a prim without a type"
@@ -179,7 +179,7 @@ def world_points(source: Source, prim: Usd.Prim) -> FloatArray:
 
 
 def _targets(source: Source, prim: Usd.Prim, relationship: str, names: Names) -> tuple[str, ...]:
-    """Names of the bodies that a relationship points to."""
+    """Return the names of the bodies that a relationship targets."""
     found = prim.GetRelationship(relationship).GetTargets() if prim.HasRelationship(relationship) else []
     unknown = next((path for path in found if path not in names), None)
     if unknown is not None or not found:
@@ -188,7 +188,7 @@ def _targets(source: Source, prim: Usd.Prim, relationship: str, names: Names) ->
 
 
 def _indices(source: Source, prim: Usd.Prim, name: str, width: int, count: int) -> list[list[int]]:
-    """Indices of markers in rows of a width."""
+    """Return indices of markers, shape [row_count, width]."""
     attribute = prim.GetAttribute(f"gauge:{name}")
     rows = source.numbers(attribute, (-1,) if width == 1 else (-1, width))
     if rows is None:

@@ -1,4 +1,4 @@
-"""Motion of a kinematic USD body -> its start and its driver."""
+"""Reader of the start pose and the driver of a kinematic USD body."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = [
 ]
 
 AGREES = 1e-6
-"""How far time samples and `gauge:driver` may differ [m, rad] where both were edited."""
+"""Largest difference between time samples and `gauge:driver` [m, rad] if both were edited."""
 
 LONGEST_S = 3600.0
-"""Time samples that last longer [s] are in another unit of time, or are damaged."""
+"""Longest duration of time samples [s]; longer ones have another unit of time or are damaged."""
 
 Track = dict[float, Pose]
 """Poses by time code."""
@@ -35,26 +35,26 @@ Track = dict[float, Pose]
 def driven_body(
     source: Source, prim: Usd.Prim, name: str, pose_at: Callable[[Usd.TimeCode], Pose]
 ) -> tuple[Pose, Driver | None, int | None]:
-    """Start and driver of a kinematic body.
+    """Return the start pose and the driver of a kinematic body.
 
-    `gauge:driver` has the motion to the bit, the time samples of the transform have its poses at the frames. Whichever
-    was edited counts. Edited samples, and those of files without `gauge:driver`, become sampled motions that have their
-    poses, also at times between samples that are more than a frame apart; a monotone cubic joins them. The provenance
-    of a motion that was edited says so and is `nominal`, since nobody has measured it.
+    `gauge:driver` contains the exact motion; the time samples of the transform contain its poses at the frames. The
+    edited one of both counts. Edited samples, and samples without `gauge:driver`, become sampled motions with monotone
+    cubic interpolation. Between samples that are more than a frame apart, the poses at the frames are added. An edited
+    motion was not measured, so its provenance is `nominal` and mentions the edit.
 
     Args:
         source: The stage.
         prim: Prim of the body.
-        name: Its name.
-        pose_at: Its pose at a time.
+        name: Name of the body.
+        pose_at: Function that returns the body's pose at a time code.
 
     Returns:
-        Its pose before anything moves; its driver, None where it stands still; and the place of that among the drivers
-        of the scene, None where the file does not say.
+        The pose before anything moves; the driver, or None if the body does not move; and the index of the driver in
+        the scene, or None if the file does not define it.
 
     Raises:
-        AssetError: Samples and `gauge:driver` were both edited and disagree, or only the default pose was; or samples
-            last longer than an hour.
+        AssetError: Samples and `gauge:driver` were both edited and disagree, only the default pose was edited, or the
+            samples last longer than an hour.
     """
     start = Usd.TimeCode(source.start)
     samples = {code: pose_at(Usd.TimeCode(code)) for code in source.sample_codes(prim)}
@@ -87,7 +87,7 @@ def driven_body(
 def _edited(
     source: Source, prim: Usd.Prim, driver: Driver, start: Pose, samples: Track, track: Track
 ) -> tuple[Pose, Driver]:
-    """Start and driver that count of a body that has both `gauge:driver` and, where it moves, time samples."""
+    """Return the start pose and the driver of a body with `gauge:driver` and possibly time samples."""
     attribute = prim.GetAttribute("gauge:driver")
     changed = replace(driver, provenance=f"nominal: edited in {source.file.name}, was {driver.provenance}")
     is_edited = motions_digest(attribute.Get()) != attribute.GetCustomDataByKey(TEXT)
@@ -97,8 +97,8 @@ def _edited(
         if not is_edited and samples and apart[0] > AGREES:
             raise source.fault(
                 prim,
-                "its pose was edited, the time samples of its transform were not: edit both, or delete the samples, so "
-                "that gauge:driver moves it from where it is",
+                "its pose was edited, but not the time samples of its transform: edit both, or delete the samples, so "
+                "that gauge:driver moves it from the edited pose",
             )
         return start, changed if is_edited else driver
     if is_edited or written is None:
@@ -110,16 +110,16 @@ def _edited(
             )
         return start, changed
     first = next(iter(track.values()))
-    # Where the samples start elsewhere than the driver, so does the body: a jump would throw what it touches.
+    # If the samples start elsewhere than the driver, the body starts there too: a jump would throw other bodies.
     if apart[0] > AGREES:
         start = first
     return start, replace(changed, motions=_sampled(source, prim, start, track, driver.motions))
 
 
 def _timeline(source: Source, samples: Track, pose_at: Callable[[Usd.TimeCode], Pose]) -> Track:
-    """Poses from the start of the stage on, at two times at least, and no further apart than frames.
+    """Return poses from the start of the stage on, at two times or more, with at most a frame between them.
 
-    USD interpolates what it keeps, as an angle; poses alone would not tell a whole turn between two keys from none.
+    USD interpolates stored values such as angles. Poses at the keys alone would miss a full rotation between two keys.
     """
     keys = sorted({source.start, *(code for code in samples if code > source.start)})
     if len(keys) == 1:

@@ -1,4 +1,4 @@
-"""Joints of a USD stage -> hinges and tethers to the world."""
+"""Reader of hinges and tethers from the joints of a USD stage."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import Hinge, Motion, RigidBody, Tether
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
-from gauge_envs.scene.usd.source import Source, StoredValue, vector
+from gauge_envs.scene.usd.source import Source, StoredValue
 
 __all__ = [
     "is_welded",
@@ -18,14 +19,14 @@ __all__ = [
 ]
 
 GAP_M = 1e-4
-"""How far the two ends of a joint may lie apart at the start [m], and the directions of its axis [rad]."""
+"""Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""
 
 UNIT = 1e-6
-"""How far an axis may be from unit length."""
+"""Largest deviation of an axis from unit length."""
 
 
 def joint_prims(source: Source) -> list[Usd.Prim]:
-    """Enabled joints in the stage's order."""
+    """Return the enabled joints in the stage's order."""
     return [
         prim
         for prim in source.prims()
@@ -34,23 +35,23 @@ def joint_prims(source: Source) -> list[Usd.Prim]:
 
 
 def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
-    """Whether a joint fixes a body to the world."""
+    """Return whether a joint fixes a body to the world."""
     return joint.IsA(UsdPhysics.FixedJoint) and _moving_end(source, joint)[0] == body
 
 
 def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> Hinge | Tether | None:
-    """A revolute joint as a hinge, a distance joint as a tether, and None for a fixed joint.
+    """Return a hinge for a revolute joint, a tether for a distance joint, and None for a fixed joint.
 
-    The anchor is where the joint's end in the world is. Its end in the body must be there too; in a layer of this
-    package it need not while it was not edited, since a body may have been moved.
+    The joint's end in the world is the anchor. Its end in the body must coincide with the anchor. An exception is an
+    unedited joint of a layer of this package, because the body may have been moved.
 
     Args:
         source: The stage.
         prim: The joint.
-        bodies: Rigid bodies by the paths of their prims.
+        bodies: Rigid bodies, by path of the prim.
 
     Raises:
-        AssetError: A scene has no such joint; names prim and type.
+        AssetError: A scene does not support the joint.
     """
     body_prim, side = _moving_end(source, prim)
     kind = str(prim.GetTypeName())
@@ -74,13 +75,13 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
     held = _origin(source, body_prim) if stated is None else stated.value
     if kind == "PhysicsDistanceJoint":
         return _tether(source, prim, body, anchor, held)
-    # Where only the body was moved, its anchor stays.
+    # If only the body was moved, the anchor stays.
     is_free = bool(own and own.HasAuthoredValue()) and not _is_edited(ends[side])
     return _hinge(source, prim, body_prim, body, anchor, None if is_free else held)
 
 
 def _moving_end(source: Source, prim: Usd.Prim) -> tuple[Usd.Prim, int]:
-    """The moving body of a joint to the world, and which of its two ends that is."""
+    """Return the moving body of a joint to the world, and the index of its end, 0 or 1."""
     ends = []
     for side in (0, 1):
         target = _target(source, prim, side)
@@ -118,7 +119,7 @@ def _rotations(prim: Usd.Prim) -> tuple[Usd.Attribute, Usd.Attribute]:
 
 
 def _in_world(source: Source, prim: Usd.Prim | None, attribute: Usd.Attribute) -> StoredValue | None:
-    """A point given in a prim's space, or in the world's, in the world [m]."""
+    """Read a point in a prim's space, or in the stage's world without a prim, in world coordinates [m]."""
     return source.reading(attribute, (3,), source.world_m if prim is None else lambda p: source.to_world(prim, p))
 
 
@@ -127,12 +128,12 @@ def _origin(source: Source, prim: Usd.Prim | None) -> FloatArray:
 
 
 def _is_edited(attribute: Usd.Attribute) -> bool:
-    """Whether the body's end of a joint is another than was written."""
+    """Return whether an attribute at the body's end of a joint differs from its written value."""
     return bool(attribute) and attribute.Get() != attribute.GetCustomDataByKey(WRITTEN)
 
 
 def _check_plain(source: Source, prim: Usd.Prim) -> None:
-    """See that a joint has no limit, drive or strength."""
+    """Check that a joint has no limit, drive or breaking strength."""
     applied = [name for name in prim.GetAppliedSchemas() if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))]
     if applied:
         raise source.fault(prim, f"unsupported joint: it has {applied[0]}, and joints of a scene move freely")
@@ -140,7 +141,7 @@ def _check_plain(source: Source, prim: Usd.Prim) -> None:
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is not None and np.isfinite(value):
-            raise source.fault(attribute, f"unsupported joint: it is {value}, and a scene has no such limit")
+            raise source.fault(attribute, f"unsupported joint: it is {value}, but joints of a scene have no limits")
 
 
 def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, held: FloatArray) -> Tether:
@@ -160,7 +161,7 @@ def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray,
 def _hinge(
     source: Source, prim: Usd.Prim, body_prim: Usd.Prim, body: RigidBody, anchor: FloatArray, held: FloatArray | None
 ) -> Hinge:
-    """The hinge; `held` is the joint's end in the body, None where it does not count."""
+    """Return the hinge; `held` is the joint's end in the body [m], or None if it does not count."""
     side = _moving_end(source, prim)[1]
     frames = _rotations(prim)
     letter = source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
@@ -171,8 +172,8 @@ def _hinge(
     assert axis is not None
     length = float(np.linalg.norm(axis))
     if abs(length - 1.0) > UNIT:
-        raise source.fault(prim, f"its axis {axis.tolist()} is no unit vector")
-    # One that was edited has single precision.
+        raise source.fault(prim, f"its axis {axis.tolist()} is not a unit vector: normalize it")
+    # An edited axis has single precision.
     axis = axis if abs(length - 1.0) < 1e-12 else axis / length
     if held is not None or _is_edited(frames[side]):
         gap = 0.0 if held is None else float(np.linalg.norm(held - anchor))
@@ -186,10 +187,10 @@ def _hinge(
 
 
 def _axis(source: Source, prim: Usd.Prim | None, attribute: Usd.Attribute, letter: str) -> FloatArray:
-    """Direction of a joint's axis in the world, from its frame in a body, or in the world."""
+    """Return the direction of a joint's axis in the world, from its frame in a body or in the world."""
     quaternion = source.numbers(attribute, (4,))
     if quaternion is not None and not quaternion.any():
-        raise source.fault(attribute, "is no rotation")
+        raise source.fault(attribute, "is a zero quaternion: a rotation is expected")
     axis = hinge_axis(np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion, letter)
     if prim is None:
         return source.up @ axis

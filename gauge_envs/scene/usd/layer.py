@@ -1,4 +1,4 @@
-"""What the writer and the reader of USD layers share: names, the record of what was written, driver motions as JSON."""
+"""Common parts of the writer and the reader of USD layers: names, records of written values, driver motions as JSON."""
 
 from __future__ import annotations
 
@@ -37,50 +37,49 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 WRITTEN = "written"
-"""Key of the custom data of a `gauge:` attribute that holds its standard counterpart as written: a number, a vector, a
+"""Custom data key of a `gauge:` attribute with the written value of its standard counterpart: a number, a vector, a
 token, or the digest of an array."""
 
 FOLLOWS = "follows"
-"""Key of the custom data of an attribute that is computed from `gauge:` attributes; names what to edit in its place."""
+"""Custom data key of a derived attribute with the names of the `gauge:` attributes to edit instead."""
 
 TEXT = "text"
-"""Key of the custom data of `gauge:driver` that holds the digest of its own motions as written."""
+"""Custom data key of `gauge:driver` with the digest of its written motions."""
 
 KINDS: dict[type[Deformable], str] = {Cloth: "cloth", SoftBody: "soft_body", Rope: "rope", Rod: "rod"}
 """Values of `gauge:kind`."""
 
 DIGEST_DECIMALS = 9
-"""Digests see numbers to this many decimals, so that the last digit of a sine, which differs between machines, does
-not show."""
+"""Number of decimals in digests, so that the last digit of a sine, which differs between machines, has no effect."""
 
 
-# --- what was written ------------------------------------------------------------------------------------------------
+# --- records of written values ---------------------------------------------------------------------------------------
 
 
 def digest(values: ArrayLike) -> str:
-    """Short hash of numbers and of their shape; those that differ by less than 1e-9 (m, rad, ...) are equal."""
+    """Return a short hash of numbers and their shape, rounded to nine decimals (m, rad, ...)."""
     # Adding zero turns -0.0 into 0.0.
     rounded = np.round(np.asarray(values, dtype=np.float64), DIGEST_DECIMALS) + 0.0
     return hashlib.sha256(repr(rounded.shape).encode() + rounded.astype("<f8").tobytes()).hexdigest()[:16]
 
 
 def _text_digest(text: str) -> str:
-    """Short hash of a text."""
+    """Return a short hash of a text."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def motions_digest(text: str) -> str:
-    """Short hash of JSON whose numbers count to nine decimals, as those of `digest` do."""
+    """Return a short hash of JSON, whose numbers are rounded as in `digest`."""
     return _text_digest(json.dumps(json.loads(text, parse_float=lambda number: round(float(number), DIGEST_DECIMALS))))
 
 
 def names_digest(pairs: set[frozenset[str]]) -> str:
-    """Short hash of pairs of names."""
+    """Return a short hash of pairs of names."""
     return _text_digest(json.dumps(sorted(sorted(pair) for pair in pairs)))
 
 
 def samples_digest(times_s: FloatArray, positions_m: FloatArray, quaternions: FloatArray) -> str:
-    """Short hash of poses at times; the two quaternions of one rotation are equal.
+    """Return a short hash of poses at times; both quaternions of a rotation have the same hash.
 
     Args:
         times_s: Shape [sample_count].
@@ -92,16 +91,16 @@ def samples_digest(times_s: FloatArray, positions_m: FloatArray, quaternions: Fl
 
 
 def record_written(gauge: Usd.Attribute, written: Any) -> None:
-    """Keep with a `gauge:` attribute what its standard counterpart was written as."""
+    """Record the written value of the standard counterpart of a `gauge:` attribute."""
     gauge.SetCustomDataByKey(WRITTEN, written)
 
 
 def record_follower(attribute: Usd.Attribute, source: str) -> None:
-    """Mark an attribute as computed from others, so that an edit of it is noticed.
+    """Record that an attribute is computed from others, so that the reader detects an edit.
 
     Args:
-        attribute: Has its value already.
-        source: Attributes that it is computed from.
+        attribute: The attribute, with its value.
+        source: Names of the attributes that it is computed from.
     """
     value = attribute.Get()
     attribute.SetCustomDataByKey(WRITTEN, value if isinstance(value, float) else digest(value))
@@ -109,17 +108,17 @@ def record_follower(attribute: Usd.Attribute, source: str) -> None:
 
 
 def hinge_frame(axis: tuple[float, float, float]) -> Gf.Quatf:
-    """Orientation whose x axis is a hinge's world axis."""
+    """Return the orientation whose x axis is a hinge's world axis."""
     return Gf.Quatf(Gf.Rotation(Gf.Vec3d(1.0, 0.0, 0.0), Gf.Vec3d(*axis)).GetQuat())
 
 
 def wxyz(quaternion: Gf.Quatf | Gf.Quatd | Gf.Quath) -> FloatArray:
-    """A quaternion as four numbers w, x, y, z."""
+    """Return a quaternion as four numbers w, x, y, z."""
     return np.array([quaternion.GetReal(), *quaternion.GetImaginary()], dtype=np.float64)
 
 
 def hinge_axis(quaternion: FloatArray, letter: str = "X") -> FloatArray:
-    """Direction of an axis of an orientation w, x, y, z; shape [3]."""
+    """Return the direction of an axis of an orientation w, x, y, z, shape [3]."""
     return Rotation.from_quat(quaternion, scalar_first=True).apply(np.eye(3)["XYZ".index(letter)])
 
 
@@ -141,20 +140,20 @@ class _DriverRecord(BaseModel):
 
 
 def motions_to_json(motions: tuple[DriverMotion, ...], index: int) -> str:
-    """Motions of a driver as JSON; doubles survive to the bit.
+    """Return the motions of a driver as JSON, which preserves doubles exactly.
 
     Args:
         motions: Motions in the order in which they apply.
-        index: Place of the driver among those of its scene.
+        index: Index of the driver in its scene.
     """
     return json.dumps(_DriverRecord(index=index, motions=motions).model_dump(), allow_nan=False)
 
 
 def motions_from_json(text: str) -> tuple[tuple[DriverMotion, ...], int]:
-    """Motions of a driver and its place among those of its scene.
+    """Return the motions of a driver and its index in the scene.
 
     Raises:
-        ValidationError: pydantic's, a ValueError: the text is no JSON, or is not what `motions_to_json` writes.
+        ValueError: The text is not JSON, or not the format of `motions_to_json` (pydantic's ValidationError).
     """
     record = _DriverRecord.model_validate(json.loads(text))
     return record.motions, record.index

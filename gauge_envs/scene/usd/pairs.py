@@ -1,4 +1,4 @@
-"""Which bodies of a USD stage collide, and with what constants."""
+"""Reader of contacts: the colliding bodies of a USD stage and their contact constants."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = [
 Pair = frozenset[str]
 
 COMBINATIONS = ("average", "min", "multiply", "max")
-"""How PhysX combines the coefficients of two materials; of two that differ the later one counts."""
+"""Combine modes of PhysX in increasing priority; the mode with higher priority counts if two materials differ."""
 
 COMBINE_ATTRIBUTES = {
     "friction": "physxMaterial:frictionCombineMode",
@@ -32,13 +32,13 @@ COMBINE_ATTRIBUTES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Party:
-    """A body as far as contacts are concerned.
+    """A body with its colliders.
 
     Attributes:
-        name: Its name in the scene.
-        prim: Its prim.
-        colliders: Prims of its geometry; none of a rope or rod, for which UsdPhysics has no word.
-        moves: Whether it moves under forces or is deformable.
+        name: Name of the body in the scene.
+        prim: Prim of the body.
+        colliders: Prims of its geometry; empty for ropes and rods, which UsdPhysics does not support.
+        moves: Whether it is dynamic or deformable.
     """
 
     name: str
@@ -49,12 +49,12 @@ class Party:
 
 @dataclass(frozen=True, kw_only=True)
 class PairOptions:
-    """What a USD file does not say of contacts.
+    """Properties of contacts that a USD file does not define.
 
     Attributes:
-        friction: Which coefficient of a material counts where static and dynamic friction differ; None: an error.
-        mode: Mode of contacts that have none: one for all, or one a pair of names, sustained for all others.
-        contacts: Contacts that count in place of what the file says of their pairs.
+        friction: The coefficient that counts if static and dynamic friction of a material differ; None raises an error.
+        mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
+        contacts: Contacts that replace those of the file for their pairs.
     """
 
     friction: Literal["dynamic", "static"] | None = None
@@ -62,21 +62,20 @@ class PairOptions:
     contacts: Sequence[Contact] = ()
 
     def mode_of(self, pair: Pair) -> ContactMode:
-        """Mode of a pair of bodies."""
+        """Return the contact mode of a pair of bodies."""
         if isinstance(self.mode, ContactMode):
             return self.mode
         return next((mode for names, mode in self.mode.items() if frozenset(names) == pair), ContactMode.SUSTAINED)
 
 
 def contacts_of(source: Source, parties: Sequence[Party], options: PairOptions) -> tuple[Contact, ...]:
-    """Contacts of a stage.
+    """Return the contacts of a stage.
 
-    Those of `gauge:first` and `gauge:second` while UsdPhysics lets the same pairs collide as when the file was
-    written, or where they were edited; pairs that UsdPhysics has come to add or to filter are added or taken out. A
-    file without them has the pairs of UsdPhysics: all of enabled colliders, less filtered ones.
+    `gauge:first` and `gauge:second` define the pairs. If the pairs of UsdPhysics were edited, the edits add or remove
+    pairs. A file without `gauge:first` has the pairs of UsdPhysics: all enabled colliders except filtered pairs.
 
     Raises:
-        AssetError: Materials are missing, contradict each other, or both records of the pairs were edited.
+        AssetError: Materials are missing or contradict each other, or both records of the pairs were edited and differ.
     """
     prims = [prim for prim in source.prims() if prim.HasRelationship("gauge:first")]
     own = [_gauge_contact(source, prim, parties) for prim in prims]
@@ -95,8 +94,8 @@ def contacts_of(source: Source, parties: Sequence[Party], options: PairOptions) 
             where = "collide" if one in allowed else "pass through each other"
             raise source.fault(
                 prims[0].GetParent(),
-                f"UsdPhysics lets {' and '.join(sorted(one))} {where}, gauge:first and gauge:second do not, and both "
-                "were edited: make them agree",
+                f"UsdPhysics lets {' and '.join(sorted(one))} {where}, but gauge:first and gauge:second do not, and "
+                "both were edited: make them agree",
             )
         else:
             allowed = listed
@@ -148,7 +147,7 @@ def _gauge_contact(source: Source, prim: Usd.Prim, parties: Sequence[Party]) -> 
 
 
 def _linked_materials(source: Source, prim: Usd.Prim) -> list[Usd.Prim]:
-    """Materials with the constants of a contact."""
+    """Return the materials with the constants of a contact."""
     relationship = prim.GetRelationship("gauge:materials")
     found = [source.stage.GetPrimAtPath(path) for path in (relationship.GetTargets() if relationship else [])]
     return [material for material in found if material]
@@ -157,7 +156,7 @@ def _linked_materials(source: Source, prim: Usd.Prim) -> list[Usd.Prim]:
 def _check_bindings(
     source: Source, prims: Sequence[Usd.Prim], own: Sequence[Contact], parties: Sequence[Party]
 ) -> None:
-    """See that no body of a contact was bound to another material, of which no contact would know."""
+    """Check that no body of a contact is bound to a material that belongs to none of its contacts."""
     materials = [[material.GetPath() for material in _linked_materials(source, prim)] for prim in prims]
     for party in parties:
         known = [paths for paths, c in zip(materials, own, strict=True) if party.name in (*c.first, *c.second)]
@@ -167,7 +166,7 @@ def _check_bindings(
             raise source.fault(
                 party.prim,
                 f"is bound to {min(strange)}, which is the material of none of its contacts: edit the material of the "
-                "contact in its place, or add that one to gauge:materials",
+                "contact instead, or add this material to gauge:materials",
             )
 
 
@@ -184,7 +183,7 @@ def _pairs(contact: Contact) -> set[Pair]:
 
 
 def _without(contact: Contact, pairs: set[Pair]) -> list[Contact]:
-    """A contact less some of its pairs; as few contacts as its groups of bodies then take."""
+    """Return a contact without some of its pairs, as few contacts as possible."""
     left = _pairs(contact) - pairs
     if left == _pairs(contact):
         return [contact]
@@ -205,7 +204,7 @@ def _without(contact: Contact, pairs: set[Pair]) -> list[Contact]:
 
 
 def _colliding(source: Source, parties: Sequence[Party]) -> set[Pair]:
-    """Pairs of bodies that UsdPhysics lets collide."""
+    """Return the pairs of bodies that UsdPhysics lets collide."""
     solid = [party for party in parties if any(_is_enabled(source, prim) for prim in party.colliders)]
     filtered = _filtered(source, solid) | _filtered_by_groups(source, solid)
     pairs = (frozenset((one.name, other.name)) for one, other in combinations(solid, 2) if one.moves or other.moves)
@@ -228,14 +227,14 @@ def _filtered(source: Source, parties: Sequence[Party]) -> set[Pair]:
 
 
 def _named(source: Source, prim: Usd.Prim, path: Sdf.Path, parties: Iterable[Party]) -> list[str]:
-    """Bodies at or below a path, or whose only collider it is."""
+    """Return the bodies at or below a path, or whose only collider is at the path."""
     names = []
     for party in parties:
         if party.prim.GetPath().HasPrefix(path) or [one.GetPath() for one in party.colliders] == [path]:
             names.append(party.name)
         elif any(one.GetPath() == path for one in party.colliders):
             raise source.fault(
-                prim, f"filters {path}, which is a part of {party.prim.GetPath()}: a scene filters whole bodies"
+                prim, f"filters {path}, which is only a part of {party.prim.GetPath()}: filter the whole body"
             )
     return names
 
@@ -250,7 +249,7 @@ def _filtered_by_groups(source: Source, parties: Sequence[Party]) -> set[Pair]:
     for party in parties:
         each = [{path for path, query in members.items() if query.IsPathIncluded(c.GetPath())} for c in party.colliders]
         if any(one != each[0] for one in each):
-            raise source.fault(party.prim, "its colliders are in different collision groups: a scene filters bodies")
+            raise source.fault(party.prim, "its colliders are in different collision groups: put them in one group")
         inside[party.name] = each[0]
     return {
         frozenset((one.name, other.name))
@@ -260,7 +259,7 @@ def _filtered_by_groups(source: Source, parties: Sequence[Party]) -> set[Pair]:
 
 
 def _from_materials(source: Source, parties: Sequence[Party], pairs: set[Pair], options: PairOptions) -> list[Contact]:
-    """Contacts of pairs that only UsdPhysics names, grouped so that bodies with equal constants share one."""
+    """Return contacts for the pairs that only UsdPhysics defines; pairs with equal constants share a contact."""
     by_name = {party.name: party for party in parties}
     wanted = {name for pair in pairs for name in pair}
     constants = {name: _constants(source, by_name[name], options) for name in by_name if name in wanted}
@@ -279,7 +278,7 @@ def _from_materials(source: Source, parties: Sequence[Party], pairs: set[Pair], 
 
 
 def _cliques(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> Iterator[tuple[str, ...]]:
-    """Groups of bodies whose pairs are these and no others, but for pairs that do not move; each pair once."""
+    """Yield groups of bodies that cover each pair once and contain no other pair with a moving body."""
     left = set(pairs)
     while left:
         group = _clique(names, left, moving)
@@ -288,7 +287,7 @@ def _cliques(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> Iterat
 
 
 def _clique(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> tuple[str, ...]:
-    """Bodies every two of which are among the pairs, or do not move; in the order of their names."""
+    """Return bodies of which every two form one of the pairs or do not move, in the order of `names`."""
     group = sorted(min(pairs, key=lambda pair: sorted(map(names.index, pair))), key=names.index)
     for name in names:
         others = [frozenset((name, one)) for one in group if one != name]
@@ -298,7 +297,7 @@ def _clique(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> tuple[s
 
 
 def _combined(one: tuple[float, str], other: tuple[float, str]) -> float:
-    """Coefficient of a pair, combined as PhysX does: by default the average."""
+    """Return the coefficient of a pair, combined as in PhysX; the default is the average."""
     how = max(one[1], other[1], key=COMBINATIONS.index)
     a, b = one[0], other[0]
     if a == b and how != "multiply":
@@ -307,13 +306,13 @@ def _combined(one: tuple[float, str], other: tuple[float, str]) -> float:
 
 
 def _constants(source: Source, party: Party, options: PairOptions) -> dict[str, tuple[float, str]]:
-    """Friction and restitution of a body, each with how it combines."""
+    """Return friction and restitution of a body, each with its combine mode."""
     materials = {material.GetPath(): material for material in map(source.material, party.colliders) if material}
     if not materials or any(source.material(prim) is None for prim in party.colliders):
-        raise source.fault(party.prim, "has no physics material, so that its friction is unknown: bind one")
+        raise source.fault(party.prim, "has no physics material, so its friction is unknown: bind one")
     found = [_material_constants(source, material, options) for material in materials.values()]
     if any(one != found[0] for one in found):
-        raise source.fault(party.prim, "its colliders have materials with different constants: a scene has one a body")
+        raise source.fault(party.prim, "its colliders have materials with different constants: use one per body")
     return found[0]
 
 
@@ -325,7 +324,7 @@ def _material_constants(source: Source, prim: Usd.Prim, options: PairOptions) ->
     }
     present: dict[str, StoredValue] = {name: reading for name, reading in readings.items() if reading is not None}
     if not present:
-        raise source.fault(prim, "has neither physics:dynamicFriction nor physics:staticFriction")
+        raise source.fault(prim, "has neither physics:dynamicFriction nor physics:staticFriction: set one")
     values = {name: float(reading.value) for name, reading in present.items()}
     if len(set(values.values())) == 2 and options.friction is None:
         raise source.fault(

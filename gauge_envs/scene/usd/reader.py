@@ -1,7 +1,7 @@
-"""USD -> Scene: the inverse of the writer, and a reader of plain UsdPhysics that somebody else wrote.
+"""Reader of scenes from USD layers, written by this package or as plain UsdPhysics by other tools.
 
-A number that stands twice in a layer of this package, as a `gauge:` double and in single precision beside it, counts
-where it was edited; `Source.counted` has the rule. Where there is no `gauge:` attribute, UsdPhysics counts alone.
+A layer of this package stores many numbers twice: as a `gauge:` double and in single precision in a standard attribute.
+The edited one of both counts, see `Source.counted`. Without a `gauge:` attribute, the standard attribute counts.
 """
 
 from __future__ import annotations
@@ -37,23 +37,24 @@ from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
 
 __all__ = [
     "UsdScene",
+    "from_usd",
     "read_points",
     "read_usd",
 ]
 
 LEVEL = 1e-6
-"""How far gravity may be from vertical [rad]."""
+"""Largest angle between gravity and the vertical [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UsdScene:
-    """What a USD file holds.
+    """Content of a USD file.
 
     Attributes:
         scene: The scene.
-        paths: Prim path of each body, rigid and deformable, by its name in the scene.
-        metadata: What the writer noted of the variant and its source; empty in files of others.
-        used_files: Other files that the stage is composed of, in the order of their paths relative to its own.
+        paths: Prim path of each rigid and deformable body, by its name in the scene.
+        metadata: Notes of the writer on the variant and its source; empty in files of other tools.
+        used_files: Other files of the stage, sorted by their path relative to the main file.
     """
 
     scene: Scene
@@ -71,9 +72,9 @@ def read_usd(
     contacts: Sequence[Contact] = (),
     has_markers: bool = True,
 ) -> UsdScene:
-    """Read a scene from a USD file; see `Scene.from_usd`, which is this without the rest of what the file holds.
+    """Read the whole content of a USD file; arguments and errors as in `from_usd`.
 
-    Without `has_markers` the scene has none, however many sets of them the file has.
+    If `has_markers` is false, the markers of the file are ignored.
     """
     options = PairOptions(friction=friction, mode=mode, contacts=tuple(contacts))
     with _opened(Path(path)) as source:
@@ -88,34 +89,34 @@ def from_usd(
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
     contacts: Sequence[Contact] = (),
 ) -> Scene:
-    """Read a scene from a USD file, of `to_usd` or of plain UsdPhysics.
+    """Read a scene from a USD file, written by `to_usd` or as plain UsdPhysics.
 
-    What `to_usd` wrote comes back exactly. Where a number was edited in such a file, in the `gauge:` double or in
-    the standard attribute beside it, the edited one counts. What the keywords say matters for files of others:
+    A scene that `to_usd` wrote is restored exactly. If a number was edited in such a file, in the `gauge:` double or in
+    the standard attribute, the edited value counts. The keywords are for files of other tools.
 
     Args:
-        path: File of any kind that USD reads.
-        duration_s: How long the experiment lasts, where the file has neither `gauge:duration_s` nor time codes of
-            start and end; it counts in place of these time codes.
-        friction: Which coefficient of a material counts where static and dynamic friction differ.
-        mode: What contacts do that have no `gauge:mode`: one for all, or one a pair of names, sustained for others.
-        contacts: Contacts that count in place of what the file says of their pairs.
+        path: File of any format that USD reads.
+        duration_s: Duration of the experiment [s], for files without `gauge:duration_s`. It replaces the start and end
+            time codes of the file.
+        friction: The coefficient that counts if static and dynamic friction of a material differ.
+        mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
+        contacts: Contacts that replace those of the file for their pairs.
 
     Raises:
-        AssetError: The file cannot be read, lacks something, or has what a scene has not; names file and prim.
+        AssetError: The file cannot be read, is incomplete, or has a feature that scenes do not support.
     """
     return read_usd(path, duration_s=duration_s, friction=friction, mode=mode, contacts=contacts).scene
 
 
 def read_points(path: Path, place: str) -> FloatArray:
-    """Points of a prim of a USD file in the world at the start [m], z up, shape [point_count, 3].
+    """Return the world positions of the points of a prim at the start [m], z up, shape [point_count, 3].
 
     Args:
-        path: The file.
-        place: Path of a Points or Mesh prim, as `/Shelf/Markers`.
+        path: The USD file.
+        place: Path of a Points or Mesh prim, such as `/Shelf/Markers`.
 
     Raises:
-        AssetError: The file cannot be read, or has no such prim, or one of another type or without points.
+        AssetError: The file cannot be read, the prim does not exist, has another type, or has no points.
     """
     with _opened(path) as source:
         prim = next((prim for prim in source.prims() if str(prim.GetPath()) == place), None)
@@ -126,11 +127,11 @@ def read_points(path: Path, place: str) -> FloatArray:
 
 @contextmanager
 def _opened(file: Path) -> Iterator[Source]:
-    """A stage to read from; what USD raises on the way becomes an AssetError."""
+    """Open a stage; convert errors of USD to AssetError while it is read."""
     try:
         yield Source(file)
     except Tf.ErrorException as error:
-        # What USD finds wrong while values are taken from it, as an attribute of another type than its schema's.
+        # USD detects some faults only when values are read, such as an attribute of another type than in its schema.
         raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None
     except UnicodeDecodeError:
         raise AssetError(file, "", "it holds names or texts that are not UTF-8") from None
@@ -138,14 +139,14 @@ def _opened(file: Path) -> Iterator[Source]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """A rigid body before its parts are read."""
+    """A rigid body whose properties have not been read yet."""
 
     prim: Usd.Prim
     colliders: tuple[Usd.Prim, ...]
 
 
 class _Reader:
-    """Reads one stage."""
+    """Reader of one stage."""
 
     def __init__(self, source: Source, options: PairOptions, duration_s: float | None, *, has_markers: bool) -> None:
         self.source = source
@@ -168,7 +169,7 @@ class _Reader:
             body, driver, place = self._body(one)
             bodies[one.prim.GetPath()] = body
             if driver is not None:
-                # Drivers whose place the file does not say come last, in the stage's order.
+                # Drivers without an index in the file come last, in the stage's order.
                 drivers.append((len(found) if place is None else place, driver))
         parties = [self._party(one.prim, one.colliders, bodies[one.prim.GetPath()].motion) for one in found]
         parties += [self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ()) for prim in deformable]
@@ -197,7 +198,7 @@ class _Reader:
     def _physics(self) -> UsdPhysics.Scene:
         scenes = [UsdPhysics.Scene(prim) for prim in self.source.prims() if prim.IsA(UsdPhysics.Scene)]
         if len(scenes) != 1:
-            raise self.source.fault("", f"{len(scenes)} PhysicsScene prims: one is expected, as it holds gravity")
+            raise self.source.fault("", f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity")
         return scenes[0]
 
     def _gravity(self) -> float:
@@ -209,7 +210,7 @@ class _Reader:
             if down[2] >= 0.0 or np.hypot(down[0], down[1]) > LEVEL:
                 raise source.fault(attribute, f"is {direction.tolist()}: gravity must point down, against the up axis")
         magnitude = physics.GetGravityMagnitudeAttr()
-        # Minus infinity, the schema's fallback, asks for the gravity of the earth.
+        # Minus infinity, the fallback of the schema, stands for standard gravity.
         is_given = magnitude.HasAuthoredValue() and magnitude.Get() != -np.inf
         standard = source.reading(magnitude, (), lambda g: g * source.metres) if is_given else None
         gravity = source.counted(physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2"), [standard])
@@ -241,10 +242,10 @@ class _Reader:
             )
         return duration
 
-    # --- which prims are bodies ---
+    # --- prims of bodies ---
 
     def _find(self) -> list[_Found]:
-        """Rigid bodies in the stage's order; a collider without one is a fixed body of its own."""
+        """Return rigid bodies in the stage's order; a collider without a rigid body is a fixed body."""
         source = self.source
         roots: dict[Sdf.Path, list[Usd.Prim]] = {}
         for prim in source.prims():
@@ -261,7 +262,7 @@ class _Reader:
             if not enabled and not source.is_rigid(prim) and not prim.HasAttribute("gauge:name"):
                 continue
             if not colliders:
-                raise source.fault(prim, "is a rigid body without a collider, so that its shape is unknown")
+                raise source.fault(prim, "is a rigid body without a collider, so its shape is unknown: add a collider")
             found.append(_Found(prim=prim, colliders=tuple(enabled or colliders)))
         return found
 
@@ -269,7 +270,7 @@ class _Reader:
         return self.source.flag(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True)
 
     def _names(self, prims: Sequence[Usd.Prim]) -> dict[Sdf.Path, str]:
-        """Names in the scene: those that the file states, else prim names where they are unique, else paths."""
+        """Return names in the scene: `gauge:name` if given, else the prim's name if unique, else its path."""
         often = Counter(prim.GetName() for prim in prims)
         names: dict[Sdf.Path, str] = {}
         for prim in prims:
@@ -277,7 +278,7 @@ class _Reader:
             name = self.source.text(prim.GetAttribute("gauge:name")) or short
             if name in names.values():
                 other = next(path for path, taken in names.items() if taken == name)
-                raise self.source.fault(prim, f"is named {name!r}, as {other} is: names are unique")
+                raise self.source.fault(prim, f"is named {name!r}, as {other} is: rename one of them")
             names[prim.GetPath()] = name
         return names
 
@@ -298,13 +299,13 @@ class _Reader:
 
         def pose_at(time: Usd.TimeCode) -> Pose:
             moved = source.frame(prim, time)
-            return (moved.moved(solid.offset_m, solid.turn) if solid.is_moved else moved).pose
+            return (moved.moved(solid.offset_m, solid.rotation) if solid.is_moved else moved).pose
 
         name, driver, place = self.names[prim.GetPath()], None, None
         if motion is Motion.KINEMATIC:
             pose, driver, place = driven_body(source, prim, name, pose_at)
         elif motion is Motion.FIXED and len(source.sample_codes(prim)) > 1:
-            raise source.fault(prim, "is a collider that moves without a rigid body: make it a kinematic one")
+            raise source.fault(prim, "is a collider that moves without a rigid body: make it a kinematic body")
         else:
             pose = pose_at(self.start)
         body = RigidBody(name=name, shape=solid.shape, motion=motion, pose=pose, mass_kg=mass)

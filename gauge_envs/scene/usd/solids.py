@@ -1,4 +1,4 @@
-"""Colliders of a USD body -> its shape and mass."""
+"""Reader of the shape and the mass of a USD body from its colliders."""
 
 from __future__ import annotations
 
@@ -25,68 +25,68 @@ __all__ = [
 ]
 
 OFF_CENTRE_M = 1e-9
-"""A collider this close to its body's origin is centred on it."""
+"""Largest distance of a collider's centre from its body's origin if it counts as centred [m]."""
 
 CONCAVE = 1e-3
-"""A mesh that fills less than its hull by this part is concave."""
+"""Largest relative difference between the volumes of a convex mesh and its hull."""
 
 LENGTHS_M = (1e-9, 1e9)
-"""Smallest and largest extent of a solid; what is beyond has a volume that is lost in rounding."""
+"""Smallest and largest extent of a solid [m]; other volumes are lost in rounding."""
 
 OVERLAP_M = 1e-5
-"""Pieces of one body that lie deeper in each other overlap: its mass would count twice there."""
+"""Largest penetration of two pieces of one body [m]; mass would count twice in a larger overlap."""
 
 UNEVEN = 0.01
-"""Part by which a given inertia, or a given centre of mass in parts of the body's radius of gyration, may differ from
-that of uniform density."""
+"""Largest relative difference of a given inertia from that of uniform density, and of a given centre of mass relative
+to the radius of gyration."""
 
 TO_Z = {
     "X": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
     "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
     "Z": np.eye(3),
 }
-"""Rotations that turn z onto an axis."""
+"""Rotations from z to an axis."""
 
 HULLS = ("convexHull",)
 EXACT = ("none", "meshSimplification", "convexDecomposition")
-"""Approximations that keep the mesh's own shape; exact for a convex mesh alone."""
+"""Approximations that keep the mesh's own shape; only a convex mesh is exact with them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solid:
-    """Shape of a body, in a frame that is fixed to the prim's.
+    """Shape of a body, in a shape frame that is fixed in the prim's frame.
 
     Attributes:
-        shape: In that frame.
-        offset_m: Origin of that frame in the prim's frame, unscaled.
-        turn: Rotation of that frame in the prim's.
+        shape: Shape in the shape frame.
+        offset_m: Origin of the shape frame in the unscaled frame of the prim [m], shape [3].
+        rotation: Rotation of the shape frame in the frame of the prim, shape [3, 3].
     """
 
     shape: Shape
     offset_m: FloatArray
-    turn: FloatArray
+    rotation: FloatArray
 
     @property
     def is_moved(self) -> bool:
-        """Whether the frame is another than the prim's."""
-        return bool(self.offset_m.any()) or not np.array_equal(self.turn, np.eye(3))
+        """Whether the shape frame differs from the frame of the prim."""
+        return bool(self.offset_m.any()) or not np.array_equal(self.rotation, np.eye(3))
 
 
 def solid_of(source: Source, body: Usd.Prim, frame: Frame, colliders: Sequence[Usd.Prim], motion: Motion) -> Solid:
-    """The shape of a body.
+    """Return the shape of a body.
 
-    A lone sphere, cylinder or plane that lies beside its body's origin, or along another axis, takes the body's frame
-    with it; boxes and meshes do not, and several of them become one solid of convex pieces.
+    The body frame moves to the centre and axis of a single sphere, cylinder or plane. It does not move to boxes and
+    meshes; several of them become one solid of convex pieces.
 
     Args:
         source: The stage.
         body: Prim of the body.
-        frame: Its frame at the start.
+        frame: Frame of the body at the start.
         colliders: Prims of its geometry.
-        motion: How it moves.
+        motion: Motion of the body.
 
     Raises:
-        AssetError: Geometry that a scene does not have; names prim and type.
+        AssetError: A scene does not support the geometry.
     """
     solid = _solid(source, body, frame, colliders, motion)
     spans = np.ptp(solid.shape.corners_m, axis=0)
@@ -108,11 +108,11 @@ def _solid(source: Source, body: Usd.Prim, frame: Frame, colliders: Sequence[Usd
     if motion is Motion.DYNAMIC:
         _check_apart(source, colliders, pieces)
     shape = ConvexUnion(pieces_m=tuple(tuple((x, y, z) for x, y, z in piece.tolist()) for piece in pieces))
-    return Solid(shape=shape, offset_m=np.zeros(3), turn=np.eye(3))
+    return Solid(shape=shape, offset_m=np.zeros(3), rotation=np.eye(3))
 
 
 def _placed(source: Source, body: Usd.Prim, frame: Frame, collider: Usd.Prim) -> tuple[FloatArray, FloatArray]:
-    """Linear map [3, 3] and offset [m] from a collider's own space to its body's unscaled frame."""
+    """Return the linear map [3, 3] and the offset [m] from a collider's space to its body's unscaled frame."""
     matrix = source.below(body, collider)
     linear = frame.scale[:, None] * matrix[:3, :3]
     source.decomposed(collider, linear)
@@ -120,39 +120,39 @@ def _placed(source: Source, body: Usd.Prim, frame: Frame, collider: Usd.Prim) ->
 
 
 def _lone(source: Source, prim: Usd.Prim, matrix: FloatArray, offset: FloatArray, motion: Motion) -> Solid:
-    """A body of one primitive."""
+    """Return the shape of a body with a single primitive."""
     kind = str(prim.GetTypeName())
-    turn, scale = source.decomposed(prim, matrix)
+    rotation, scale = source.decomposed(prim, matrix)
     scale = np.abs(scale)
     is_centred = bool(np.abs(offset).max() < OFF_CENTRE_M)
     here = np.zeros(3) if is_centred else offset
     if kind == "Cube":
-        if is_centred and np.abs(turn - np.eye(3)).max() < OFF_CENTRE_M:
+        if is_centred and np.abs(rotation - np.eye(3)).max() < OFF_CENTRE_M:
             x, y, z = (_positive(source, UsdGeom.Cube(prim).GetSizeAttr()) * scale).tolist()
-            return Solid(shape=Box(size_m=(x, y, z)), offset_m=here, turn=np.eye(3))
+            return Solid(shape=Box(size_m=(x, y, z)), offset_m=here, rotation=np.eye(3))
         corners = _vertices(source, prim, matrix, offset)
         piece = tuple((x, y, z) for x, y, z in corners.tolist())
-        return Solid(shape=ConvexUnion(pieces_m=(piece,)), offset_m=np.zeros(3), turn=np.eye(3))
+        return Solid(shape=ConvexUnion(pieces_m=(piece,)), offset_m=np.zeros(3), rotation=np.eye(3))
     if kind == "Sphere":
         radius = _positive(source, UsdGeom.Sphere(prim).GetRadiusAttr()) * _even(source, prim, scale)
-        return Solid(shape=Sphere(radius_m=radius), offset_m=here, turn=np.eye(3))
+        return Solid(shape=Sphere(radius_m=radius), offset_m=here, rotation=np.eye(3))
     if kind not in ("Cylinder", "Plane"):
         known = "Cube, Sphere, Cylinder, Plane and Mesh are expected"
         raise source.fault(prim, f"is a collider of type {kind or 'none'}, which a scene does not have: {known}")
     geometry = UsdGeom.Cylinder(prim) if kind == "Cylinder" else UsdGeom.Plane(prim)
     axis = source.text(geometry.GetAxisAttr(), tuple(TO_Z)) or "Z"
     along = "XYZ".index(axis)
-    turn = turn @ TO_Z[axis]
-    # A turn about its own axis leaves either as it is.
-    if abs(turn[2, 2] - 1.0) < 1e-15:
-        turn = np.eye(3)
+    rotation = rotation @ TO_Z[axis]
+    # A rotation about its own axis does not change a cylinder or a plane.
+    if abs(rotation[2, 2] - 1.0) < 1e-15:
+        rotation = np.eye(3)
     if kind == "Plane":
         if motion is not Motion.FIXED:
             raise source.fault(prim, f"is a plane of a {motion} body: planes are fixed")
-        return Solid(shape=Plane(), offset_m=here, turn=turn)
+        return Solid(shape=Plane(), offset_m=here, rotation=rotation)
     radius = _positive(source, geometry.GetRadiusAttr()) * _even(source, prim, np.delete(scale, along))
     length = _positive(source, geometry.GetHeightAttr()) * float(scale[along])
-    return Solid(shape=Cylinder(radius_m=radius, length_m=length), offset_m=here, turn=turn)
+    return Solid(shape=Cylinder(radius_m=radius, length_m=length), offset_m=here, rotation=rotation)
 
 
 def _positive(source: Source, attribute: Usd.Attribute) -> float:
@@ -165,13 +165,13 @@ def _positive(source: Source, attribute: Usd.Attribute) -> float:
 def _even(source: Source, prim: Usd.Prim, scale: FloatArray) -> float:
     if np.ptp(scale) > 1e-6 * scale.max():
         raise source.fault(
-            prim, f"is a {prim.GetTypeName()} that is scaled unevenly, by {scale.tolist()} across: not round"
+            prim, f"is a {prim.GetTypeName()} with an uneven scale {scale.tolist()}: scale it evenly, or use a mesh"
         )
     return float(scale[0])
 
 
 def _vertices(source: Source, prim: Usd.Prim, matrix: FloatArray, offset: FloatArray) -> FloatArray:
-    """Vertices of a convex piece in its body's frame [m], shape [vertex_count, 3]."""
+    """Return the vertices of a convex piece in its body's frame [m], shape [vertex_count, 3]."""
     if prim.GetTypeName() == "Cube":
         edge = _positive(source, UsdGeom.Cube(prim).GetSizeAttr())
         return Box(size_m=(edge, edge, edge)).corners_m @ matrix.T + offset
@@ -199,10 +199,10 @@ def _vertices(source: Source, prim: Usd.Prim, matrix: FloatArray, offset: FloatA
 
 
 def _filled(source: Source, mesh: UsdGeom.Mesh, points: FloatArray) -> float:
-    """Volume that the faces of a mesh enclose [m^3]."""
+    """Return the volume inside the faces of a mesh [m^3]."""
     counts, indices = mesh.GetFaceVertexCountsAttr().Get(), mesh.GetFaceVertexIndicesAttr().Get()
     if not counts or not indices or sum(counts) != len(indices) or not 0 <= min(indices) <= max(indices) < len(points):
-        raise source.fault(mesh.GetPrim(), "its faces do not fit its points")
+        raise source.fault(mesh.GetPrim(), "its faces do not match its points: correct counts and indices")
     volume, first = 0.0, 0
     for count in counts:
         face = points[np.asarray(indices[first : first + count])]
@@ -213,7 +213,7 @@ def _filled(source: Source, mesh: UsdGeom.Mesh, points: FloatArray) -> float:
 
 
 def _check_apart(source: Source, prims: Sequence[Usd.Prim], pieces: Sequence[FloatArray]) -> None:
-    """See that no two pieces share more than their surface."""
+    """Check that no two pieces overlap."""
     planes = [ConvexHull(piece).equations for piece in pieces]
     for one, other in combinations(range(len(pieces)), 2):
         low = np.maximum(pieces[one].min(axis=0), pieces[other].min(axis=0))
@@ -227,8 +227,8 @@ def _check_apart(source: Source, prims: Sequence[Usd.Prim], pieces: Sequence[Flo
         if deepest.success and -2.0 * deepest.fun > OVERLAP_M:
             raise source.fault(
                 prims[one],
-                f"overlaps {prims[other].GetPath()} by {-2e3 * deepest.fun:.3g} mm: pieces of a dynamic body must not, "
-                "since mass would count twice there",
+                f"overlaps {prims[other].GetPath()} by {-2e3 * deepest.fun:.3g} mm, so mass would count twice: "
+                "separate the pieces of a dynamic body",
             )
 
 
@@ -238,7 +238,7 @@ def _check_apart(source: Source, prims: Sequence[Usd.Prim], pieces: Sequence[Flo
 def mass_kg(
     source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim], solid: Solid, frame: Frame, motion: Motion
 ) -> float:
-    """Mass of a body: what is given, or density times volume. Fixed and driven bodies need none and count as 0 then.
+    """Return the given mass of a body, or density times volume [kg]; 0 for fixed and driven bodies without both.
 
     Raises:
         AssetError: A dynamic body has neither mass nor density, or its inertia is not that of uniform density.
@@ -262,13 +262,13 @@ def mass_kg(
 
 
 def _authored(source: Source, attribute: Usd.Attribute, unit: float) -> StoredValue | None:
-    """A reading of a mass or density; None where it is 0, which UsdPhysics takes for not given."""
+    """Read a mass or density; return None if it is 0, which means undefined in UsdPhysics."""
     reading = source.reading(attribute, (), lambda value: value * unit)
     return None if reading is None or float(reading.raw) == 0.0 else reading
 
 
 def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim], shape: Shape) -> float | None:
-    """Mass from what colliders weigh, or from densities, in the order in which UsdPhysics ranks them."""
+    """Return the mass from collider masses or densities, in the precedence of UsdPhysics."""
     unit = source.kilograms / source.metres**3
     own = _authored(source, UsdPhysics.MassAPI(body).GetDensityAttr(), unit)
     if own is not None:
@@ -279,7 +279,7 @@ def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim],
         return float(masses[0].value)
     if any(mass is not None for mass in masses):
         raise source.fault(
-            body, "its colliders have masses of their own: give the mass of the body, of uniform density"
+            body, "its colliders have their own masses: give the mass of the whole body, of uniform density"
         )
     densities = []
     for collider in colliders:
@@ -296,26 +296,26 @@ def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim],
 
 
 def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame: Frame, mass: float) -> None:
-    """See that a centre of mass and moments of inertia, where given, are those of uniform density."""
+    """Check that a given centre of mass and given moments of inertia are those of uniform density."""
     centre, inertia = mass_properties(solid.shape, mass)
-    # In the prim's frame, where they are given.
-    centre, inertia = solid.turn @ centre + solid.offset_m, solid.turn @ inertia @ solid.turn.T
+    # UsdPhysics gives both in the prim's frame.
+    centre, inertia = solid.rotation @ centre + solid.offset_m, solid.rotation @ inertia @ solid.rotation.T
     radius = float(np.sqrt(np.trace(inertia) / 2.0 / mass))
     given = api.GetCenterOfMassAttr()
-    # Minus infinity, the fallback, stands for the centre of the colliders.
+    # Minus infinity, the fallback of the schema, stands for the centre of the colliders.
     if given and given.HasAuthoredValue() and np.isfinite(np.asarray(given.Get(), dtype=np.float64)).all():
         stated = source.numbers(given, (3,))
         if stated is not None and np.linalg.norm(stated * frame.scale - centre) > UNEVEN * radius:
-            raise source.fault(given, f"is not the centre {centre.tolist()} m of its geometry: density must be uniform")
+            raise source.fault(given, f"is not the centre {centre.tolist()} m of its geometry: remove it or correct it")
     moments = source.numbers(api.GetDiagonalInertiaAttr(), (3,)) if api.GetDiagonalInertiaAttr() else None
     if moments is None or not moments.any():
         return
     axes = source.numbers(api.GetPrincipalAxesAttr(), (4,))
-    turn = np.eye(3) if axes is None or not axes.any() else Rotation.from_quat(axes, scalar_first=True).as_matrix()
-    stated = turn @ np.diag(moments * source.kilograms * source.metres**2) @ turn.T
+    rotation = np.eye(3) if axes is None or not axes.any() else Rotation.from_quat(axes, scalar_first=True).as_matrix()
+    stated = rotation @ np.diag(moments * source.kilograms * source.metres**2) @ rotation.T
     if np.abs(stated - inertia).max() > UNEVEN * np.abs(inertia).max():
         uniform = ", ".join(f"{moment:.6g}" for moment in np.linalg.eigvalsh(inertia))
         raise source.fault(
             api.GetDiagonalInertiaAttr(),
-            f"contradicts uniform density, whose moments are ({uniform}) kg m^2: a scene has no other",
+            f"contradicts uniform density, whose moments are ({uniform}) kg m^2: remove it or correct it",
         )

@@ -1,4 +1,4 @@
-"""A USD stage opened for reading: SI units with z up, typed values, and errors that name file and prim."""
+"""Access to an opened USD stage: SI units with z up, typed values, and errors with file and prim."""
 
 from __future__ import annotations
 
@@ -14,44 +14,43 @@ from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
-from gauge_envs.scene.geometry import Pose
+from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
 
 __all__ = [
     "LARGEST",
     "Frame",
-    "StoredValue",
     "Source",
+    "StoredValue",
     "single",
     "usd_reason",
-    "vector",
 ]
 
 SINGLE_RELATIVE = 3e-7
-"""Numbers that differ by less, relative to the largest of them, agree in single precision."""
+"""Largest difference, relative to the largest number, at which numbers agree in single precision."""
 
 ORTHOGONAL = 1e-6
-"""Cosine of an angle from which axes count as sheared, and relative difference from which scales count as unequal."""
+"""Smallest cosine of the angle between axes at which a transform counts as sheared."""
 
 SNAP = 1e-9
-"""A scale this close to 1 is 1: what differs is the rounding of a product of rotations."""
+"""Largest deviation of a scale from 1 that counts as rounding of a product of rotations."""
 
 UNIT_QUATERNION = 1e-3
-"""A quaternion this close to unit length is normalized; another is an error."""
+"""Largest deviation of a quaternion from unit length that is normalized; a larger one is an error."""
 
 LARGEST = 1e30
-"""Larger numbers are none of a scene; products of several of these are still finite."""
+"""Largest valid number; products of several such numbers are finite."""
 
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns a stage whose y axis points up: y becomes z, z becomes -y."""
+"""Rotation of a stage with y up: y becomes z, z becomes -y."""
 
 SINGLES = ("float", "GfHalf", "GfVec3f", "GfQuatf", "VtArray<float>", "VtArray<GfVec3f>")
-"""C++ types of single precision, or less."""
+"""C++ types with single precision or less."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """A prim's frame in the world, in SI units with z up; scale along its own axes, units included."""
+    """A prim's frame in the world, in SI units with z up; its scale is along its own axes and includes units."""
 
     position_m: FloatArray
     quaternion: FloatArray
@@ -63,23 +62,23 @@ class Frame:
         w, x, y, z = self.quaternion.tolist()
         return Pose(position_m=vector(self.position_m), quaternion=(w, x, y, z))
 
-    def moved(self, offset_m: FloatArray, turn: FloatArray) -> Frame:
-        """A frame fixed to this one at an offset [m] and turned by a matrix, both in unscaled axes of this one."""
+    def moved(self, offset_m: FloatArray, rotation: FloatArray) -> Frame:
+        """Return a frame that is displaced [m] and rotated in the unscaled axes of this frame."""
         pose = self.pose
-        rotation = pose.rotation * Rotation.from_matrix(turn)
+        combined = pose.rotation * Rotation.from_matrix(rotation)
         return Frame(
-            position_m=pose.to_world(offset_m), quaternion=rotation.as_quat(scalar_first=True), scale=self.scale
+            position_m=pose.to_world(offset_m), quaternion=combined.as_quat(scalar_first=True), scale=self.scale
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoredValue:
-    """A standard value in SI units.
+    """Value of a standard attribute in SI units.
 
     Attributes:
-        place: Path of its attribute.
-        raw: As stored, so that it can be compared with what was written.
-        value: What it counts as: single precision as the shortest decimal that rounds to it, as it was typed.
+        place: Path of the attribute.
+        raw: The stored value, for comparison with the written value.
+        value: The value to use. A single-precision number becomes the shortest decimal that rounds to it.
     """
 
     place: str
@@ -88,23 +87,17 @@ class StoredValue:
 
 
 def single(values: FloatArray) -> FloatArray:
-    """Numbers as single precision keeps them."""
+    """Return numbers rounded to single precision."""
     return np.asarray(values).astype(np.float32).astype(np.float64)
 
 
-def vector(values: FloatArray) -> tuple[float, float, float]:
-    """Three numbers as a scene keeps them."""
-    x, y, z = values.tolist()
-    return x, y, z
-
-
 def usd_reason(error: Tf.ErrorException) -> str:
-    """What USD says of an error of its own, first cause first."""
+    """Return the message of an error of USD, first cause first."""
     try:
         return str(error.args[0].commentary).strip()
     except UnicodeDecodeError:
-        # It quotes the file, which need not be text.
-        return "it holds bytes that are no UTF-8 text"
+        # The message quotes the file, which may contain any bytes.
+        return "it holds bytes that are not UTF-8 text"
 
 
 class Source:
@@ -114,17 +107,17 @@ class Source:
         path: File to open, of any kind that USD reads.
 
     Raises:
-        AssetError: The file cannot be read, refers to files that cannot, is open in this process with edits that were
-            not saved, or does not say its units and which way is up.
+        AssetError: The file or a file that it refers to cannot be read, the file is open in this process with unsaved
+            edits, or it does not define its units and its up axis.
     """
 
     def __init__(self, path: Path) -> None:
         self.file = path
         self.stage = self._open()
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
-            raise self.fault("", "metersPerUnit is not given, so no length is known")
+            raise self.fault("", "metersPerUnit is not given, so no length is known: set it")
         if not self.stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
-            raise self.fault("", "upAxis is not given: Y or Z")
+            raise self.fault("", "upAxis is not given: set Y or Z")
         self.metres = self._unit("metersPerUnit", UsdGeom.GetStageMetersPerUnit(self.stage))
         self.kilograms = self._unit("kilogramsPerUnit", UsdPhysics.GetStageKilogramsPerUnit(self.stage))
         up = UsdGeom.GetStageUpAxis(self.stage)
@@ -146,10 +139,10 @@ class Source:
                     continue
                 if layer.dirty:
                     raise self.fault("", f"{layer.GetDisplayName()} is open in this process with edits: save them")
-                # One that is still open elsewhere in this process may be older than its file.
+                # A layer that is already open in this process may be older than its file.
                 layer.Reload()
         except Tf.ErrorException as error:
-            raise self.fault("", f"is no readable USD file: {usd_reason(error)}") from None
+            raise self.fault("", f"is not a readable USD file: {usd_reason(error)}") from None
         broken = stage.GetCompositionErrors()
         if broken:
             raise self.fault("", str(broken[0]))
@@ -161,20 +154,20 @@ class Source:
         return float(value)
 
     def fault(self, place: Usd.Object | Sdf.Path | str, reason: str) -> AssetError:
-        """The error to raise for a place in the file."""
+        """Return the error to raise for a prim, attribute or path of the file."""
         path = place.GetPath() if isinstance(place, Usd.Object) else place
         return AssetError(self.file, str(path), reason)
 
     def used_files(self) -> tuple[Path, ...]:
-        """Files beside its own that the stage is composed of, in the order of their paths relative to its own."""
+        """Return the other files of the stage, sorted by their path relative to the main file."""
         own = self.file.resolve()
         layers = [layer for layer in self.stage.GetUsedLayers() if not layer.anonymous]
-        # A layer inside of a package is part of the package's file.
+        # A layer in a package belongs to the package's file.
         files = {Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve() for layer in layers} - {own}
         return tuple(sorted(files, key=lambda file: os.path.relpath(file, own.parent)))
 
     def prims(self) -> Iterator[Usd.Prim]:
-        """Every active, defined prim in the stage's order, those inside of instances included."""
+        """Return an iterator over all active, defined prims in the stage's order, including prims in instances."""
         return iter(Usd.PrimRange.Stage(self.stage, Usd.TraverseInstanceProxies()))
 
     # --- values ---
@@ -182,15 +175,15 @@ class Source:
     def numbers(
         self, attribute: Usd.Attribute, shape: tuple[int, ...] = (), time: Usd.TimeCode | None = None
     ) -> FloatArray | None:
-        """Numbers of an attribute; None where it has no value.
+        """Return the numbers of an attribute, or None if it has no value.
 
         Args:
-            attribute: Any attribute, also one that does not exist.
+            attribute: The attribute; it need not exist.
             shape: Expected shape; -1 stands for any length.
-            time: When; by default where there is no time.
+            time: Time code; the default value by default, then the value at the start.
 
         Raises:
-            AssetError: It holds something else, or what is not finite.
+            AssetError: The value has another type or shape, or is not finite.
         """
         value = attribute.Get(Usd.TimeCode.Default() if time is None else time) if attribute else None
         if value is None and attribute and time is None:
@@ -211,15 +204,15 @@ class Source:
         return array
 
     def number(self, attribute: Usd.Attribute) -> float | None:
-        """A number; None where there is none. Raises as `numbers`."""
+        """Return the number of an attribute, or None if it has no value; errors as in `numbers`."""
         array = self.numbers(attribute)
         return None if array is None else float(array)
 
     def text(self, attribute: Usd.Attribute, known: Sequence[str] = ()) -> str | None:
-        """A string or token; None where there is none.
+        """Return the string or token of an attribute, or None if it has no value.
 
         Raises:
-            AssetError: It holds something else, or none of the known ones.
+            AssetError: The value has another type, or is not one of `known`.
         """
         value = attribute.Get() if attribute else None
         if value is None:
@@ -230,7 +223,11 @@ class Source:
         return value
 
     def flag(self, attribute: Usd.Attribute, *, default: bool) -> bool:
-        """A truth value. Raises AssetError where it is something else."""
+        """Return the boolean of an attribute, or the default if it has no value.
+
+        Raises:
+            AssetError: The value has another type.
+        """
         value = attribute.Get() if attribute else None
         if value is None:
             return default
@@ -244,12 +241,12 @@ class Source:
         shape: tuple[int, ...] = (),
         convert: Callable[[FloatArray], FloatArray] = lambda values: values,
     ) -> StoredValue | None:
-        """An authored standard value in SI units; None where it is not authored.
+        """Return an authored standard value in SI units, or None if the attribute has no authored value.
 
         Args:
-            attribute: Where it stands.
-            shape: As of `numbers`.
-            convert: From the stage's units to SI.
+            attribute: The standard attribute.
+            shape: Expected shape as in `numbers`.
+            convert: Conversion from the stage's units to SI units.
         """
         if not attribute or not attribute.HasAuthoredValue():
             return None
@@ -268,23 +265,22 @@ class Source:
         shape: tuple[int, ...] = (),
         rounded: Callable[[FloatArray], FloatArray] = single,
     ) -> FloatArray | None:
-        """The value that counts of one that stands twice: the edited one.
+        """Return the edited one of two values of a quantity: a `gauge:` double and its standard attributes.
 
-        The double counts while its standard counterparts are as they were written beside it; one that was edited
-        counts in its place, in an array element by element. Without a double the standard value counts, and without
-        a standard value the double.
+        The double counts if its standard counterparts have their written values. An edited standard value replaces the
+        double, element by element in an array. If only one of both exists, it counts.
 
         Args:
-            gauge: The double; need not exist.
+            gauge: The double; it need not exist.
             readings: Standard values of the same quantity.
-            shape: As of `numbers`.
-            rounded: What the writer makes of the double for the standard attribute.
+            shape: Expected shape as in `numbers`.
+            rounded: Conversion of the double to the standard attribute, as in the writer.
 
         Returns:
-            The value, or None where it stands nowhere.
+            The value, or None if neither exists.
 
         Raises:
-            AssetError: Both were edited and disagree; names both.
+            AssetError: Both were edited and disagree.
         """
         own, present = self.numbers(gauge, shape), [reading for reading in readings if reading is not None]
         if own is None or not present:
@@ -293,7 +289,7 @@ class Source:
         if written is None:
             disagree = next((one for one in present if not _agree(rounded(own), one.raw)), None)
             if disagree is not None:
-                raise self._both(gauge, own, disagree, "nothing tells which of the two was edited")
+                raise self._both(gauge, own, disagree, "it is unknown which of them was edited")
             return own
         edited = [reading for reading in present if not _is(reading.raw, written)]
         if not edited:
@@ -310,7 +306,7 @@ class Source:
     def _both(self, gauge: Usd.Attribute, own: FloatArray, other: StoredValue, why: str) -> AssetError:
         return self.fault(
             gauge,
-            f"is {_shown(own)} and {other.place} {_shown(other.value)}: {why}; make them agree, or delete the first",
+            f"is {_shown(own)} but {other.place} is {_shown(other.value)}: {why}; make them agree, or delete the first",
         )
 
     def _agreed(self, readings: Sequence[StoredValue]) -> StoredValue:
@@ -318,15 +314,15 @@ class Source:
         for other in readings[1:]:
             if not _agree(first.raw, other.raw):
                 raise self.fault(
-                    first.place, f"is {_shown(first.value)} and {other.place} {_shown(other.value)}: they must agree"
+                    first.place, f"is {_shown(first.value)} but {other.place} is {_shown(other.value)}: make them agree"
                 )
         return first
 
     def check_followers(self, prim: Usd.Prim) -> None:
-        """See that what is computed from other attributes was not edited itself.
+        """Check that no derived attribute of a prim was edited.
 
         Raises:
-            AssetError: It was; names what to edit in its place.
+            AssetError: A derived attribute was edited; the message names the attributes to edit instead.
         """
         for attribute in prim.GetAuthoredAttributes():
             follows = attribute.GetCustomDataByKey(FOLLOWS)
@@ -337,17 +333,17 @@ class Source:
                     raise self.fault(attribute, f"was edited, but it follows from {follows}: edit that")
 
     def material(self, prim: Usd.Prim) -> Usd.Prim | None:
-        """The physics material that is bound to a prim, directly or above it; None where there is none."""
+        """Return the physics material that is bound to a prim or to a prim above it, or None if there is none."""
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         return material.GetPrim() if material and material.GetPrim().HasAPI(UsdPhysics.MaterialAPI) else None
 
     def is_rigid(self, prim: Usd.Prim) -> bool:
-        """Whether a prim is an enabled rigid body of UsdPhysics."""
+        """Return whether a prim is an enabled rigid body of UsdPhysics."""
         enabled = UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr()
         return bool(prim.HasAPI(UsdPhysics.RigidBodyAPI)) and self.flag(enabled, default=True)
 
     def body_of(self, prim: Usd.Prim) -> Usd.Prim | None:
-        """The rigid body that a prim belongs to: the nearest one above it, or itself; None where there is none."""
+        """Return the rigid body that a prim is or belongs to, or None if there is none."""
         while prim and not prim.IsPseudoRoot():
             if self.is_rigid(prim) or prim.HasAttribute("gauge:name"):
                 return prim
@@ -357,11 +353,11 @@ class Source:
     # --- frames ---
 
     def seconds(self, code: float) -> float:
-        """Time since the start of the stage [s]."""
+        """Return the time of a time code since the start of the stage [s]."""
         return (code - self.start) / self.rate
 
     def sample_codes(self, prim: Usd.Prim) -> list[float]:
-        """Time codes at which the transform of a prim, or of one above it, has samples; ascending."""
+        """Return the ascending time codes of transform samples of a prim and of all prims above it."""
         codes: set[float] = set()
         for one in self._chain(prim):
             for op in UsdGeom.Xformable(one).GetOrderedXformOps():
@@ -369,10 +365,10 @@ class Source:
         return sorted(codes)
 
     def frame(self, prim: Usd.Prim, time: Usd.TimeCode) -> Frame:
-        """Frame of a prim in the world at a time.
+        """Return the frame of a prim in the world at a time.
 
         Raises:
-            AssetError: It is sheared, scaled to nothing, or not finite.
+            AssetError: The transform is sheared, has a zero scale, or is not finite.
         """
         chain = self._chain(prim)
         ops = UsdGeom.Xformable(chain[-1]).GetOrderedXformOps() if chain and chain[-1] == prim else []
@@ -380,32 +376,32 @@ class Source:
         above = self._product(chain[:-1], time)
         is_plain = self.metres == 1.0 and np.array_equal(self.up, np.eye(3)) and np.array_equal(above, np.eye(4))
         if is_plain and [op.GetOpType() for op in ops] == kinds and not any(op.IsInverseOp() for op in ops):
-            # To the bit as written: a way through matrices would lose the last digits.
+            # The exact written values: a conversion through matrices would lose the last digits.
             position = self._op_value(ops[0], (3,), time, np.zeros(3))
             return Frame(position_m=position, quaternion=self._quaternion(ops[1], time), scale=np.ones(3))
         matrix = self._product(chain, time)
-        turned, scale = self.decomposed(prim, self.metres * self.up @ matrix[:3, :3])
+        rotation, scale = self.decomposed(prim, self.metres * self.up @ matrix[:3, :3])
         relative = scale / self.metres
         scale = np.where(np.abs(np.abs(relative) - 1.0) < SNAP, np.sign(relative) * self.metres, scale)
-        quaternion = Rotation.from_matrix(turned).as_quat(canonical=True, scalar_first=True)
+        quaternion = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
         return Frame(position_m=self.metres * (self.up @ matrix[:3, 3]), quaternion=quaternion, scale=scale)
 
     def to_world(self, prim: Usd.Prim, points: FloatArray) -> FloatArray:
-        """Points in a prim's own space, shape [..., 3], in the world [m]."""
+        """Return points in a prim's space, shape [..., 3], in world coordinates [m]."""
         matrix = self._product(self._chain(prim), Usd.TimeCode(self.start))
         return self.world_m(points @ matrix[:3, :3].T + matrix[:3, 3])
 
     def world_m(self, points: FloatArray) -> FloatArray:
-        """Points of the stage's world, shape [..., 3], in metres with z up."""
+        """Return points in the stage's world space, shape [..., 3], in metres with z up."""
         if self.metres == 1.0 and np.array_equal(self.up, np.eye(3)):
             return points
         return self.metres * points @ self.up.T
 
     def below(self, body: Usd.Prim, prim: Usd.Prim) -> FloatArray:
-        """Transform from a prim's space to that of a prim above it, or its own, in the stage's units, shape [4, 4].
+        """Return the transform from a prim's space to its body's space in the stage's units, shape [4, 4].
 
         Raises:
-            AssetError: It moves between the two.
+            AssetError: The prim moves relative to the body, or resets its transform.
         """
         chain = [one for one in self._chain(prim) if one.GetPath().HasPrefix(body.GetPath()) and one != body]
         depth = prim.GetPath().pathElementCount - body.GetPath().pathElementCount
@@ -417,23 +413,23 @@ class Source:
         return self._product(chain, Usd.TimeCode(self.start))
 
     def decomposed(self, prim: Usd.Prim, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A linear map as a rotation after a scale along the axes: rotation [3, 3] and scale [3].
+        """Return the rotation [3, 3] and the scale [3] of a linear map that scales along the axes and then rotates.
 
         Raises:
-            AssetError: It is sheared, or scales to nothing.
+            AssetError: The map is sheared, or a scale is zero or not finite.
         """
         scale = np.sqrt(np.square(matrix).sum(axis=0))
         if not np.isfinite(matrix).all() or not (scale > 0.0).all():
             raise self.fault(prim, f"its transform scales by {_shown(scale)}: positive numbers are expected")
-        turned = matrix / scale
-        if np.linalg.det(turned) < 0.0:
-            turned, scale = turned * [-1.0, 1.0, 1.0], scale * [-1.0, 1.0, 1.0]
-        if np.abs(turned.T @ turned - np.eye(3)).max() > ORTHOGONAL:
-            raise self.fault(prim, "its transform is sheared: a rigid body cannot be")
-        return turned, scale
+        rotation = matrix / scale
+        if np.linalg.det(rotation) < 0.0:
+            rotation, scale = rotation * [-1.0, 1.0, 1.0], scale * [-1.0, 1.0, 1.0]
+        if np.abs(rotation.T @ rotation - np.eye(3)).max() > ORTHOGONAL:
+            raise self.fault(prim, "its transform is sheared: rigid bodies must not be sheared")
+        return rotation, scale
 
     def _chain(self, prim: Usd.Prim) -> list[Usd.Prim]:
-        """Prims whose transforms lead to a prim, outermost first."""
+        """Return the prims whose transforms determine the frame of a prim, outermost first."""
         chain: list[Usd.Prim] = []
         while prim and not prim.IsPseudoRoot():
             xformable = UsdGeom.Xformable(prim)
@@ -475,12 +471,12 @@ class Source:
         if abs(length - 1.0) < 1e-12:
             return quaternion
         if abs(length - 1.0) > UNIT_QUATERNION:
-            raise self.fault(op.GetAttr(), f"holds {_shown(quaternion)}, which is no unit quaternion")
+            raise self.fault(op.GetAttr(), f"holds {_shown(quaternion)}: a unit quaternion is expected")
         return quaternion / length
 
 
 def _array(value: Any) -> FloatArray | None:
-    """A value of USD as numbers; None where it is none."""
+    """Return a value of USD as numbers, or None if it is not numeric."""
     if isinstance(value, Gf.Quatd | Gf.Quatf | Gf.Quath):
         return wxyz(value)
     if isinstance(value, str | bool):
@@ -496,13 +492,13 @@ def _fits(shape: tuple[int, ...], expected: tuple[int, ...]) -> bool:
 
 
 def _decimals(values: FloatArray) -> FloatArray:
-    """Single-precision numbers as the shortest decimals that round to them."""
+    """Return single-precision numbers as the shortest decimals that round to them."""
     flat = [float(str(number)) for number in np.asarray(values, dtype=np.float32).ravel()]
     return np.array(flat).reshape(values.shape)
 
 
 def _is(values: ArrayLike, written: Any) -> bool:
-    """Whether a standard value is as written, to the bit, or to nine decimals where a digest stands for an array."""
+    """Return whether a standard value equals its written value exactly, or to nine decimals if that is a digest."""
     if isinstance(written, str):
         return digest(values) == written
     as_written = None if written is None else _array(written)
@@ -510,7 +506,7 @@ def _is(values: ArrayLike, written: Any) -> bool:
 
 
 def _near(values: FloatArray, written: Any) -> bool:
-    """Whether numbers are as written in single precision."""
+    """Return whether numbers equal their written values in single precision."""
     as_written = None if isinstance(written, str) else _array(written)
     return as_written is not None and as_written.shape == values.shape and _agree(values, as_written)
 

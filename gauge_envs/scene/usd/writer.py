@@ -1,13 +1,13 @@
-"""Scene -> USD: one layer that any USD tool opens, with UsdPhysics where it has words and `gauge:` doubles beside them.
+"""Writer of scenes as USD layers: standard UsdPhysics attributes with exact `gauge:` doubles beside them.
 
-UsdPhysics keeps masses, coefficients and joint frames in single precision, one material a body instead of constants a
-pair, and has no deformable bodies yet. So every number of the scene also stands as a custom double under the name
-that it has in `gauge_envs.scene` (`gauge:mass_kg`), pairs stand in `/World/Contacts`, and deformable bodies carry the
-attributes of the proposed schema under the names that Omniverse ships it with (`omniphysics:`).
+UsdPhysics has single precision, one material per body instead of constants per pair, and no deformable bodies yet. The
+layer therefore also contains every number of the scene as a custom double under its name in `gauge_envs.scene`
+(`gauge:mass_kg`), and the pairs in `/World/Contacts`. Deformable bodies have the attributes of the proposed schema
+under Omniverse's names (`omniphysics:`).
 
-A number that stands twice can be edited in either place. So that the reader knows in which, the double keeps its
-standard counterpart as written in its custom data; and what is computed from the scene and cannot be turned back, as
-the mesh of a cloth, keeps its own value and the name of what to edit in its place.
+A number that is stored twice can be edited in either place. The custom data of the double contains the written value of
+the standard attribute, from which the reader detects the edited one. A derived attribute that cannot be inverted, such
+as the mesh of a cloth, contains its written value and the names of the attributes to edit instead.
 """
 
 from __future__ import annotations
@@ -63,16 +63,16 @@ __all__ = ["export_stage", "scene_stage", "to_usd"]
 SUFFIXES = (".usda", ".usdc", ".usd")
 
 GROUPS = ("PhysicsScene", "Contacts", "Materials", "Joints", "Attachments", "Markers")
-"""What lies below the world beside the bodies."""
+"""Names of the groups beside the bodies below the world prim."""
 
 LINE_SPACING_M = 0.01
-"""Distance between the points of ropes and rods."""
+"""Distance between the points of ropes and rods [m]."""
 
 PLANE_EXTENT_M = 2.0
-"""Edge of the square that is drawn for a plane; the collider is infinite."""
+"""Edge length of the visible square of a plane [m]; the collider is infinite."""
 
 MARKER_WIDTH_M = 0.005
-"""Width that markers are drawn with."""
+"""Visible width of markers [m]."""
 
 ISAAC_ATTRIBUTES = {
     "youngs_modulus": "youngsModulus",
@@ -93,17 +93,18 @@ def to_usd(scene: Scene, path: str | Path) -> None:
     """Write a scene as a self-contained USD layer.
 
     Args:
-        scene: Any scene; bodies and drivers are named once each.
-        path: File to write; the suffix chooses text (`.usda`) or binary (`.usdc`, `.usd`).
+        scene: A scene with unique body names and at most one driver per body.
+        path: File to write; its suffix determines the format, text (`.usda`) or binary (`.usdc`, `.usd`).
 
     Raises:
-        ParameterError: The suffix is none of USD's, or the scene names a body twice or drives one twice.
+        ParameterError: The suffix is not one of USD, two bodies have the same name, or a body has two drivers.
         ResultFileError: The file cannot be written.
     """
     export_stage(scene_stage(scene), Path(path))
 
 
 def export_stage(stage: Usd.Stage, path: Path) -> None:
+    """Write the root layer of a stage to a file; errors as in `to_usd`."""
     if path.suffix not in SUFFIXES:
         raise ParameterError(f"{path}: a USD layer ends in {', '.join(SUFFIXES)}")
     try:
@@ -113,6 +114,7 @@ def export_stage(stage: Usd.Stage, path: Path) -> None:
 
 
 def scene_stage(scene: Scene) -> Usd.Stage:
+    """Return a scene as a USD stage in memory."""
     stage = Usd.Stage.CreateInMemory("scene.usda")
     _Writer(stage, scene).write()
     return stage
@@ -177,7 +179,7 @@ class _Writer:
         self.stage.SetEndTimeCode(self.frame_count - 1)
 
     def _group(self, name: str) -> str:
-        """Path of a group below the world, made where it is not there yet."""
+        """Return the path of a group below the world, which is created if it does not exist."""
         path = f"/World/{name}"
         UsdGeom.Scope.Define(self.stage, path)
         return path
@@ -185,7 +187,7 @@ class _Writer:
     # --- contacts ---
 
     def _contact_material(self, index: int, contact: Contact) -> UsdShade.Material:
-        """The pair, exact, in `/World/Contacts`, and a material with its constants."""
+        """Write the exact contact below `/World/Contacts`, and return a material with its constants."""
         prim = UsdGeom.Scope.Define(self.stage, f"{self._group('Contacts')}/contact_{index}").GetPrim()
         for side, names in (("first", contact.first), ("second", contact.second)):
             prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets([self.paths[name] for name in names])
@@ -202,11 +204,11 @@ class _Writer:
         return material
 
     def _first_contact(self, name: str) -> Contact | None:
-        """The first contact that names a body."""
+        """Return the first contact of a body."""
         return next((c for c in self.scene.contacts if name in c.first or name in c.second), None)
 
     def _own(self, name: str, materials: Sequence[UsdShade.Material]) -> UsdShade.Material | None:
-        """Material of the first contact that names the body: UsdPhysics has one a body, not one a pair."""
+        """Return the material of a body's first contact, since UsdPhysics has materials per body and not per pair."""
         contact = self._first_contact(name)
         return next((m for c, m in zip(self.scene.contacts, materials, strict=True) if c is contact), None)
 
@@ -216,7 +218,7 @@ class _Writer:
             binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
 
     def _filtered_pairs(self) -> str:
-        """Filter pairs that no contact names, as UsdPhysics lets everything collide; returns a hash of the others."""
+        """Filter all pairs without a contact, since UsdPhysics lets all collide; return a hash of the other pairs."""
         allowed = {frozenset((a, b)) for contact in self.scene.contacts for a in contact.first for b in contact.second}
         moves = {body.name for body in self.scene.dynamic_bodies} | set(self.deformables)
         filtered: dict[str, list[str]] = {}
@@ -252,27 +254,27 @@ class _Writer:
         _custom(xform, "name", String, name)
 
     def _drive(self, index: int, driver: Driver) -> None:
-        """The motion as it is, and poses at the frames; a coordinate that never changes keeps its single value."""
+        """Write the exact motion and its poses at the frames; a constant position or rotation has a single value."""
         body, xform = self.scene.body(driver.body), UsdGeom.Xform(self.stage.GetPrimAtPath(self.paths[driver.body]))
         translate, orient = xform.GetOrderedXformOps()
         times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
         poses = [driver.pose(body.pose, time_s) for time_s in times_s.tolist()]
-        moves = any(pose.position_m != body.pose.position_m for pose in poses)
-        turns = any(pose.quaternion != body.pose.quaternion for pose in poses)
-        if moves:
+        translates = any(pose.position_m != body.pose.position_m for pose in poses)
+        rotates = any(pose.quaternion != body.pose.quaternion for pose in poses)
+        if translates:
             for frame, pose in enumerate(poses):
                 translate.Set(Gf.Vec3d(*pose.position_m), frame)
-        if turns:
+        if rotates:
             last = np.asarray(body.pose.quaternion)
             for frame, pose in enumerate(poses):
-                # Of the two quaternions of a rotation the nearer one, so that interpolation does not turn back.
+                # Take the closer of the two quaternions of a rotation, so that interpolation takes the short path.
                 last = np.asarray(pose.quaternion) * (1.0 if last @ pose.quaternion >= 0.0 else -1.0)
                 orient.Set(_quatd(last.tolist()), frame)
         _custom(xform, "driver_provenance", String, driver.provenance)
         text = motions_to_json(driver.motions, index)
         attribute = _custom(xform, "driver", String, text)
         attribute.SetCustomDataByKey(TEXT, motions_digest(text))
-        if moves or turns:
+        if translates or rotates:
             positions = np.array([pose.position_m for pose in poses])
             quaternions = np.array([pose.quaternion for pose in poses])
             record_written(attribute, samples_digest(times_s, positions, quaternions))
@@ -331,7 +333,7 @@ class _Writer:
         self._place(geometry, body.name, body.pose)
         _custom(prim, "kind", Token, KINDS[type(body)])
         _constants(prim, body)
-        # Not in usd-core: Omniverse, which has these schemas, recognizes the names.
+        # usd-core does not have these schemas; Omniverse recognizes their names.
         prim.AddAppliedSchema("OmniPhysicsBodyAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
         _omni(prim, "deformableBodyEnabled", Sdf.ValueTypeNames.Bool, True)
@@ -433,9 +435,9 @@ class _Writer:
         body = self.scene.body(hinge.body)
         joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
         joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-        turn = hinge_frame(hinge.axis)
-        world = joint.CreateLocalRot0Attr(turn)
-        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(turn)))
+        rotation = hinge_frame(hinge.axis)
+        world = joint.CreateLocalRot0Attr(rotation)
+        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
         record_written(local, local.Get())
         record_written(_custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis)), digest(hinge_axis(wxyz(world.Get()))))
         self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
@@ -449,7 +451,7 @@ class _Writer:
     def _anchor(
         self, joint: UsdPhysics.Joint, body: RigidBody, world_m: NDArray[np.float64], local_m: NDArray[np.float64]
     ) -> None:
-        """Join the body to the world, which is what a joint without a first body is joined to."""
+        """Join the body to the world; a joint without a first body is a joint to the world."""
         joint.CreateBody1Rel().SetTargets([self.paths[body.name]])
         world = joint.CreateLocalPos0Attr(Gf.Vec3f(*world_m.tolist()))
         local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m.tolist()))
@@ -459,25 +461,25 @@ class _Writer:
     # --- attachments and markers ---
 
     def _attachment(self, index: int, attachment: Attachment) -> None:
-        """What is glued to what; vertices of the mesh that this file carries are named for Omniverse."""
+        """Write an attachment, for Omniverse with the attached vertices of the mesh in this file."""
         body = self.deformables[attachment.deformable]
         nodes = self.points[attachment.deformable]
-        glued = nodes_in(nodes, attachment.region)
+        attached = nodes_in(nodes, attachment.region)
         other = self.deformables.get(attachment.to)
         kind = "OmniPhysicsVtxXformAttachment" if other is None else "OmniPhysicsVtxVtxAttachment"
         prim = self.stage.DefinePrim(f"{self._group('Attachments')}/attachment_{index}", kind)
         pose = self.scene.body(attachment.to).pose if other is None else other.pose
-        local = pose.to_body(body.pose.to_world(nodes[glued]))
+        local = pose.to_body(body.pose.to_world(nodes[attached]))
         if other is None:
             follows = [_omni(prim, "localPositionsSrc1", Sdf.ValueTypeNames.Point3fArray, _points(local))]
         else:
             partners = self.points[attachment.to]
             distance = np.linalg.norm(local[:, None] - partners[None], axis=-1)
             touching = distance.min(axis=1) < TOUCHING_M
-            glued = glued[touching]
+            attached = attached[touching]
             nearest = distance.argmin(axis=1)[touching]
             follows = [_omni(prim, "vtxIndicesSrc1", Sdf.ValueTypeNames.IntArray, Vt.IntArray(nearest.tolist()))]
-        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(glued.tolist())))
+        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(attached.tolist())))
         for one in follows:
             record_follower(one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m")
         _omni(prim, "attachmentEnabled", Sdf.ValueTypeNames.Bool, True)
@@ -510,7 +512,7 @@ class _Writer:
 
 
 def _paths(names: Sequence[str]) -> dict[str, str]:
-    """A path for each body; names that USD cannot spell, or that are taken, are changed."""
+    """Return a unique path for each body; invalid or taken names are changed."""
     taken, paths = set(GROUPS), {}
     for name in names:
         identifier = Tf.MakeValidIdentifier(name)
@@ -529,7 +531,7 @@ def _custom(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.
 
 
 def _omni(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
-    """An attribute of the deformable schema; not marked custom, since with that schema at hand it is none."""
+    """Write an attribute of the deformable schema, which is not custom for tools with that schema."""
     prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
     attribute = prim.CreateAttribute(f"omniphysics:{name}", kind, custom=False)
     attribute.Set(value)
@@ -537,7 +539,7 @@ def _omni(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.At
 
 
 def _constants(prim: Usd.Prim, body: Deformable) -> None:
-    """Every number of a deformable body as a double, under its name in the scene."""
+    """Write every number of a deformable body as a double under its name in the scene."""
     for field in fields(body):
         value = getattr(body, field.name)
         if isinstance(value, float):
@@ -566,6 +568,6 @@ def _points(points_m: NDArray[np.float64]) -> Vt.Vec3fArray:
 
 
 def _integers(indices: NDArray[np.intp]) -> Any:
-    """Rows of indices as USD's array of integer vectors."""
+    """Return rows of indices as USD's array of integer vectors."""
     kind = {3: Vt.Vec3iArray, 4: Vt.Vec4iArray}[indices.shape[1]]
     return kind.FromNumpy(np.ascontiguousarray(indices, dtype=np.int32))

@@ -45,7 +45,7 @@ class Rig:
     def __init__(
         self,
         cloth: Cloth,
-        glued: Sequence[RigidAttachment] = (),
+        attachments: Sequence[RigidAttachment] = (),
         *,
         bending_n_m: float = 1e-6,
         gravity: float = 0.0,
@@ -57,12 +57,12 @@ class Rig:
         self.spec.option.timestep = timestep_s
         self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         self.spec.option.gravity = [0.0, 0.0, -gravity]
-        for name in {glue.body for glue in glued}:
+        for name in {attachment.body for attachment in attachments}:
             self.spec.worldbody.add_body(name=name)
         self.part: ClothPartMuJoCo = add_cloth(
             self.spec,
             cloth,
-            glued=glued,
+            attachments=attachments,
             cell_m=cell_m,
             bending_stiffness_n_m=bending_n_m,
             contact_radius_m=radius_m,
@@ -240,9 +240,9 @@ def test_the_compiled_table_of_an_isotropic_fabric_is_mujocos_own() -> None:
 
 
 def test_a_face_or_a_dynamic_body_cannot_be_glued() -> None:
-    for glue in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
+    for attachment in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
         with pytest.raises(UnsupportedSceneError, match="'frame'"):
-            Rig(fabric("satin", (0.1, 0.1)), [glue])
+            Rig(fabric("satin", (0.1, 0.1)), [attachment])
 
 
 class Fling:
@@ -482,8 +482,10 @@ def test_frictions_that_neither_flex_nor_geoms_can_carry_are_declined() -> None:
     scene = replace(scene, deformables=(*scene.deformables, other))
     alone = Contact(first=("other",), second=("slab",), friction=0.5, restitution=0.0)
     support = BackendMuJoCo().supports(replace(scene, contacts=(*scene.contacts, alone)))
-    assert support.missing == ("'slab' touches deformable bodies with several frictions, and so do they",)
+    assert support.missing == (
+        "'slab' touches deformable bodies with several frictions, and so do these bodies: use one",
+    )
     both = replace(alone, second=("textile",))
     support = BackendMuJoCo().supports(replace(scene, contacts=(*scene.contacts, both)))
-    assert "['other', 'textile'] touch with another friction" in support.missing[0]
+    assert "['other', 'textile'] touch each other and other bodies with different friction" in support.missing[0]
     assert BackendMuJoCo().supports(scene)

@@ -86,11 +86,11 @@ def ball_on_rope(direction: tuple[float, float, float], motion: Motion = Motion.
     pose = Pose(position_m=tuple((ROPE_M + BALL_M) * end))
     bench.add_body("top", TOP, motion)
     bench.add_body("ball", pose, Motion.DYNAMIC, BALL_KG)
-    glued = [
+    attachments = [
         RigidAttachment(region=Region(axis="x", side="low"), body="top", motion=motion, pose=TOP),
         RigidAttachment(region=Region(axis="x", side="high"), body="ball", motion=Motion.DYNAMIC, pose=pose),
     ]
-    bench.finish(add_rope(bench.spec, rope, glued=glued))
+    bench.finish(add_rope(bench.spec, rope, attachments=attachments))
     return bench
 
 
@@ -139,12 +139,14 @@ def test_two_balls_hang_over_a_beam() -> None:
     beam = bench.spec.worldbody.add_body(name="beam", pos=[0.0, 0.0, -0.007], quat=[0.5**0.5, 0.5**0.5, 0.0, 0.0])
     beam.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.005, 0.1, 0.0], contype=0, conaffinity=1)
     rope = Rope(name="rope", pose=TOP, length_m=ROPE_M, radius_m=0.002, mass_kg=0.005, young_modulus_pa=795.0)
-    glued = []
+    attachments = []
     for name, side, sign in (("a", "low", -1.0), ("b", "high", 1.0)):
         pose = Pose(position_m=(sign * (0.5 * ROPE_M + BALL_M), 0.0, 0.0))
         bench.add_body(name, pose, Motion.DYNAMIC, BALL_KG)
-        glued.append(RigidAttachment(region=Region(axis="x", side=side), body=name, motion=Motion.DYNAMIC, pose=pose))
-    part = add_rope(bench.spec, rope, glued=glued)
+        attachments.append(
+            RigidAttachment(region=Region(axis="x", side=side), body=name, motion=Motion.DYNAMIC, pose=pose)
+        )
+    part = add_rope(bench.spec, rope, attachments=attachments)
     part.flex.contype, part.flex.condim, part.flex.friction = 1, 3, [0.467, 0.0, 0.0]
     bench.finish(part)
     lowest = 0.0
@@ -170,8 +172,8 @@ def rod(young_pa: float, motion: Motion, *, step_s: float = 1 / 900, damping_s: 
         young_modulus_pa=young_pa,
         poisson_ratio=0.49,
     )
-    glued = [RigidAttachment(region=Region(axis="z", side="high"), body="base", motion=motion, pose=TOP)]
-    bench.finish(add_rod(bench.spec, body, glued=glued, damping_s=damping_s))
+    attachments = [RigidAttachment(region=Region(axis="z", side="high"), body="base", motion=motion, pose=TOP)]
+    bench.finish(add_rod(bench.spec, body, attachments=attachments, damping_s=damping_s))
     return bench
 
 
@@ -267,8 +269,8 @@ def test_what_cannot_be_built_is_named() -> None:
     rope = Rope(name="rope", pose=TOP, length_m=1.0, radius_m=0.002, mass_kg=0.01, young_modulus_pa=1.0)
     wrong = {"x": (0.1, "over a length"), "y": (0.0, "elsewhere")}
     for axis, (depth, message) in wrong.items():
-        glue = RigidAttachment(
+        attachment = RigidAttachment(
             region=Region(axis=axis, side="low", depth_m=depth), body="top", motion=Motion.FIXED, pose=TOP
         )
         with pytest.raises(UnsupportedSceneError, match=message):
-            add_rope(bench.spec, rope, glued=[glue])
+            add_rope(bench.spec, rope, attachments=[attachment])

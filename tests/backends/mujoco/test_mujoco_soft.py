@@ -44,7 +44,7 @@ def block(
     )
 
 
-def glue(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
+def held(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
     """To a plate at the world's origin: `low` and `high` are their names."""
     return RigidAttachment(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
 
@@ -76,9 +76,9 @@ class Bench:
                 frame.add_freejoint(name=name)
                 frame.explicitinertial, frame.mass, frame.inertia, frame.gravcomp = True, 1e3, [1e3] * 3, 1.0
         more(spec)
-        glued = {bodies[0].name: [glue("low", Motion.FIXED, depth_m, axis)]}
-        glued.setdefault(bodies[-1].name, []).append(glue("high", high, depth_m, axis))
-        self.part: SoftPartMuJoCo = add_soft(spec, bodies, glued=glued, damping_s=damping_s, cells=cells)
+        attachments = {bodies[0].name: [held("low", Motion.FIXED, depth_m, axis)]}
+        attachments.setdefault(bodies[-1].name, []).append(held("high", high, depth_m, axis))
+        self.part: SoftPartMuJoCo = add_soft(spec, bodies, attachments=attachments, damping_s=damping_s, cells=cells)
         self.part.flex.conaffinity, self.part.flex.condim = conaffinity, 1
         self.model = spec.compile()
         self.part.complete(self.model)
@@ -268,7 +268,7 @@ def cantilever(**options) -> Bench:
     spec.option.iterations = 2000
     spec.worldbody.add_body(name="low")
     bench = Bench.__new__(Bench)
-    bench.part = add_soft(spec, cubes[::-1], glued={"cube-1": [glue("low", Motion.FIXED)]}, **options)
+    bench.part = add_soft(spec, cubes[::-1], attachments={"cube-1": [held("low", Motion.FIXED)]}, **options)
     bench.model = spec.compile()
     bench.part.complete(bench.model)
     bench.data = mujoco.MjData(bench.model)
@@ -323,18 +323,18 @@ def test_row_of_four_with_finer_cells() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bodies", "glues", "message"),
+    ("bodies", "attachments", "message"),
     [
         ([block(euler_deg=(30.0, 0.0, 0.0))], {}, "right angles"),
         ([block("a"), block("b", centre_m=(0.0, 0.0, 0.21))], {}, "do not join"),
         ([block("a"), block("b", length_m=0.1, centre_m=(0.0, 0.0, 0.15))], {}, "unequal"),
-        ([block()], {"foam": [glue("low", Motion.DYNAMIC)]}, "moves under forces"),
-        ([block()], {"foam": [glue("low", Motion.FIXED), glue("high", Motion.FIXED, axis="x")]}, "elsewhere"),
+        ([block()], {"foam": [held("low", Motion.DYNAMIC)]}, "moves under forces"),
+        ([block()], {"foam": [held("low", Motion.FIXED), held("high", Motion.FIXED, axis="x")]}, "elsewhere"),
     ],
 )
-def test_what_cannot_be_built_is_named(bodies: list[SoftBody], glues: dict, message: str) -> None:
+def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict, message: str) -> None:
     spec = mujoco.MjSpec()
     for name in ("low", "high"):
         spec.worldbody.add_body(name=name)
     with pytest.raises(UnsupportedSceneError, match=message):
-        add_soft(spec, bodies, glued=glues)
+        add_soft(spec, bodies, attachments=attachments)

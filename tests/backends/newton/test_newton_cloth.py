@@ -35,7 +35,7 @@ from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies  # noqa: E40
 from gauge_envs.backends.newton.settings import SettingsVBD  # noqa: E402
 from gauge_envs.backends.newton.stability import longest_timestep_s  # noqa: E402
 from gauge_envs.backends.newton.surface import surface_contacts  # noqa: E402
-from gauge_envs.backends.newton.vbd import LoopVBD, SelfContact, apply_contacts, stiffness_ratio  # noqa: E402
+from gauge_envs.backends.newton.vbd import SelfContact, StepperVBD, apply_contacts, stiffness_ratio  # noqa: E402
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments  # noqa: E402
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
@@ -69,7 +69,7 @@ class Rig:
     def __init__(
         self,
         cloth: Cloth,
-        glued: Sequence[RigidAttachment] = (),
+        attachments: Sequence[RigidAttachment] = (),
         *,
         gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_PER_S2),
         rate_hz: int = 1440,
@@ -77,24 +77,24 @@ class Rig:
         cell_m: float = CELL_M,
     ) -> None:
         builder = newton.ModelBuilder(gravity=gravity_m_per_s2)
-        self.part: ClothPartNewton = add_cloth(builder, cloth, glued=glued, cell_m=cell_m)
+        self.part: ClothPartNewton = add_cloth(builder, cloth, attachments=attachments, cell_m=cell_m)
         builder.color(include_bending=True)
         self.model = builder.finalize(device="cpu")
-        self.loop = LoopVBD(self.model, driven=[], timestep_s=1 / rate_hz, iterations=iterations, predict=True)
-        self.loop.record()
+        self.stepper = StepperVBD(self.model, driven=[], timestep_s=1 / rate_hz, iterations=iterations, predict=True)
+        self.stepper.record()
 
     @property
     def moved_m(self) -> np.ndarray:
-        return self.part.nodes(self.loop.now) - self.part.rest_m
+        return self.part.nodes(self.stepper.now) - self.part.rest_m
 
     def settle(self, seconds: float) -> Rig:
         """Come to rest: velocities are taken away again and again."""
         for _ in range(round(10 * seconds)):
-            self.loop.advance(0.1)
-            for state in self.loop._states:
+            self.stepper.advance(0.1)
+            for state in self.stepper._states:
                 state.particle_qd.zero_()
-            self.loop.solver._last_qd.zero_()
-        self.loop.advance(0.1)
+            self.stepper.solver._last_qd.zero_()
+        self.stepper.advance(0.1)
         return self
 
 
@@ -121,14 +121,16 @@ class Bench:
             parts = {}
             for cloth in scene.deformables:
                 assert isinstance(cloth, Cloth)
-                glued = rigid_attachments(scene, cloth.name)
-                parts[cloth.name] = add_cloth(builder, cloth, glued=glued, bodies=index.bodies, cell_m=CELL_M)
+                attachments = rigid_attachments(scene, cloth.name)
+                parts[cloth.name] = add_cloth(
+                    builder, cloth, attachments=attachments, bodies=index.bodies, cell_m=CELL_M
+                )
             apply_contacts(contacts, builder, index.shapes)
             builder.end_world()
             self.indices.append(index)
             self.parts.append(parts)
         builder.color(include_bending=True)
-        self.loop = LoopVBD(
+        self.stepper = StepperVBD(
             builder.finalize(device="cpu"),
             driven=[index.bodies[driver.body] for index in self.indices for driver in scene.drivers],
             pins=[pin for parts in self.parts for part in parts.values() for pin in part.pins],
@@ -144,18 +146,18 @@ class Bench:
             full_surface=full_surface,
             self_contact=SelfContact(thickness_m=0.002, reach_m=0.008),
         )
-        self.loop.record()
+        self.stepper.record()
         self.paths = [DriverPath(driver, scene, frame_count=200) for driver in scene.drivers]
         self.sample = 0
 
     def nodes(self, name: str = "textile", world: int = 0) -> np.ndarray:
-        return self.parts[world][name].nodes(self.loop.now)
+        return self.parts[world][name].nodes(self.stepper.now)
 
     def step(self) -> None:
         for path in self.paths:
             for index in self.indices:
-                self.loop.drive(index.bodies[path.body], *path.interval(self.sample, np.zeros(path.motion_count)))
-        self.loop.advance(SAMPLE_INTERVAL_S)
+                self.stepper.drive(index.bodies[path.body], *path.interval(self.sample, np.zeros(path.motion_count)))
+        self.stepper.advance(SAMPLE_INTERVAL_S)
         self.sample += 1
 
     def play(self, seconds: float, name: str = "textile") -> np.ndarray:
@@ -164,7 +166,7 @@ class Bench:
         return self.nodes(name)
 
     def reset(self) -> None:
-        self.loop.reset()
+        self.stepper.reset()
         self.sample = 0
         for path in self.paths:
             path.reset()
@@ -187,7 +189,7 @@ def test_a_hanging_strip_stretches_under_its_weight(name: str) -> None:
     length_m = 0.4
     cloth = fabric(name, (length_m, 0.05), HANGING)
     rig = Rig(cloth, [pinned("x")], rate_hz=RATES[name])
-    rig.loop.advance(1.0)
+    rig.stepper.advance(1.0)
     low = np.isclose(rig.part.rest_m[:, 2], -0.5 * length_m)
     expected = weight_n_per_m2(cloth) * length_m**2 / (2.0 * cloth.stretch_stiffness_n_per_m)
     assert -rig.moved_m[low, 2].mean() == pytest.approx(expected, rel=0.02)
@@ -212,7 +214,7 @@ def test_a_sheet_between_two_walls_shears_under_its_weight(softness: float) -> N
     )
     walls = [pinned("x"), pinned("x", "high")]
     rig = Rig(cloth, walls, gravity_m_per_s2=(0.0, -GRAVITY_M_PER_S2, 0.0))
-    rig.loop.advance(0.5)
+    rig.stepper.advance(0.5)
     middle = np.isclose(rig.part.rest_m[:, 0], 0.0) & (np.abs(rig.part.rest_m[:, 1]) < 0.06)
     expected = weight_n_per_m2(cloth) * span_m**2 / (8.0 * cloth.shear_stiffness_n_per_m)
     assert -rig.moved_m[middle, 1].mean() == pytest.approx(expected, rel=0.01)
@@ -240,9 +242,7 @@ def heavy_elastica_sag_m(load_per_bending: float, length_m: float, bare_m: float
     return float(state[2, -1])
 
 
-@pytest.mark.parametrize(
-    ("axis", "tolerance"), [("x", 0.01), pytest.param("y", 0.035, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("axis", "tolerance"), [("x", 0.01), pytest.param("y", 0.035, marks=pytest.mark.slow)])
 def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None:
     """A strip clamped at one end, by more than half its length.
 
@@ -265,7 +265,7 @@ def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None
 
 def test_a_sheet_falls_freely() -> None:
     rig = Rig(fabric("satin", (0.1, 0.1)))
-    rig.loop.advance(0.5)
+    rig.stepper.advance(0.5)
     # Implicit Euler falls by half a step's way more.
     expected = 0.5 * GRAVITY_M_PER_S2 * 0.5 * (0.5 + 1 / 1440)
     # Single precision rounds positions by a tenth of the way that the last step's acceleration makes.
@@ -275,7 +275,7 @@ def test_a_sheet_falls_freely() -> None:
 
 def energy_j(rig: Rig) -> float:
     """Kinetic, potential and elastic energy, from the laws that Newton's documentation states."""
-    model, state = rig.model, rig.loop.now
+    model, state = rig.model, rig.stepper.now
     x, v = (array.numpy().astype(float) for array in (state.particle_q, state.particle_qd))
     masses = model.particle_mass.numpy().astype(float)
     corners = x[model.tri_indices.numpy()]
@@ -307,12 +307,12 @@ def test_a_falling_sheet_gains_no_energy(name: str) -> None:
     rig = Rig(cloth, [pinned("x")], rate_hz=RATES[name])
     energies = [energy_j(rig)]
     for _ in range(90):
-        rig.loop.advance(1 / 90)
+        rig.stepper.advance(1 / 90)
         energies.append(energy_j(rig))
     scale = cloth.mass_kg * 0.5 * GRAVITY_M_PER_S2 * 0.2
     rises = np.array(energies) - np.minimum.accumulate(energies)
     assert rises.max() < 0.002 * scale
-    assert np.abs(strains(rig.part, rig.part.nodes(rig.loop.now))).max() < 0.05
+    assert np.abs(strains(rig.part, rig.part.nodes(rig.stepper.now))).max() < 0.05
 
 
 def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
@@ -345,7 +345,7 @@ def test_a_flung_cloth_stays_on_its_rod() -> None:
     assert worst < 2e-7
     assert 0.001 < strain < 0.01
     # The rod itself is where it was driven to, with its velocity.
-    state = bench.loop.now
+    state = bench.stepper.now
     np.testing.assert_allclose(state.body_q.numpy()[0, :3], rod.position_m, atol=2e-7)
     np.testing.assert_allclose(state.body_qd.numpy()[0], velocity, atol=1e-5)
 
@@ -353,12 +353,12 @@ def test_a_flung_cloth_stays_on_its_rod() -> None:
 def test_reset_and_restore_repeat_bit_for_bit() -> None:
     bench = Bench(load_experiment("TextileFlinging-satin").scene)
     first = bench.play(0.1)
-    state, later = bench.loop.state(), bench.play(0.1)
+    state, later = bench.stepper.state(), bench.play(0.1)
     bench.reset()
     assert np.array_equal(bench.nodes(), bench.parts[0]["textile"].rest_m.astype(np.float32))
     assert np.array_equal(bench.play(0.1), first)
     bench.play(0.1)
-    bench.loop.restore(state)
+    bench.stepper.restore(state)
     bench.sample = 18
     assert np.array_equal(bench.play(0.1), later)
 
@@ -372,9 +372,9 @@ def test_two_worlds_are_alike_and_do_not_touch() -> None:
 
 
 def test_a_face_or_a_dynamic_body_cannot_be_glued() -> None:
-    for glue in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
+    for attachment in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
         with pytest.raises(UnsupportedSceneError, match="'frame'"):
-            add_cloth(newton.ModelBuilder(), fabric("satin", (0.1, 0.1)), glued=[glue], cell_m=CELL_M)
+            add_cloth(newton.ModelBuilder(), fabric("satin", (0.1, 0.1)), attachments=[attachment], cell_m=CELL_M)
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------

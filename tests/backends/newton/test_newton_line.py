@@ -38,7 +38,7 @@ newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
 from gauge_envs.backends.newton.line import LinePartNewton, add_line  # noqa: E402
-from gauge_envs.backends.newton.vbd import LoopVBD  # noqa: E402
+from gauge_envs.backends.newton.vbd import StepperVBD  # noqa: E402
 
 ROPE_M, ROPE_RADIUS_M, ROPE_KG = 0.34, 0.002, 0.005
 BALL_KG, BALL_M = 0.3122, 0.03
@@ -210,15 +210,15 @@ class Bench:
         self.builder = builder
         model = builder.finalize(device="cpu")
         driven = [top] if top >= 0 else []
-        self.loop = LoopVBD(model, driven=driven, timestep_s=1 / 3600, iterations=40)
-        self.loop.record()
+        self.stepper = StepperVBD(model, driven=driven, timestep_s=1 / 3600, iterations=40)
+        self.stepper.record()
 
     @staticmethod
     def _add(builder, body: Rod, grip: RigidAttachment, top: int, damping_s: float) -> LinePartNewton:
         return add_line(
             builder,
             body,
-            glued=[grip],
+            attachments=[grip],
             bodies={"top": top},
             segments=8,
             joint_stiffness_n_per_m=2e5,
@@ -229,14 +229,14 @@ class Bench:
         """Nodes after a force has pulled the free end along x for a while."""
         half = 0.5 * ROD_M / len(self.part.segments)
         for _ in range(round(180 * seconds)):
-            pose = self.loop.now.body_q.numpy()[self.part.segments[0]]
+            pose = self.stepper.now.body_q.numpy()[self.part.segments[0]]
             arm = Rotation.from_quat(pose[3:]).apply([0.0, 0.0, -half])
             wrench = np.zeros((self.builder.body_count, 6), dtype=np.float32)
             wrench[self.part.segments[0]] = [force_n, 0.0, 0.0, *np.cross(arm, [force_n, 0.0, 0.0])]
-            for state in self.loop._states:
+            for state in self.stepper._states:
                 state.body_f.assign(wrench)
-            self.loop.advance(1 / 180)
-        return self.part.nodes(self.loop.now)
+            self.stepper.advance(1 / 180)
+        return self.part.nodes(self.stepper.now)
 
 
 def test_segments_have_the_mass_and_inertia_of_their_pieces() -> None:
@@ -249,7 +249,7 @@ def test_segments_have_the_mass_and_inertia_of_their_pieces() -> None:
     assert np.diag(inertia) == pytest.approx(masses[0] * np.array([across, across, 0.5 * ROD_RADIUS_M**2]))
     # The tip in the grip is a node, too.
     assert bench.part.rest_m[:, 2] == pytest.approx([*np.linspace(-ROD_M, 0.0, 9), 0.03])
-    assert bench.part.nodes(bench.loop.now) == pytest.approx(bench.part.rest_m, abs=1e-8)
+    assert bench.part.nodes(bench.stepper.now) == pytest.approx(bench.part.rest_m, abs=1e-8)
     assert bench.part.pins == ()
 
 
@@ -292,9 +292,9 @@ def test_points_on_the_surface_turn_with_the_rod() -> None:
     bench = Bench(SOFT_PA, Motion.FIXED, damping_s=0.02)
     rest = np.array([[0.005, 0.0, -0.14], [0.0, 0.0, -0.14], [0.0, -0.005, -0.05]])
     read = bench.part.track(rest)
-    assert read(bench.loop.now) == pytest.approx(rest, abs=1e-8)
+    assert read(bench.stepper.now) == pytest.approx(rest, abs=1e-8)
     nodes = bench.load(SOFT_PA * pi / 4 * ROD_RADIUS_M**4 / ROD_M**2, 0.3)
-    surface, centre, other = read(bench.loop.now)
+    surface, centre, other = read(bench.stepper.now)
     tangent = nodes[0] - nodes[1]
     assert np.linalg.norm(tangent[:2]) > 0.1 * np.linalg.norm(tangent)
     assert np.linalg.norm(surface - centre) == pytest.approx(0.005)
@@ -359,7 +359,7 @@ def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str)
     assert np.abs(marker[:, 1] - (body.pose.position_m[1] - ROD_RADIUS_M)).max() < 1e-6
 
 
-# --- contacts, glue, worlds ------------------------------------------------------------------------------------------
+# --- contacts, attachments, worlds ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -472,13 +472,13 @@ def test_what_cannot_be_built_is_named() -> None:
         assert bool(support) == (not message)
         assert message in " ".join(support.missing)
     with pytest.raises(UnsupportedSceneError, match="over all"):
-        glue = RigidAttachment(
+        attachment = RigidAttachment(
             region=Region(axis="z", side="high", depth_m=ROD_M), body="top", motion=Motion.FIXED, pose=TOP
         )
         add_line(
             newton.ModelBuilder(),
             rod(),
-            glued=[glue],
+            attachments=[attachment],
             bodies={"top": -1},
             segments=8,
             joint_stiffness_n_per_m=1e5,

@@ -90,7 +90,7 @@ def test_worlds_start_apart_and_do_not_meet() -> None:
 
 
 def test_a_pair_that_no_body_can_speak_for_is_declined() -> None:
-    """Newton keeps friction with shapes: three bodies that all touch with three frictions cannot be told apart."""
+    """Newton keeps friction with shapes: three bodies that all touch with three frictions are not supported."""
     names = [("a", "b"), ("b", "c"), ("c", "a")]
     scene = Scene(
         bodies=tuple(solid(name, Sphere(radius_m=0.02), (0.1 * i, 0.0, 1.0)) for i, name in enumerate("abc")),

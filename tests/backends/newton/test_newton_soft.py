@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
-from gauge_envs.backends.newton.mpm import LoopMPM, add_soft_mpm, fitted_voxel_m  # noqa: E402
+from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m  # noqa: E402
 from gauge_envs.backends.newton.soft import add_soft  # noqa: E402
 from gauge_envs.backends.newton.stepper import warp_transform  # noqa: E402
 from gauge_envs.backends.newton.surface import SurfaceContacts  # noqa: E402
-from gauge_envs.backends.newton.vbd import LoopVBD, apply_contacts  # noqa: E402
+from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts  # noqa: E402
 from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
 from gauge_envs.errors import ShapeError, UnsupportedSceneError  # noqa: E402
 from gauge_envs.scene import Box, Motion, Pose, Region, SoftBody  # noqa: E402
@@ -74,9 +74,9 @@ class Bench:
     ) -> None:
         wp.config.log_level = wp.LOG_WARNING
         self.builder = builder = newton.ModelBuilder(gravity=gravity)
-        glued = {bodies[0].name: [plate("low", Motion.FIXED, depth_m)]}
+        attachments = {bodies[0].name: [plate("low", Motion.FIXED, depth_m)]}
         if high:
-            glued.setdefault(bodies[-1].name, []).append(plate("high", high, depth_m))
+            attachments.setdefault(bodies[-1].name, []).append(plate("high", high, depth_m))
         self.parts, self.driven = [], []
         contacts = None
         for _ in range(worlds):
@@ -93,13 +93,15 @@ class Bench:
                 shape = builder.add_shape_box(self.driven[-1], hx=0.025, hy=0.025, hz=0.025, cfg=config)
                 contacts = SurfaceContacts(touched=frozenset({"cube"}), shape_friction={"cube": 0.0})
                 apply_contacts(contacts, builder, {"cube": [shape]})
-            self.parts.append(add_soft(builder, bodies, glued=glued, indices={"high": self.driven[-1]}, **options))
+            self.parts.append(
+                add_soft(builder, bodies, attachments=attachments, indices={"high": self.driven[-1]}, **options)
+            )
             if worlds > 1:
                 builder.end_world()
         self.part = self.parts[0]
         builder.color()
         self.model = builder.finalize(device="cpu")
-        self.loop = LoopVBD(
+        self.stepper = StepperVBD(
             self.model,
             driven=self.driven,
             pins=[pin for part in self.parts for pin in part.pins],
@@ -108,7 +110,7 @@ class Bench:
             contacts=contacts,
             full_surface=contacts is not None,
         )
-        self.loop.record()
+        self.stepper.record()
 
     def run(self, seconds: float, path: Callable[[float], tuple[Sequence[float], Rotation]] | None = None) -> None:
         """Simulate while the driven plates or cubes follow a path, given at 180 Hz."""
@@ -118,15 +120,15 @@ class Bench:
                 rate = 180 * np.concatenate([np.subtract(there, place), (turned * turn.inv()).as_rotvec()])
                 pose = Pose(position_m=tuple(place), quaternion=tuple(turn.as_quat(scalar_first=True)))
                 for body in self.driven:
-                    self.loop.drive(body, pose, rate, np.zeros(6))
-            self.loop.advance(1 / 180)
+                    self.stepper.drive(body, pose, rate, np.zeros(6))
+            self.stepper.advance(1 / 180)
 
     def nodes(self) -> NDArray[np.float64]:
-        return self.part.nodes(self.loop.now)
+        return self.part.nodes(self.stepper.now)
 
     def moved(self, *points_m: Sequence[float]) -> NDArray[np.float64]:
         """Displacements of material points [m]."""
-        return self.part.track(points_m)(self.loop.now) - np.array(points_m)
+        return self.part.track(points_m)(self.stepper.now) - np.array(points_m)
 
 
 STILL = Rotation.identity()
@@ -160,10 +162,10 @@ def linear_stiffness(builder: newton.ModelBuilder, young_pa: float, poisson: flo
 
 def mesh(*bodies: SoftBody, high: Motion | None = Motion.FIXED, **options) -> tuple[newton.ModelBuilder, object]:
     builder = newton.ModelBuilder()
-    glued = {bodies[0].name: [plate("low", Motion.FIXED)]}
+    attachments = {bodies[0].name: [plate("low", Motion.FIXED)]}
     if high:
-        glued.setdefault(bodies[-1].name, []).append(plate("high", high))
-    return builder, add_soft(builder, bodies, glued=glued, indices={}, **options)
+        attachments.setdefault(bodies[-1].name, []).append(plate("high", high))
+    return builder, add_soft(builder, bodies, attachments=attachments, indices={}, **options)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +193,7 @@ def test_mass_is_that_of_the_material() -> None:
     stiff = block("stiff", length_m=0.1, centre_m=(0, 0, -0.05), density=1000.0)
     soft = block("soft", length_m=0.05, centre_m=(0, 0, 0.025))
     builder = newton.ModelBuilder()
-    part = add_soft(builder, [stiff, soft], glued={}, indices={})
+    part = add_soft(builder, [stiff, soft], attachments={}, indices={})
     masses = np.array(builder.particle_mass)
     assert masses.sum() == pytest.approx(stiff.mass_kg + soft.mass_kg)
     centre = (stiff.mass_kg * -0.05 + soft.mass_kg * 0.025) / (stiff.mass_kg + soft.mass_kg)
@@ -213,13 +215,13 @@ def test_points_are_those_of_the_elements() -> None:
     bench = Bench(block(poisson=0.3))
     rng = np.random.default_rng(0)
     slope, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
-    bench.loop.now.particle_q.assign(bench.part.rest_m @ slope.T + shift)
+    bench.stepper.now.particle_q.assign(bench.part.rest_m @ slope.T + shift)
     points = rng.uniform([-0.025, -0.025, -0.1], [0.025, 0.025, 0.1], (50, 3))
-    assert np.allclose(bench.part.track(points)(bench.loop.now), points @ slope.T + shift, atol=1e-6)
+    assert np.allclose(bench.part.track(points)(bench.stepper.now), points @ slope.T + shift, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("bodies", "glues", "message"),
+    ("bodies", "attachments", "message"),
     [
         ([block(euler_deg=(30.0, 0.0, 0.0))], {}, "right angles"),
         ([block("a"), block("b", centre_m=(0.0, 0.0, 0.21))], {}, "do not join"),
@@ -227,9 +229,9 @@ def test_points_are_those_of_the_elements() -> None:
         ([block()], {"foam": [plate("low", Motion.FIXED), plate("high", Motion.FIXED, axis="x")]}, "elsewhere"),
     ],
 )
-def test_what_cannot_be_built_is_named(bodies: list[SoftBody], glues: dict, message: str) -> None:
+def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict, message: str) -> None:
     with pytest.raises(UnsupportedSceneError, match=message):
-        add_soft(newton.ModelBuilder(), bodies, glued=glues, indices={})
+        add_soft(newton.ModelBuilder(), bodies, attachments=attachments, indices={})
 
 
 # --- vertex block descent --------------------------------------------------------------------------------------------
@@ -260,7 +262,7 @@ def test_linear_elasticity_on_the_same_mesh_is_in_balance(gravity: tuple[float, 
     expected = np.zeros(3 * len(masses))
     expected[free] = spsolve(stiffness[free][:, free].tocsc(), np.outer(masses, gravity).ravel()[free])
     expected = expected.reshape(-1, 3)
-    bench.loop.now.particle_q.assign(bench.part.rest_m + expected)
+    bench.stepper.now.particle_q.assign(bench.part.rest_m + expected)
     # Half a swing, to the other side of where the balance is.
     bench.run(0.26)
     moved = bench.nodes() - bench.part.rest_m
@@ -272,7 +274,7 @@ def test_damping_of_an_axial_swing() -> None:
     bench = Bench(block(density=1000.0), cell_m=EDGE_M / 2, step_s=1 / 900, iterations=40, damping_s=0.002)
     stretched = bench.part.rest_m.copy()
     stretched[:, 2] += 1e-3 * np.sin(0.5 * np.pi * (stretched[:, 2] + 0.1) / 0.2)
-    bench.loop.now.particle_q.assign(stretched)
+    bench.stepper.now.particle_q.assign(stretched)
     tips = [1e-3]
     for _ in range(20):
         bench.run(1 / 180)
@@ -297,7 +299,7 @@ def test_quarter_turn() -> None:
     middle = np.array([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0]])
     turned = middle + bench.moved(*middle)
     assert np.degrees(np.arctan2(turned[:, 1], turned[:, 0])) == pytest.approx([45.0, 135.0], abs=0.7)
-    speeds = np.linalg.norm(bench.loop.now.particle_qd.numpy(), axis=1)
+    speeds = np.linalg.norm(bench.stepper.now.particle_qd.numpy(), axis=1)
     assert speeds.max() < 0.05
 
 
@@ -322,13 +324,13 @@ def test_driven_end_is_where_the_plate_is() -> None:
 def test_goes_on_bit_for_bit_from_a_state() -> None:
     bench = Bench(block(poisson=0.34), high=Motion.KINEMATIC, cell_m=COARSE_M, gravity=(0.0, 9.81, 0.0))
     bench.run(0.05)
-    state, ends = bench.loop.state(), []
+    state, ends = bench.stepper.state(), []
     for _ in range(2):
-        bench.loop.restore(state)
+        bench.stepper.restore(state)
         bench.run(0.05)
         ends.append(bench.nodes())
     assert np.array_equal(*ends)
-    bench.loop.reset()
+    bench.stepper.reset()
     assert np.allclose(bench.nodes(), bench.part.rest_m, atol=1e-7)
 
 
@@ -340,7 +342,7 @@ def test_worlds_do_not_mix() -> None:
     for bench in (alone, both):
         bench.run(0.1, lambda time: ((0.0, 0.0, 0.05 * time), STILL))
     for part in both.parts:
-        assert np.allclose(part.nodes(both.loop.now), alone.nodes(), atol=2e-6)
+        assert np.allclose(part.nodes(both.stepper.now), alone.nodes(), atol=2e-6)
 
 
 def test_pressed_cube_does_not_sink_in() -> None:
@@ -436,16 +438,16 @@ class BenchMPM(Bench):
 
     def __init__(self, body: SoftBody, *, voxel_m: float, step_s: float) -> None:
         wp.config.log_level = wp.LOG_WARNING
-        glued = {body.name: [plate("low", Motion.FIXED, 0.01285), plate("high", Motion.KINEMATIC, 0.01285)]}
-        self.voxel_m = fitted_voxel_m([body], glued=glued, voxel_m=voxel_m)
+        attachments = {body.name: [plate("low", Motion.FIXED, 0.01285), plate("high", Motion.KINEMATIC, 0.01285)]}
+        self.voxel_m = fitted_voxel_m([body], attachments=attachments, voxel_m=voxel_m)
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
         newton.solvers.SolverImplicitMPM.register_custom_attributes(builder)
         self.driven = [builder.add_body(is_kinematic=True, mass=1.0, inertia=wp.mat33(np.eye(3)))]
         self.part = add_soft_mpm(
-            builder, [body], glued=glued, indices={"high": self.driven[0]}, spacing_m=0.5 * self.voxel_m
+            builder, [body], attachments=attachments, indices={"high": self.driven[0]}, spacing_m=0.5 * self.voxel_m
         )
         self.model = builder.finalize(device="cpu")
-        self.loop = LoopMPM(
+        self.stepper = StepperMPM(
             self.model,
             driven=self.driven,
             pins=self.part.pins,
@@ -454,7 +456,7 @@ class BenchMPM(Bench):
             iterations=250,
             tolerance=1e-4,
         )
-        self.loop.record()
+        self.stepper.record()
 
 
 def test_points_have_the_mass_of_the_free_material_and_voxels_end_at_the_grips() -> None:
@@ -470,9 +472,9 @@ def test_points_between_material_points_follow_linear_motion() -> None:
     bench = BenchMPM(block(centre_m=(0.41, 0.39, 0.13)), voxel_m=0.025, step_s=1 / 180)
     rng = np.random.default_rng(0)
     slope, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
-    bench.loop.now.particle_q.assign(bench.loop.now.particle_q.numpy() @ slope.T + shift)
+    bench.stepper.now.particle_q.assign(bench.stepper.now.particle_q.numpy() @ slope.T + shift)
     points = np.array([0.41, 0.39, 0.13]) + rng.uniform(-1, 1, (50, 3)) * [0.025, 0.025, 0.087]
-    assert np.allclose(bench.part.track(points)(bench.loop.now), points @ slope.T + shift, atol=2e-6)
+    assert np.allclose(bench.part.track(points)(bench.stepper.now), points @ slope.T + shift, atol=2e-6)
 
 
 @pytest.mark.slow
@@ -485,7 +487,7 @@ def test_material_points_in_tension() -> None:
     slopes = np.linalg.lstsq(np.column_stack([rest - rest.mean(axis=0), np.ones(len(rest))])[middle], moved[middle])[0]
     assert slopes[2, 2] == pytest.approx(1e-3 / 0.1743, rel=0.05)
     assert -slopes[0, 0] / slopes[2, 2] == pytest.approx(0.23, rel=0.1)
-    stress = -bench.loop.now.mpm.particle_stress.numpy()[: len(rest)][middle, 2, 2].mean()
+    stress = -bench.stepper.now.mpm.particle_stress.numpy()[: len(rest)][middle, 2, 2].mean()
     assert stress == pytest.approx(YOUNG_PA * 1e-3 / 0.1743, rel=0.05)
 
 
@@ -493,11 +495,11 @@ def test_material_points_in_tension() -> None:
 def test_material_points_go_on_bit_for_bit_from_a_state() -> None:
     bench = BenchMPM(block(centre_m=(0.41, 0.39, 0.13)), voxel_m=0.025, step_s=1 / 180)
     bench.run(0.02, lambda time: ((0.0, 0.0, 0.05 * time), STILL))
-    state, ends = bench.loop.state(), []
+    state, ends = bench.stepper.state(), []
     for _ in range(2):
-        bench.loop.restore(state)
+        bench.stepper.restore(state)
         bench.run(0.03)
         ends.append(bench.nodes())
     assert np.array_equal(*ends)
-    bench.loop.reset()
+    bench.stepper.reset()
     assert np.allclose(bench.nodes(), bench.part.rest_m, atol=1e-7)

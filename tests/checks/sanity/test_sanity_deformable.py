@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco import SimulationMuJoCo
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.checks.rollout import DeclinedError, DivergedError, Rollout
 from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.measure import Measurements

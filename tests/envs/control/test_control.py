@@ -26,7 +26,7 @@ from typer.testing import CliRunner
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import World
-from gauge_envs.backends.mujoco import SimulationMuJoCo
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.friction import HOLD_S, SLIP_SPEED_M_PER_S

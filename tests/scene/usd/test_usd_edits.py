@@ -380,7 +380,9 @@ def test_a_quarter_turn_about_each_axis_in_turn_is_an_error(tmp_path: Path) -> N
         third, phase = divmod(round(time_s * FRAME_RATE_HZ), 32)
         return Rotation.from_rotvec(0.5 * np.pi * np.sin(np.pi * phase / 32) ** 2 * np.eye(3)[third])
 
-    with pytest.raises(AssetError, match=r"/World/plate: the time samples of its transform: .* no three turns"):
+    with pytest.raises(
+        AssetError, match=r"/World/plate: the time samples of its transform: .* no three successive rotations"
+    ):
         edited(TABLE, tmp_path, turning(tumble))
 
 
@@ -499,17 +501,17 @@ DECLINED = {
     "both edited": (
         SLIDER,
         both(setting("/World/cube", "gauge:mass_kg", 0.3), setting("/World/cube", "physics:mass", 0.2)),
-        r"/World/cube.gauge:mass_kg: is 0.3 and /World/cube.physics:mass 0.2",
+        r"/World/cube.gauge:mass_kg: is 0.3 but /World/cube.physics:mass is 0.2",
     ),
     "static and dynamic": (
         SLIDER,
         both(setting(MATERIAL, "physics:staticFriction", 0.3), setting(MATERIAL, "physics:dynamicFriction", 0.2)),
-        r"staticFriction: is 0.3 and .*dynamicFriction 0.2: they must agree",
+        r"staticFriction: is 0.3 but .*dynamicFriction is 0.2: make them agree",
     ),
     "pose of a driven body alone": (
         "TextileFlinging-rayon",
         setting("/World/rod", "xformOp:translate", Gf.Vec3d(0.0, 0.0, 0.5)),
-        r"/World/rod: its pose was edited, the time samples of its transform were not",
+        r"/World/rod: its pose was edited, but not the time samples of its transform",
     ),
     "points of a cloth": (
         CLOTH,
@@ -526,7 +528,7 @@ DECLINED = {
         setting("/World/Materials/body_textile", "omniphysics:youngsModulus", 1.0),
         r"youngsModulus: was edited, but it follows from gauge:stretch_",
     ),
-    "glued vertices": (
+    "attached vertices": (
         CLOTH,
         setting("/World/Attachments/attachment_0", "omniphysics:vtxIndicesSrc0", Vt.IntArray([0])),
         r"vtxIndicesSrc0: was edited, but it follows from gauge:region_axis",

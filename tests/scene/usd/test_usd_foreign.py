@@ -479,13 +479,13 @@ REFUSED = {
         body(
             kind="Sphere", text='float3 xformOp:scale = (1, 1, 2)\nuniform token[] xformOpOrder = ["xformOp:scale"]\n'
         ),
-        r"/box: is a Sphere that is scaled unevenly",
+        r"/box: is a Sphere with an uneven scale",
     ),
     "sheared": (HEAD, body(text=SHEAR), r"/box: its transform is sheared"),
     "no unit quaternion": (
         HEAD,
         body(text='quatf xformOp:orient = (2, 0, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:orient"]\n'),
-        r"/box.xformOp:orient: holds .* no unit quaternion",
+        r"/box.xformOp:orient: holds .*: a unit quaternion is expected",
     ),
     "concave": (HEAD, body("m", "Mesh", LSHAPE), r"/m: is not convex \(it fills 0.857 of its hull\)"),
     "concave, decomposed": (
