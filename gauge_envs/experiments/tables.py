@@ -162,6 +162,8 @@ class SampledSpec(_ProfileSpec):
 
     def build(self) -> Profile:
         """Return the profile in m or rad."""
+        if self.values_m is None and self.values_deg is None:
+            raise ValueError("give values_m or values_deg")
         values = self.values_m if self.values_m is not None else tuple(np.radians(self.values_deg or ()).tolist())
         return SampledProfile(times_s=self.times_s, values=values)
 

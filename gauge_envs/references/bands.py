@@ -219,8 +219,9 @@ class BandSpec(Table):
         """Linear map from g(t) to the band coordinates, shape [C, D]; identity if the table states none."""
         if self.projection is not None:
             return np.array(self.projection, dtype=np.float64)
-        count = len(self.coordinates)
-        return np.eye(self.width or count)[list(self.indices or range(count))]
+        if self.indices is not None and self.width is not None:
+            return np.eye(self.width)[list(self.indices)]
+        return np.eye(len(self.coordinates))
 
 
 class TrialScores(Table):
