@@ -22,7 +22,7 @@ __all__ = [
 
 
 class _Group(typer.core.TyperGroup):
-    """Prints errors of gauge-envs without a traceback; the only place that catches them."""
+    """Group that prints errors of gauge-envs without a traceback; no other place catches them."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -52,5 +52,5 @@ app.add_typer(data_app, name="data")
 
 
 def main() -> None:
-    """Entry point of the `gauge` command."""
+    """Run the `gauge` command."""
     app()

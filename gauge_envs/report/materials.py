@@ -1,17 +1,22 @@
-"""Fabrics in every engine's constants, and what is lost."""
+"""Constants of the fabrics in every engine's terms, and the losses of each mapping."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 from rich.console import Group
-from rich.markup import escape
-from rich.table import Table
 from rich.text import Text
 
+from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import heading
-from gauge_envs.scene.fabrics import MAPPINGS, Fabric, bending_length_m, shear_stiffness, uniaxial_stiffness
+from gauge_envs.scene.fabrics import (
+    MAPPINGS,
+    EngineConstants,
+    Fabric,
+    bending_length_m,
+    shear_stiffness,
+    uniaxial_stiffness,
+)
 
 __all__ = [
     "material_values",
@@ -20,48 +25,79 @@ __all__ = [
 
 
 def material_values(fabrics: Mapping[str, Fabric]) -> dict[str, dict[str, dict[str, float]]]:
-    """Constants of every fabric in every engine's terms: fabric, engine, constant."""
+    """Return the constants of every fabric in every engine's terms: fabric, engine, constant."""
     return {
         name: {engine: mapping(fabric).constants for engine, mapping in MAPPINGS.items()}
         for name, fabric in fabrics.items()
     }
 
 
-def material_view(fabrics: Mapping[str, Fabric]) -> Group:
-    """Constants of every fabric in every engine's terms, what comes back from them, and every fall-back and loss."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for title in ("", "unit", *fabrics):
-        table.add_column(escape(title), justify="left" if title in ("", "unit") else "right", overflow="fold")
+MEASURED = (
+    ("K_s", "N/m", "stretch_stiffness_n_per_m"),
+    ("K_sh", "N/m", "shear_stiffness_n_per_m"),
+    ("K_theta", "N m/rad", "bend_stiffness_n_m_per_rad"),
+    ("thickness", "m", "thickness_m"),
+    ("areal density", "kg/m^2", "areal_density_kg_per_m2"),
+)
+"""Symbol, unit and attribute of the measured constants."""
 
-    def add(title: str, unit: str, values: Iterable[float], marks: Iterable[str], style: str | None = None) -> None:
-        cells = (f"{value:.4g}{mark or ' '}" for value, mark in zip(values, marks, strict=True))
-        table.add_row(f"  {title}", escape(unit), *cells, style=style)
 
-    table.add_row("[bold]measured[/]")
-    plain = [""] * len(fabrics)
-    for title, unit, attribute in (
-        ("K_s", "N/m", "stretch_stiffness_n_per_m"),
-        ("K_sh", "N/m", "shear_stiffness_n_per_m"),
-        ("K_theta", "N m/rad", "bend_stiffness_n_m_per_rad"),
-        ("thickness", "m", "thickness_m"),
-        ("areal density", "kg/m^2", "areal_density_kg_per_m2"),
-    ):
-        add(title, unit, (getattr(fabric, attribute) for fabric in fabrics.values()), plain)
-    add("bending length", "m", map(bending_length_m, fabrics.values()), plain, "dim")
-    notes: dict[str, list[str]] = {}
+def material_view(fabrics: Mapping[str, Fabric], *, wide: bool = False) -> Group:
+    """Return the constants of every fabric in every engine's terms, what they give, and every fall-back and loss."""
+    digits = 4 if wide else 3
+    rows = [
+        {"source": "measured", "constant": f"{title} [{unit}]"}
+        | {name: f"{_constant_text(getattr(fabric, attribute), digits)} " for name, fabric in fabrics.items()}
+        for title, unit, attribute in MEASURED
+    ]
+    lengths = {name: f"{_constant_text(bending_length_m(fabric), digits)} " for name, fabric in fabrics.items()}
+    rows.append({"source": "measured", "constant": "bending length [m]"} | lengths)
+    notes: list[Text] = []
     for engine, mapping in MAPPINGS.items():
         mapped = {name: mapping(fabric) for name, fabric in fabrics.items()}
-        table.add_row(f"[bold]{engine}[/]")
-        for constant, unit in next(iter(mapped.values())).units.items():
-            marks = ["*" if constant in constants.replaced else "" for constants in mapped.values()]
-            add(constant, unit, (constants.constants[constant] for constants in mapped.values()), marks)
-        add("gives stretch", "N/m", map(uniaxial_stiffness, mapped.values()), plain, "dim")
-        losses = ["!" if constants.lost else "" for constants in mapped.values()]
-        add("gives shear", "N/m", map(shear_stiffness, mapped.values()), losses, "dim")
-        for name, constants in mapped.items():
-            if constants.fallbacks or constants.lost:
-                notes.setdefault(engine, []).append(f"{name}: {'; '.join((*constants.fallbacks, *constants.lost))}")
-    parts: list[Any] = [table, Text("\n* set by a fall-back   ! not the measured shear stiffness", style="dim")]
-    for engine, lines in notes.items():
-        parts += [heading(engine), *map(Text, lines)]
-    return Group(*parts)
+        rows += _engine_rows(engine, mapped, digits)
+        losses = [
+            Text(f"{name}: {'; '.join((*constants.fallbacks, *constants.lost))}")
+            for name, constants in mapped.items()
+            if constants.fallbacks or constants.lost
+        ]
+        notes += [heading(engine), *losses] if losses else []
+    table = Table(
+        columns=(
+            Column("source", "source", place=Place.HEADING),
+            Column("constant", "constant"),
+            *(Column(name, name, is_number=True) for name in fabrics),
+        ),
+        rows=rows,
+        notes=("", "* set by a fall-back   ! not the measured shear stiffness"),
+    )
+    return Group(as_rich(table, wide=wide), *notes)
+
+
+def _engine_rows(engine: str, mapped: Mapping[str, EngineConstants], digits: int) -> list[dict[str, str]]:
+    """Return a row for each constant of an engine, and for the stiffness that the constants give back."""
+    units = next(iter(mapped.values())).units
+    rows = [
+        {"source": engine, "constant": f"{constant} [{unit}]"}
+        | {
+            name: f"{_constant_text(one.constants[constant], digits)}{'*' if constant in one.replaced else ' '}"
+            for name, one in mapped.items()
+        }
+        for constant, unit in units.items()
+    ]
+    stretch = {name: f"{_constant_text(uniaxial_stiffness(one), digits)} " for name, one in mapped.items()}
+    shear = {
+        name: f"{_constant_text(shear_stiffness(one), digits)}{'!' if one.lost else ' '}"
+        for name, one in mapped.items()
+    }
+    rows.append({"source": engine, "constant": "gives K_s [N/m]"} | stretch)
+    rows.append({"source": engine, "constant": "gives K_sh [N/m]"} | shear)
+    return rows
+
+
+def _constant_text(value: float, digits: int) -> str:
+    """Return a constant to some digits, with a short exponent for a large or small one."""
+    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.0f}" if abs(value) >= 1e3 else f"{value:.{digits}g}"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
