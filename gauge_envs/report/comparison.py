@@ -157,7 +157,7 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]], labels:
         columns=(
             EXPERIMENT,
             Column("grade", "grade", place=Place.HEADING),
-            Column("metric", "metric", _metric_title),
+            Column("metric", "metric", lambda name: METRIC_TITLES.get(name, ALIGNED_TITLE)),
             Column("", "1 = real trials", real_text, is_number=True, wide_only=True),
             *scores,
         ),
@@ -167,25 +167,14 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]], labels:
 
 
 def _cost_table(rows: Sequence[dict[str, Any]], labels: Sequence[str]) -> Table:
-    configurations = [
-        Column(
-            "",
-            label,
-            lambda row, index=index: _cost_text(row["configurations"][index]["wall_s_per_sim_s"]),
-            is_number=True,
-        )
-        for index, label in enumerate(labels)
-    ]
-    return Table(
-        title=f"Cost, {COST_TITLE}",
-        columns=(Column("id", "experiment", short_id), *configurations),
-        rows=list({row["id"]: row for row in rows}.values()),
-        wide_only=True,
-    )
-
-
-def _metric_title(name: str | None) -> str:
-    return "none" if name is None else METRIC_TITLES.get(name, ALIGNED_TITLE)
+    costs = {
+        row["id"]: {"id": row["id"]}
+        | {str(index): one["wall_s_per_sim_s"] for index, one in enumerate(row["configurations"])}
+        for row in rows
+    }
+    costs_of = (Column(str(index), label, _cost_text, is_number=True) for index, label in enumerate(labels))
+    columns = (Column("id", "experiment", short_id), *costs_of)
+    return Table(title=f"Cost, {COST_TITLE}", columns=columns, rows=list(costs.values()), wide_only=True)
 
 
 def _metric_unit(one: ExperimentComparison, metric: Metric) -> str:
@@ -202,7 +191,8 @@ def _score_cell(index: int, row: Mapping[str, Any]) -> str:
     # A score without a baseline to divide by stands in its own unit.
     if spread := one["normalized"] or one["raw"]:
         unit = "" if one["normalized"] or row["unit"] == "1" else f" {row['unit']}"
-        texts.append(_spread_text(spread, score_text) + unit)
+        count = "" if spread["std"] is None else f" ({spread['count']})"
+        texts.append(_spread_text(spread, score_text) + count + unit)
     for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED):
         if count := outcomes.count(outcome.value):
             texts.append(outcome.value if count == len(outcomes) else f"{count} {outcome.value}")
@@ -214,13 +204,13 @@ def _score_style(index: int, row: Mapping[str, Any]) -> str:
 
 
 def _spread_text(spread: Mapping[str, Any], text: Callable[[float], str]) -> str:
-    """Return the mean of repeats; of several, with their standard deviation and number."""
-    scatter = "" if spread["std"] is None else f" +- {text(spread['std'])} ({spread['count']})"
+    """Return the mean of repeats; of several, with their standard deviation."""
+    scatter = "" if spread["std"] is None else f" +- {text(spread['std'])}"
     return f"{text(spread['mean'])}{scatter}"
 
 
-def _cost_text(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
+def _cost_text(value: float) -> str:
+    return f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
 
 
 CELL_NOTES = {
@@ -276,8 +266,8 @@ def _distance_table(experiments: Sequence[ExperimentComparison], labels: Sequenc
         for far in one.distances
     ]
 
-    def in_unit(text: Callable[[Mapping[str, Any]], str]) -> Callable[[Mapping[str, Any]], str]:
-        return lambda row: f"{text(row)} {row['unit']}{'' if row['threshold_is_scatter'] else ' *'}"
+    def threshold_text(row: Mapping[str, Any]) -> str:
+        return f"{quantity_text(row['threshold'])} {row['unit']}{'' if row['threshold_is_scatter'] else ' *'}"
 
     share = (
         ""
@@ -289,9 +279,11 @@ def _distance_table(experiments: Sequence[ExperimentComparison], labels: Sequenc
         columns=(
             EXPERIMENT,
             Column("between", "between"),
-            Column("", "distance", lambda row: f"{_distance_text(row['rms'])} {row['unit']}", is_number=True),
+            Column(
+                "", "distance", lambda row: f"{_spread_text(row['rms'], quantity_text)} {row['unit']}", is_number=True
+            ),
             Column("", "motion", lambda row: f"{quantity_text(row['motion_rms'])} {row['unit']}", is_number=True),
-            Column("", "threshold", in_unit(lambda row: quantity_text(row["threshold"])), is_number=True),
+            Column("", "threshold", threshold_text, is_number=True),
             Column("", "first exceeded", _exceeded_text, is_number=True),
         ),
         rows=rows,
@@ -302,11 +294,6 @@ def _distance_table(experiments: Sequence[ExperimentComparison], labels: Sequenc
             f"mean.{share}",
         ),
     )
-
-
-def _distance_text(spread: Mapping[str, Any]) -> str:
-    scatter = "" if spread["std"] is None else f" +- {quantity_text(spread['std'])}"
-    return f"{quantity_text(spread['mean'])}{scatter}"
 
 
 def _exceeded_text(row: Mapping[str, Any]) -> str:

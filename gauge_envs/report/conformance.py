@@ -10,6 +10,7 @@ from rich.text import Text
 
 from gauge_envs.checks.conformance.kit import CheckResult, Status
 from gauge_envs.report.table import Column, Table, as_markdown, as_rich
+from gauge_envs.report.text import pairs_text
 
 __all__ = [
     "findings_markdown",
@@ -51,9 +52,7 @@ def _findings_table(findings: Sequence[CheckResult], name: Callable[[CheckResult
     )
 
 
-def _measured(finding: CheckResult | None) -> str:
-    if finding is None:
-        return ""
+def _measured(finding: CheckResult) -> str:
     measured = "" if finding.measured is None else f"{_number(finding.measured)} "
     return measured + WORDS[finding.status]
 
@@ -124,19 +123,11 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
         return
     first = groups[0][0]
     shared = {key for key in first if all(key in s and s[key] == first[key] for s, _ in groups)}
-    yield "all: " + (_assignments({key: first[key] for key in first if key in shared}) or "nothing in common")
+    yield "all: " + (pairs_text({key: first[key] for key in first if key in shared}) or "nothing in common")
     for settings, ids in groups:
-        own = _assignments({key: value for key, value in settings.items() if key not in shared})
+        own = pairs_text({key: value for key, value in settings.items() if key not in shared})
         if own:
             yield f"{', '.join(ids)}: {own}"
-
-
-def _assignments(settings: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key}={_value(value)}" for key, value in settings.items())
-
-
-def _value(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _what(finding: CheckResult) -> str:

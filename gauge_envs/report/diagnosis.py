@@ -63,34 +63,34 @@ def diagnosis_view(pairs: Sequence[tuple[Result, Diagnosis]], *, wide: bool = Fa
 
 
 def _budget_table(diagnosis: Diagnosis, label: str) -> Table:
-    rows: list[dict[str, Any]] = [
-        {"part": "as it is", "rmse": diagnosis.rmse, "normalized": score_text(diagnosis.rmse_normalized)}
-    ]
-    for part in diagnosis.parts:
-        row = {"part": part.stage.value, "rmse": part.rmse_after, "normalized": score_text(part.rmse_after_normalized)}
-        if part.missing is not None:
-            rows.append(row | {"changes": "does not apply"})
-            continue
-        before, after = part.rmse_before_normalized, part.rmse_after_normalized
-        off = None if before is None or after is None else before - after
-        shares = {key: getattr(part, key) for key in ("share", "alone_share", "last_share")}
-        rows.append(row | shares | {"off": score_text(off), "changes": f"fitted: {_changes(part)}"})
     rest = diagnosis.rest
-    rows.append({"part": "rest", "off": score_text(rest.rmse_normalized), "share": rest.share})
+    start = {"rmse_after": diagnosis.rmse, "rmse_after_normalized": diagnosis.rmse_normalized}
+    rows = [{"part": "as it is"} | start, *map(_part_row, diagnosis.parts)]
+    rows.append({"part": "rest", "off": rest.rmse_normalized, "share": rest.share})
     return Table(
         title=f"{short_id(diagnosis.id)}  {label}",
         columns=(
             Column("part", "part"),
-            Column("rmse", "RMSE left", _quantity, unit=diagnosis.unit, is_number=True),
-            Column("normalized", "normalized", _optional, is_number=True),
-            Column("off", "taken off", _optional, is_number=True),
-            Column("share", "share", _optional_share, is_number=True),
-            Column("alone_share", "alone", _optional_share, is_number=True),
-            Column("last_share", "last", _optional_share, is_number=True),
-            Column("changes", "fitted together", _optional, place=Place.BELOW),
+            Column("rmse_after", "RMSE left", quantity_text, unit=diagnosis.unit, is_number=True),
+            Column("rmse_after_normalized", "normalized", score_text, is_number=True),
+            Column("off", "taken off", score_text, is_number=True),
+            Column("share", "share", _share, is_number=True),
+            Column("alone_share", "alone", _share, is_number=True),
+            Column("last_share", "last", _share, is_number=True),
+            Column("changes", "fitted together", place=Place.BELOW),
         ),
         rows=rows,
     )
+
+
+def _part_row(part: StagePart) -> dict[str, Any]:
+    row = {"part": part.stage.value, "rmse_after": part.rmse_after, "rmse_after_normalized": part.rmse_after_normalized}
+    if part.missing is not None:
+        return row | {"changes": "does not apply"}
+    before, after = part.rmse_before_normalized, part.rmse_after_normalized
+    row["off"] = None if before is None or after is None else before - after
+    row["changes"] = f"fitted: {_changes(part)}"
+    return row | {key: getattr(part, key) for key in ("share", "alone_share", "last_share")}
 
 
 def _axis_tables(diagnosis: Diagnosis) -> list[Table]:
@@ -106,15 +106,8 @@ def _axis_tables(diagnosis: Diagnosis) -> list[Table]:
         | {key: sum(values[index] for index in indices) / diagnosis.mean_square for key, values in squares.items()}
         for axis, indices in axes.items()
     ]
-    return [
-        Table(
-            columns=(
-                Column("axis", "share along"),
-                *(Column(key, key, _share, is_number=True) for key in squares),
-            ),
-            rows=rows,
-        )
-    ]
+    shares = (Column(key, key, _share, is_number=True) for key in squares)
+    return [Table(columns=(Column("axis", "share along"), *shares), rows=rows)]
 
 
 def _changes(part: StagePart) -> str:
@@ -134,18 +127,6 @@ def _changes(part: StagePart) -> str:
             rms = (sum(one.fitted**2 for one in offsets) / len(offsets)) ** 0.5
             texts.append(f"{len(offsets)} offsets, rms {quantity_text(rms)}{unit}")
     return ", ".join(texts)
-
-
-def _optional(text: str | None) -> str:
-    return text or ""
-
-
-def _quantity(value: float | None) -> str:
-    return "" if value is None else quantity_text(value)
-
-
-def _optional_share(share: float | None) -> str:
-    return "" if share is None else _share(share)
 
 
 def _share(share: float) -> str:

@@ -13,7 +13,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.imported import has_import
 from gauge_envs.report.table import Column, Table
-from gauge_envs.report.text import pairs_text
+from gauge_envs.report.text import pairs_text, short_id, shortened
 
 __all__ = [
     "backend_rows",
@@ -58,17 +58,19 @@ def _lacks(name: str, experiment: Experiment) -> list[str]:
 
 def list_table(rows: Sequence[dict[str, Any]]) -> Table:
     """Return the rows of `list_rows` as a table."""
+    imported = [short_id(row["id"]) for row in rows if row["imported"]]
     return Table(
         columns=(
             Column("id", "id"),
             Column("group", "group", wide_only=True),
             Column("observable", "observable"),
-            Column("frames", "frames", is_number=True),
+            Column("frames", "frames", is_number=True, wide_only=True),
             Column("grade", "grade"),
             Column("imported", "imported trials", lambda known: "yes" if known else "no", wide_only=True),
             Column("backends", "runs on", _usable_text),
         ),
         rows=rows,
+        notes=(f"Real trials imported for {shortened(imported)}.",) if imported else (),
     )
 
 

@@ -109,10 +109,10 @@ RESULT_COLUMNS = (
     Column("metric", "metric"),
     Column("score", "score", is_number=True, style=lambda text: "red" if text == Outcome.DIVERGED.value else ""),
     Column("normalized", "normalized", number_text, is_number=True),
-    Column("aligned", "aligned", is_number=True),
+    Column("aligned", "aligned", number_text, is_number=True),
     *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
-    Column("z", "|z|", is_number=True),
-    Column("shift", "shift", is_number=True, wide_only=True),
+    Column("z", "|z|", number_text, is_number=True),
+    Column("shift", "shift", lambda shift_s: f"{shift_s:+.3f} s", is_number=True, wide_only=True),
 )
 
 
@@ -137,7 +137,7 @@ def _score_notes(results: Sequence[Result]) -> tuple[str, ...]:
     return (
         "",
         NORMALIZED_NOTE,
-        "Aligned: normalized RMSE after the constant time shift that fits best (positive: reality is released later). "
+        "Aligned: normalized RMSE after the constant time shift that fits best (--wide shows it; positive: reality is released later). "
         "|z|: mean deviation in sigma of the real trials; one more real trial has 0.80.",
         *(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}." for grade in grades),
     )
@@ -163,7 +163,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
     if result.diverged:
         return [common | {"score": Outcome.DIVERGED.value}]
     score, baselines = result.score, published_baselines(short_id(result.id))
-    rows = []
+    rows: list[dict[str, Any]] = []
     for metric, title in METRIC_TITLES.items():
         raw, line = getattr(score, METRICS[metric].raw), baselines.get(metric)
         if raw is None and line is None:
@@ -174,14 +174,9 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             "score": None if raw is None else f"{number_text(raw)}{unit}",
             "normalized": getattr(score, f"{metric}_normalized", None),
             "engines": None if line is None else line.engines,
-            "aligned": "",
-            "z": "",
-            "shift": "",
         }
         if metric == "rmse":
-            row["z"] = number_text(score.mean_abs_z)
-            if score.rmse_aligned_normalized is not None and score.release_offset_s is not None:
-                row["aligned"] = number_text(score.rmse_aligned_normalized)
-                row["shift"] = f"{score.release_offset_s:+.3f} s"
+            aligned = {"aligned": score.rmse_aligned_normalized, "shift": score.release_offset_s}
+            row |= {"z": score.mean_abs_z} | (aligned if None not in aligned.values() else {})
         rows.append(row)
     return rows or [common]

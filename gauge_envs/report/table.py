@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
-from itertools import zip_longest
+from itertools import chain, repeat
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -54,10 +54,6 @@ class Place(StrEnum):
     """In lines of its own below the row, wrapped."""
 
 
-def _cell_text(value: Any) -> str:
-    return "-" if value is None else value_text(value)
-
-
 @dataclass(frozen=True)
 class Column:
     """One column.
@@ -65,7 +61,7 @@ class Column:
     Attributes:
         key: Path of the value in a row, as `published.newton`; empty for the row itself.
         title: Heading of the column.
-        format: Text of a value.
+        format: Text of a value that is not None.
         unit: Unit of all values; it stands in brackets behind the title.
         is_number: Whether the texts are aligned on the right.
         wide_only: Whether a terminal shows the column only with `--wide`.
@@ -75,7 +71,7 @@ class Column:
 
     key: str
     title: str
-    format: Callable[[Any], str] = _cell_text
+    format: Callable[[Any], str] = value_text
     _: KW_ONLY
     unit: str = ""
     is_number: bool = False
@@ -96,8 +92,11 @@ class Column:
         return value
 
     def text(self, row: Any) -> str:
-        """Return the text of a row."""
-        return self.format(self.value(row))
+        """Return the text of a row; for a missing value a dash, or nothing outside of the cells."""
+        value = self.value(row)
+        if value is None:
+            return "-" if self.place is Place.CELL else ""
+        return self.format(value)
 
     def style_of(self, row: Any) -> str:
         """Return the rich style of a row."""
@@ -175,123 +174,62 @@ def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
     """Yield headings, rows and what stands below them, none longer than the width."""
     shown = {place: [c for c in table.columns if c.place is place and (wide or not c.wide_only)] for place in Place}
     indent = GAP if shown[Place.HEADING] else ""
-    layout = _Layout.of(shown[Place.CELL], table.rows, width - len(indent))
-    for line in layout.header():
-        yield Text(f"{indent}{line}".rstrip(), style="dim")
+    columns, widths = _fitted(shown[Place.CELL], table.rows, width - len(indent))
+    spilled = shown[Place.CELL][len(columns) :]
+
+    def line(texts: Sequence[str], styles: Sequence[str]) -> Text:
+        padded = Text(indent)
+        for column, size, text, style in zip(columns, widths, texts, styles, strict=True):
+            padded.append(f"{text:>{size}}" if column.is_number else f"{text:<{size}}", style=style).append(GAP)
+        padded.rstrip()
+        return padded
+
+    titles = [_wrap(column.label, size) for column, size in zip(columns, widths, strict=True)]
+    height = max(map(len, titles))
+    for texts in zip(*([""] * (height - len(title)) + title for title in titles), strict=True):
+        yield line(texts, ["dim"] * len(columns))
     last = None
     for row in table.rows:
-        heading = _heading_text(shown[Place.HEADING], row)
-        if heading and heading != last:
+        heading = GAP.join(
+            f"{c.title if index else ''} {c.text(row)}".strip() for index, c in enumerate(shown[Place.HEADING])
+        )
+        if heading != (last or ""):
             yield from _wrapped(heading, width, style="bold")
         last = heading
-        yield from layout.row(row, indent, width)
-        below = [text for column in shown[Place.BELOW] if (text := column.text(row))]
-        below += ["; ".join(f"{c.label}: {c.text(row)}" for c in layout.spilled)] if layout.spilled else []
-        for text in below:
+        cells, styles = [c.text(row) for c in columns], [c.style_of(row) for c in columns]
+        if len(cells[0]) > widths[0]:
+            yield from _wrapped(cells[0], width, indent=indent, style=styles[0])
+            cells[0] = ""
+        if any(cells):
+            yield line(cells, styles)
+        below = [c.text(row) for c in shown[Place.BELOW]]
+        below.append("; ".join(f"{c.label}: {c.text(row)}" for c in spilled))
+        for text in filter(None, below):
             yield from _wrapped(text, width, indent=2 * GAP)
-    for line in layout.legend:
-        yield from _wrapped(line, width, style="dim")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Layout:
-    """Which columns fit side by side.
+def _fitted(columns: Sequence[Column], rows: Sequence[Any], width: int) -> tuple[list[Column], list[int]]:
+    """Return the columns that fit side by side, and their widths.
 
-    Attributes:
-        columns: Those that fit.
-        titles: Their titles, or numbers in brackets for long ones.
-        widths: Their widths [characters].
-        spilled: Those that do not fit.
-        legend: Lines that explain the numbers.
+    A first column that is too wide gets the width that the others leave, and its long cells have lines of their own.
+    If the others leave too little, it gets at most half of the width, and columns spill from the right.
     """
-
-    columns: tuple[Column, ...]
-    titles: tuple[str, ...]
-    widths: tuple[int, ...]
-    spilled: tuple[Column, ...]
-    legend: tuple[str, ...]
-
-    @classmethod
-    def of(cls, columns: Sequence[Column], rows: Sequence[Any], width: int) -> _Layout:
-        """Fit columns into a width.
-
-        Long titles become numbers. If that is not enough, the first column gets the width that the others leave, and
-        its long cells have lines of their own. If even that is not enough, the first column gets half of the width,
-        and columns spill from the right.
-        """
-        contents = [max(len(column.text(row)) for row in rows) for column in columns]
-        titles = [column.label for column in columns]
-        legend = []
-        if _total(_widths(contents, titles)) > width:
-            for index, title in enumerate(titles[1:], start=1):
-                if _title_width(title) > max(contents[index], TITLE_WIDTH):
-                    titles[index] = f"({len(legend) + 1})"
-                    legend.append(f"{titles[index]} {title}")
-        widths = _widths(contents, titles)
-        room = width - _total([0, *widths[1:]])
-        widths[0] = min(widths[0], room if room >= LEAST_FIRST_WIDTH else width // 2)
-        count = len(columns)
-        while count > 1 and _total(widths[:count]) > width:
-            count -= 1
-        return cls(
-            columns=tuple(columns[:count]),
-            titles=tuple(titles[:count]),
-            widths=tuple(widths[:count]),
-            spilled=tuple(columns[count:]),
-            legend=tuple(legend),
-        )
-
-    def header(self) -> list[str]:
-        """Return the lines of the titles, aligned at their bottom."""
-        titles = [_wrap(title, width)[::-1] for title, width in zip(self.titles, self.widths, strict=True)]
-        return [GAP.join(map(self._padded, range(len(titles)), line)) for line in zip_longest(*titles, fillvalue="")][
-            ::-1
-        ]
-
-    def row(self, row: Any, indent: str, width: int) -> Iterator[Text]:
-        """Yield the cells of a row; a first cell that is too long has lines of its own."""
-        texts = [column.text(row) for column in self.columns]
-        if len(texts[0]) > self.widths[0]:
-            yield from _wrapped(texts[0], width, indent=indent, style=self.columns[0].style_of(row))
-            texts[0] = ""
-        if any(texts):
-            line = Text(indent)
-            for index, (column, text) in enumerate(zip(self.columns, texts, strict=True)):
-                line.append(f"{GAP if index else ''}{self._padded(index, text)}", style=column.style_of(row))
-            line.rstrip()
-            yield line
-
-    def _padded(self, index: int, text: str) -> str:
-        width = self.widths[index]
-        return text.rjust(width) if self.columns[index].is_number else text.ljust(width)
-
-
-def _heading_text(columns: Sequence[Column], row: Any) -> str:
-    """Return the first value, and the others with their titles."""
-    texts = [column.text(row) for column in columns]
-    titled = [f"{column.title} {text}".strip() for column, text in zip(columns[1:], texts[1:], strict=True) if text]
-    return GAP.join([*texts[:1], *titled])
-
-
-def _title_width(title: str) -> int:
-    return max(map(len, _wrap(title, TITLE_WIDTH)), default=0)
-
-
-def _widths(contents: Sequence[int], titles: Sequence[str]) -> list[int]:
-    return [max(content, _title_width(title)) for content, title in zip(contents, titles, strict=True)]
-
-
-def _total(widths: Sequence[int]) -> int:
-    return sum(widths) + len(GAP) * (len(widths) - 1)
+    widths = [max(map(len, [*_wrap(c.label, TITLE_WIDTH), *(c.text(row) for row in rows)])) for c in columns]
+    room = width - sum(widths[1:]) - len(GAP) * (len(widths) - 1)
+    widths[0] = min(widths[0], room if room >= LEAST_FIRST_WIDTH else width // 2)
+    count = len(columns)
+    while count > 1 and sum(widths[:count]) + len(GAP) * (count - 1) > width:
+        count -= 1
+    return list(columns[:count]), widths[:count]
 
 
 def _wrap(text: str, width: int) -> list[str]:
     """Break a text at blanks alone, so that names and numbers stay whole."""
-    return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False)
+    return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def _wrapped(text: str, width: int, *, indent: str = "", style: str = "") -> Iterator[Text]:
-    for line in _wrap(text, width - len(indent)) or [""]:
+    for line in _wrap(text, width - len(indent)):
         yield Text(f"{indent}{line}", style=style)
 
 
@@ -305,10 +243,8 @@ class Facts:
         """Yield a line for each name; a long text goes on below its beginning."""
         key_width = max((len(key) for key in self.pairs if len(key) <= MOST_KEY_WIDTH), default=0)
         for key, text in self.pairs.items():
-            lines = _wrap(text, options.max_width - key_width - len(GAP)) or [""]
             if len(key) > key_width:
                 yield from _wrapped(key, options.max_width, style="cyan")
-                key = ""
-            for index, line in enumerate(lines):
-                name = key if index == 0 else ""
+            names = chain(["" if len(key) > key_width else key], repeat(""))
+            for name, line in zip(names, _wrap(text, options.max_width - key_width - len(GAP)), strict=False):
                 yield Text.assemble((name.ljust(key_width), "cyan"), GAP, line)

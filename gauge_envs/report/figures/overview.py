@@ -38,7 +38,7 @@ OVERVIEW = "overview"
 
 
 def save_comparison(results: Sequence[Result], folder: Path, *, metric: str = "rmse") -> Iterator[Path]:
-    """Write the pictures of `save_figures`, and one of all experiments, `overview.png`, where any has a score.
+    """Write the pictures of `save_figures`, and one of all experiments with scores, `overview.png`.
 
     Args:
         results: Results of any experiments and configurations.
@@ -59,14 +59,14 @@ def save_comparison(results: Sequence[Result], folder: Path, *, metric: str = "r
 
 
 def draw_overview(comparison: Comparison, *, metric: str = "rmse") -> Figure | None:
-    """Dots of the normalized score of every experiment: configurations in colour, published engines in grey.
+    """Return dots of the normalized score of every experiment: configurations in colour, published engines in grey.
 
     Args:
         comparison: What `gauge_envs.analysis.comparison.compare` returns.
         metric: One of `gauge_envs.analysis.comparison.METRICS`.
 
     Returns:
-        The picture; None where no experiment has such a score.
+        The picture; None if no experiment has such a score.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -108,7 +108,7 @@ def draw_overview(comparison: Comparison, *, metric: str = "rmse") -> Figure | N
 
 
 def _draw_dots(axis: Axes, one: ExperimentComparison, spreads: Sequence[ScoreSpread | None], place: int) -> None:
-    """Scores of one experiment as a row of dots, crosses at the right edge for what diverged."""
+    """Draw the scores of one experiment as a row of dots, and crosses at the right edge for diverged results."""
     for index, (cell, spread) in enumerate(zip(one.cells, spreads, strict=True)):
         # Configurations side by side within the row, so that equal scores do not hide each other.
         height = place + 0.5 * ((index + 0.5) / len(one.cells) - 0.5)
