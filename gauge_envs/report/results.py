@@ -137,8 +137,8 @@ def _score_notes(results: Sequence[Result]) -> tuple[str, ...]:
     return (
         "",
         NORMALIZED_NOTE,
-        "Aligned: normalized RMSE after the constant time shift that fits best (--wide shows it; positive: reality is released later). "
-        "|z|: mean deviation in sigma of the real trials; one more real trial has 0.80.",
+        "Aligned: normalized RMSE after the constant time shift that fits best. --wide shows the shift; it is positive "
+        "if reality is released later. |z|: mean deviation in sigma of the real trials; one more real trial has 0.80.",
         *(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}." for grade in grades),
     )
 

@@ -93,7 +93,7 @@ def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, An
 def setting_text(value: Any) -> str:
     """Return a setting as people write it."""
     if value is None:
-        return "the engine's default"
+        return "the backend's default"
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, list | tuple):

@@ -203,7 +203,7 @@ def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
         if any(cells):
             yield line(cells, styles)
         below = [c.text(row) for c in shown[Place.BELOW]]
-        below.append("; ".join(f"{c.label}: {c.text(row)}" for c in spilled))
+        below.append("; ".join(f"{c.label}: {c.text(row)}" for c in spilled if c.text(row) != "-"))
         for text in filter(None, below):
             yield from _wrapped(text, width, indent=2 * GAP)
 

@@ -277,7 +277,7 @@ def test_the_command_on_a_real_configuration(tmp_path) -> None:
     first, row = (json.loads(line) for line in outcome.stdout.splitlines())
     assert outcome.exit_code == 1
     assert first["configuration"]["name"] == "HalfCheetah-v5"
-    # solimp 0 0.8 0.01 lets a cube sink by millimetres; the engine's default holds it.
+    # solimp 0 0.8 0.01 lets a cube sink by millimetres; the backend's default holds it.
     assert row["verdict"] == "wrong"
     assert row["configured"] < -1.0
     assert abs(row["default"]) < 0.1
