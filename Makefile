@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 
 DEMO := "SlopeSlider-*" "Turntable-1-*" BouncingBall-rubber NewtonsCradle-metal Pendulum-metal
 
-.PHONY: demo test slow lint bench clean
+.PHONY: demo test slow lint bench docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -28,6 +28,10 @@ bench: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[bench]"
 	$(BIN)/python benchmarks/step.py
 	$(BIN)/python benchmarks/dtw.py
+
+docs: $(VENV)/.installed
+	$(BIN)/pip install --quiet -e ".[docs]"
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 
 # Running needs no engine but MuJoCo; the tests want them all.
 $(VENV)/.runs: pyproject.toml

@@ -10,15 +10,10 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from gauge_envs.analysis.comparison import (
-    METRICS,
-    MOTION_SHARE,
-    Cell,
-    Comparison,
-    ExperimentComparison,
-    Metric,
-    RunConfiguration,
-)
+from gauge_envs.analysis.comparison import Cell, Comparison, ExperimentComparison
+from gauge_envs.analysis.configuration import RunConfiguration
+from gauge_envs.analysis.distance import MOTION_SHARE
+from gauge_envs.analysis.scores import METRICS, Metric
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.report.results import PLAIN, configuration_labels, configuration_parts, versions_text

@@ -8,7 +8,8 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from gauge_envs.analysis.comparison import METRICS, RunConfiguration
+from gauge_envs.analysis.configuration import RunConfiguration
+from gauge_envs.analysis.scores import METRICS
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.report.table import Column, Place, Table, as_rich

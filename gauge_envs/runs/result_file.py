@@ -1,4 +1,4 @@
-"""Reads and writes result files."""
+"""Names, reading and writing of result files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ __all__ = [
 
 
 def result_file_name(result: Result) -> str:
-    """`SlopeSlider-2-wood.mujoco.calibrated.json`; what else was chosen by a hash, seeds other than 0."""
+    """Return the file name of a result, as `SlopeSlider-2-wood.mujoco.calibrated.json`.
+
+    Further parts name what differs from the defaults: hashes of overrides, asset, settings and jitter, imported data,
+    the marker proxy and the seed.
+    """
     named = result.parameters
     parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
     parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
@@ -72,13 +76,13 @@ def load_result(file: Path) -> Result:
     """Read a result file.
 
     Raises:
-        ResultFileError: It cannot be read, or is not a whole and consistent result file.
+        ResultFileError: The file cannot be read, or is not a complete and consistent result file.
     """
     try:
         content = json.loads(file.read_bytes())
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        # Older files lack these keys, and stand for the defaults.
+        # Files of older versions lack these keys; they have the defaults.
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", "node")
         content["dataset"] = BUNDLED_DATA | dict(content.get("dataset") or {})

@@ -10,7 +10,9 @@ from rich.console import Console
 from scipy.stats import gmean
 from typer.testing import CliRunner
 
-from gauge_envs.analysis.comparison import METRICS, MOTION_SHARE, ScoreSpread, check_metrics, compare
+from gauge_envs.analysis.comparison import compare
+from gauge_envs.analysis.distance import MOTION_SHARE
+from gauge_envs.analysis.scores import METRICS, ScoreSpread, check_metrics
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.score import Score
@@ -167,7 +169,7 @@ def test_the_label_of_a_single_configuration_is_full_and_others_leave_out_what_a
     assert "All configurations: calibrated, timestep_s=0.5." in printed([made(**fine), made(backend="newton", **fine)])
 
 
-def test_labels_that_round_to_the_same_have_all_digits():
+def test_labels_that_round_to_the_same_are_stated_in_full():
     steps = [made(settings_given={"timestep_s": step}) for step in (0.125, 0.125 + 2**-20)]
     labels = configuration_labels(compare(steps).configurations)
     assert sorted(labels) == ["mujoco, timestep_s=0.125", "mujoco, timestep_s=0.12500095367431641"]
@@ -207,7 +209,7 @@ def test_repeats_that_diverged_are_counted_and_leave_the_cell_unscored_in_the_su
     assert (summary.ran, summary.scored, summary.diverged, summary.geometric_mean) == (1, 0, 1, None)
 
 
-def test_a_raw_score_without_baseline_is_in_its_unit():
+def test_a_raw_score_without_baseline_is_stated_in_its_unit():
     assert cells([made(score=Score(grade="trials", unit="mm", rmse=12.5))]) == ["12.50 mm"]
 
 

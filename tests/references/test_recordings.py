@@ -88,8 +88,8 @@ def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, ca
 
 def test_the_table_of_coverage_is_current_and_names_every_id(tmp_path: Path) -> None:
     assert build_coverage.main(["--check"]) == 0
-    page = (ROOT / "README.md").read_text(encoding="utf-8")
-    stale = tmp_path / "README.md"
+    page = (ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    stale = tmp_path / "coverage.md"
     stale.write_text(page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"), encoding="utf-8")
     assert build_coverage.main(["--check", "--out", str(stale)]) == 1
     assert sum(line.startswith(f"| {variant.name} |") for variant in variants() for line in page.splitlines()) == 75

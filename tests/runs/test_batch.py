@@ -80,7 +80,7 @@ def test_driven_and_undriven_experiments_take_zero_actions():
     assert driven.score.grade == "recording"
 
 
-def test_file_names_tell_all_requests_apart(result):
+def test_file_names_differ_between_requests(result):
     from dataclasses import replace
 
     others = [
@@ -99,18 +99,18 @@ def test_file_names_tell_all_requests_apart(result):
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        ({"subject": "SlopeSlider-2-gold"}, UnknownNameError),
+        ({"variant": "SlopeSlider-2-gold"}, UnknownNameError),
         ({"backend": "warp"}, UnknownNameError),
         ({"parameters": "nonsense"}, ParameterError),
         ({"parameters": {"cube.friction": -1}}, ParameterError),
         ({"settings": {"nope": 1}}, ParameterError),
         ({"seed": -1}, ParameterError),
-        ({"subject": SOFT}, UnsupportedSceneError),
+        ({"variant": SOFT}, UnsupportedSceneError),
     ],
 )
 def test_wrong_requests(options, error):
     with pytest.raises(error):
-        run_episode(RunRequest(**({"subject": NAME} | options)))
+        run_episode(RunRequest(**({"variant": NAME} | options)))
 
 
 def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
