@@ -10,7 +10,7 @@ import numpy as np
 
 from gauge_envs.analysis.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.analysis.distance import Distance, trajectory_distance
-from gauge_envs.analysis.scores import METRICS, Metric, ScoreSpread
+from gauge_envs.analysis.scores import COMPARED_METRICS, ComparedMetric, ScoreSpread
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.references.published import Baseline, published_baselines
@@ -44,19 +44,19 @@ class Cell:
         """Whether any repeat ran, also if it diverged."""
         return any(result.error is None for result in self.results)
 
-    def values(self, metric: Metric, *, normalized: bool) -> list[float | None]:
+    def values(self, metric: ComparedMetric, *, normalized: bool) -> list[float | None]:
         """Return the metric of each repeat, None for a repeat without it."""
         name = metric.normalized if normalized else metric.raw
         return [None if name is None else getattr(result.score, name) for result in self.results]
 
-    def spread(self, metric: Metric, *, normalized: bool) -> ScoreSpread | None:
+    def spread(self, metric: ComparedMetric, *, normalized: bool) -> ScoreSpread | None:
         """Return mean and scatter over the repeats that have the metric."""
         return ScoreSpread.of([value for value in self.values(metric, normalized=normalized) if value is not None])
 
     @property
     def normalized_rmse(self) -> float | None:
         """Mean normalized RMSE; None if a repeat has none, because a mean without failures would be too good."""
-        values = self.values(METRICS["rmse"], normalized=True)
+        values = self.values(COMPARED_METRICS["rmse"], normalized=True)
         kept = [value for value in values if value is not None]
         return float(np.mean(kept)) if kept and len(kept) == len(values) else None
 
@@ -101,13 +101,13 @@ class ExperimentComparison:
         """Id without `GAUGE/`."""
         return self.id.removeprefix("GAUGE/")
 
-    def metrics(self, among: Iterable[str] = tuple(METRICS)) -> list[str]:
+    def metrics(self, among: Iterable[str] = tuple(COMPARED_METRICS)) -> list[str]:
         """Return the metrics that a result has or that were published."""
         return [
             name
             for name in among
-            if METRICS[name].published in self.baselines
-            or any(cell is not None and cell.spread(METRICS[name], normalized=False) for cell in self.cells)
+            if COMPARED_METRICS[name].published in self.baselines
+            or any(cell is not None and cell.spread(COMPARED_METRICS[name], normalized=False) for cell in self.cells)
         ]
 
 

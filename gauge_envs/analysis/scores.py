@@ -8,22 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from gauge_envs.errors import UnknownNameError
+from gauge_envs.references.metrics import METRICS
 
 __all__ = [
-    "METRICS",
-    "Metric",
+    "COMPARED_METRICS",
+    "ComparedMetric",
     "ScoreSpread",
     "check_metrics",
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Metric:
-    """A metric of `Score`.
+class ComparedMetric:
+    """A column of a comparison: a metric of the benchmark, or the aligned RMSE.
 
     Attributes:
-        raw: Attribute of the value in its unit.
-        normalized: Attribute of the value over the mean of the real trials; None if the metric has none.
+        raw: Attribute of `Score` with the value in its unit.
+        normalized: Attribute of `Score` with the value over the mean of the real trials; None if it has none.
         published: Key of `published_baselines`; None if it was not published.
         unit: Unit; None is that of the observable.
     """
@@ -34,16 +35,21 @@ class Metric:
     unit: str | None = None
 
 
-METRICS: Mapping[str, Metric] = {
-    "rmse": Metric(raw="rmse", normalized="rmse_normalized", published="rmse"),
-    "dtw": Metric(raw="dtw", normalized="dtw_normalized", published="dtw"),
-    "rmse_aligned": Metric(raw="rmse_aligned", normalized="rmse_aligned_normalized", published=None),
-    "lsd": Metric(raw="lsd_s", normalized="lsd_normalized", published="lsd", unit="s"),
-    "mte": Metric(raw="mte", normalized="mte_normalized", published="mte", unit="1"),
-    "pd": Metric(raw="pd_s", normalized="pd_normalized", published="pd", unit="s"),
-    "el": Metric(raw="el", normalized=None, published="el", unit="1"),
-}
-"""Metrics by name, in the order of tables. `el` has no normalized value: its ideal is 0."""
+def _compared_metrics() -> dict[str, ComparedMetric]:
+    columns: dict[str, ComparedMetric] = {}
+    for key, metric in METRICS.items():
+        if metric.is_event and "rmse_aligned" not in columns:
+            columns["rmse_aligned"] = ComparedMetric(
+                raw="rmse_aligned", normalized="rmse_aligned_normalized", published=None
+            )
+        columns[key] = ComparedMetric(
+            raw=metric.score_field, normalized=metric.normalized_field, published=key, unit=metric.unit
+        )
+    return columns
+
+
+COMPARED_METRICS: Mapping[str, ComparedMetric] = _compared_metrics()
+"""Compared metrics by name, in the order of tables: the aligned RMSE follows the metrics that need a band."""
 
 
 def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
@@ -54,9 +60,9 @@ def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
     """
     chosen = tuple(dict.fromkeys(names))
     for name in chosen:
-        if name not in METRICS:
-            raise UnknownNameError("metric", name, METRICS)
-    return chosen or tuple(METRICS)
+        if name not in COMPARED_METRICS:
+            raise UnknownNameError("metric", name, COMPARED_METRICS)
+    return chosen or tuple(COMPARED_METRICS)
 
 
 @dataclass(frozen=True, kw_only=True)

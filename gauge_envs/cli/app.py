@@ -22,7 +22,7 @@ __all__ = [
 
 
 class _Group(typer.core.TyperGroup):
-    """Prints errors of gauge-envs without a traceback; the only place that catches them."""
+    """Group that prints errors of gauge-envs without a traceback; no other place catches them."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -39,6 +39,8 @@ app = typer.Typer(
     cls=_Group,
     name="gauge",
     help="Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark).",
+    epilog="Exit codes: 0 success; 1 a bad outcome, which the help of a command describes; 2 a wrong request; "
+    "130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -52,5 +54,5 @@ app.add_typer(data_app, name="data")
 
 
 def main() -> None:
-    """Entry point of the `gauge` command."""
+    """Run the `gauge` command."""
     app()

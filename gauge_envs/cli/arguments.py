@@ -19,10 +19,11 @@ __all__ = [
     "GLOB_CHARACTERS",
     "AssetOption",
     "DriversOption",
-    "ReferenceOption",
-    "WithheldOption",
     "Json",
     "ParametersOption",
+    "ReferenceOption",
+    "Wide",
+    "WithheldOption",
     "check_one_format",
     "is_glob",
     "matching_subjects",
@@ -35,11 +36,12 @@ __all__ = [
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, one object a line.")]
 
 
+Wide = Annotated[bool, typer.Option("--wide", help="All columns of the tables.")]
+
+
 AssetOption = Annotated[
     Path | None,
-    typer.Option(
-        "--asset", help="File that the scene is from, instead of the task file: a USD layer, or MJCF for mujoco."
-    ),
+    typer.Option("--asset", help="File with the scene, in place of the task file: a USD layer, or MJCF for mujoco."),
 ]
 
 
@@ -51,20 +53,22 @@ ParametersOption = Annotated[
 
 DriversOption = Annotated[
     DataSource,
-    typer.Option(
-        "--drivers", help="Driven motion: bundled, as the task file states; imported, as imported trials show."
-    ),
+    typer.Option("--drivers", help="Driven motion: bundled, from the task file; or imported, from imported trials."),
 ]
 
 
 ReferenceOption = Annotated[
     DataSource,
-    typer.Option("--reference", help="Band: bundled with the package; imported, of imported trials."),
+    typer.Option("--reference", help="Reference band: bundled with the package; or imported, from imported trials."),
 ]
 
 
 WithheldOption = Annotated[
-    bool, typer.Option("--use-withheld", help="Score also on a band that is withheld; gauge show reports why it is.")
+    bool,
+    typer.Option(
+        "--use-withheld",
+        help="Also use reference bands of low quality, which are withheld; gauge show ID gives the reason.",
+    ),
 ]
 
 
@@ -72,14 +76,15 @@ GLOB_CHARACTERS = "*?["
 
 
 def is_glob(pattern: str) -> bool:
+    """Return whether a text is a pattern, not an id."""
     return any(character in pattern for character in GLOB_CHARACTERS)
 
 
 def matching_variants(pattern: str) -> list[Variant]:
-    """Variants of an id or a pattern, with or without `GAUGE/`.
+    """Return the variants of an id or a pattern, with or without `GAUGE/`.
 
     Raises:
-        UnknownNameError: There are none; the message offers the nearest.
+        UnknownNameError: No variant matches; the message offers the nearest name.
     """
     if not is_glob(pattern):
         return [find_variant(pattern)]
@@ -91,7 +96,7 @@ def matching_variants(pattern: str) -> list[Variant]:
 
 
 def matching_subjects(pattern: str) -> Sequence[Variant | str]:
-    """Variants of an id or a pattern, or the path of an experiment file."""
+    """Return the variants of an id or a pattern, or the path of an experiment file."""
     from gauge_envs.experiments.scene_source import is_experiment_file
 
     return [pattern] if is_experiment_file(Path(pattern)) else matching_variants(pattern)
@@ -120,15 +125,22 @@ def _assigned(text: str) -> tuple[str, Any]:
 
 
 def parsed_parameters(text: str | None) -> Parameters | None:
+    """Return the name of a parameter set, or overrides such as `cube.friction=0.3,cube.mass_kg=0.1` as a dictionary."""
     if text is None or "=" not in text:
         return text
     return dict(_assigned(part) for part in _split(text))
 
 
 def parsed_settings(changes: Sequence[str]) -> dict[str, Any] | None:
+    """Return settings such as `timestep_s=0.0005` as a dictionary; None for no settings."""
     return dict(map(_assigned, changes)) or None
 
 
 def check_one_format(json_lines: bool, markdown: bool) -> None:
+    """Check that at most one output format is asked for.
+
+    Raises:
+        ParameterError: Both formats are asked for.
+    """
     if json_lines and markdown:
-        raise ParameterError("--json and --markdown exclude each other")
+        raise ParameterError("--json and --markdown exclude each other; give one of them")

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, check_one_format, parsed_settings
+from gauge_envs.cli.arguments import Json, Wide, check_one_format, parsed_settings
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
     plain_text,
     print_json_lines,
+    print_table,
     progress_bar,
     stderr_console,
     stdout_console,
@@ -34,7 +35,7 @@ __all__ = [
 
 
 class FailOn(StrEnum):
-    """From which verdict on a sanity check fails."""
+    """Least bad verdict with which a sanity check fails."""
 
     WRONG = "wrong"
     VISIBLE = "visible"
@@ -52,26 +53,25 @@ def sanity(
     pair: Annotated[
         str | None,
         typer.Option(
-            metavar="GEOM1,GEOM2", help="Contact whose constants are used, instead of the most frequent on ground."
+            metavar="GEOM1,GEOM2", help="Contact whose constants are used; by default the most frequent one on ground."
         ),
     ] = None,
     only: Annotated[
         list[str] | None, typer.Option("--only", help="Id or pattern of phenomena, as 'creep-*'; repeatable.")
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="Deformable bodies too, which take longer.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="Also check deformable bodies, which takes longer.")] = False,
     fail_on: Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")] = (
         FailOn.NEVER
     ),
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Page with pictures, in one file; none is written without it.")
-    ] = None,
+    html: Annotated[Path | None, typer.Option(metavar="FILE", help="File for an HTML page with pictures.")] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
     json_lines: Json = False,
+    wide: Wide = False,
 ) -> None:
-    """Tell what physics a training configuration gets wrong, and which of its settings are responsible.
+    """Report what physics a training configuration gets wrong, and which of its settings are responsible.
 
     Runs measured objects with the numerical settings of the target and of its backend's default, and compares both
-    with real trials. Exit code 1 also when nothing could be measured.
+    with real trials. Exit code 1 for a phenomenon as bad as --fail-on states, or when nothing could be measured.
     """
     from gauge_envs.checks.sanity import Verdict, check, configuration
     from gauge_envs.checks.sanity.phenomena import phenomena
@@ -95,7 +95,7 @@ def sanity(
     elif markdown:
         typer.echo(sanity_markdown(report), nl=False)
     else:
-        stdout_console().print(sanity_view(report))
+        stdout_console().print(sanity_view(report, wide=wide))
     if html is not None:
         stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
     bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
@@ -120,11 +120,7 @@ def backend_list(json_lines: Json = False) -> None:
     """List installed backends and the versions of their engines."""
     from gauge_envs.report import backend_rows, backend_table
 
-    rows = backend_rows()
-    if json_lines:
-        print_json_lines(rows)
-    else:
-        stdout_console().print(backend_table(rows))
+    print_table(backend_table(backend_rows()), json_lines=json_lines)
 
 
 @backend_app.command("check")
@@ -136,10 +132,11 @@ def backend_check(
     ] = None,
     json_lines: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
+    wide: Wide = False,
 ) -> None:
-    """Check backends against closed forms: small scenes that show where an engine is wrong, and why.
+    """Check backends against closed forms in small scenes, with a diagnosis of each failure.
 
-    Exit code 1 when a check failed or raised an error; what a backend declines is no failure.
+    Exit code 1 when a check failed or raised an error. A declined check is no failure.
     """
     from gauge_envs.checks.conformance import checks, run_checks
     from gauge_envs.report.conformance import findings_markdown, findings_view
@@ -160,7 +157,7 @@ def backend_check(
     if markdown:
         typer.echo(findings_markdown(findings))
     elif not json_lines:
-        stdout_console().print(findings_view(findings))
+        stdout_console().print(findings_view(findings, wide=wide))
     bad = sum(finding.is_bad for finding in findings)
     stderr.print(f"{counted(len(findings), 'check')}, {bad} failed")
     if bad:

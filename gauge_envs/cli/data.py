@@ -8,12 +8,13 @@ from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, matching_variants
+from gauge_envs.cli.arguments import Json, Wide, matching_variants
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
     plain_text,
     print_json_lines,
+    print_table,
     progress_bar,
     stderr_console,
     stdout_console,
@@ -40,18 +41,18 @@ def data_download(
         typer.Option("--pattern", help="Files in the dataset, as 'data/rigid/slope slider/*'; repeatable; all trials."),
     ] = None,
     revision: Annotated[
-        str | None, typer.Option(help="Commit, branch or tag; by default the one that the bundled facts are from.")
+        str | None, typer.Option(help="Commit, branch or tag; by default the one of the bundled data.")
     ] = None,
     folder: Annotated[Path | None, typer.Option("--to", help="Folder; by default below the user's data.")] = None,
 ) -> None:
-    """Download the GAUGE dataset (10 GB in all); an interrupted download goes on where it stopped."""
+    """Download the GAUGE dataset (10 GB in all); an interrupted download resumes."""
     from gauge_envs.dataset.download import DATASET, PINNED_REVISION, TRIAL_FILES, download_dataset, resolved_revision
 
     commit = resolved_revision(revision or PINNED_REVISION)
     stderr_console().print(f"{DATASET}, revision {revision or PINNED_REVISION} is {commit}", soft_wrap=True)
     path, _ = download_dataset(folder, patterns=patterns or [TRIAL_FILES], revision=commit)
     typer.echo(path)
-    stderr_console().print(plain_text(f"gauge data import '{path}' makes bands and drivers of it"), soft_wrap=True)
+    stderr_console().print(plain_text(f"gauge data import '{path}' makes bands and drivers from it"), soft_wrap=True)
 
 
 @data_app.command("import")
@@ -64,7 +65,7 @@ def data_import(
 ) -> None:
     """Make bands and drivers of real trials, beside the published baselines; offline.
 
-    A damaged file is reported and left out, the others are used. Exit code 1 when any was left out.
+    A damaged file is reported and left out. Exit code 1 when any file was left out.
     """
     from gauge_envs.dataset.importer import import_trials
     from gauge_envs.dataset.layout import find_trials
@@ -104,16 +105,13 @@ def data_import(
 def data_status(
     pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
     json_lines: Json = False,
+    wide: Wide = False,
 ) -> None:
     """Show what each experiment is scored against and driven by, and its baselines beside the published ones."""
     from gauge_envs.dataset.status import status_rows
     from gauge_envs.report.dataset import status_table
 
-    rows = status_rows(matching_variants(pattern))
-    if json_lines:
-        print_json_lines(rows)
-    else:
-        stdout_console().print(status_table(rows))
+    print_table(status_table(status_rows(matching_variants(pattern))), json_lines=json_lines, wide=wide)
 
 
 assets_app = typer.Typer(help="Scenes as USD, MJCF and OBJ for other tools.", no_args_is_help=True)
@@ -139,16 +137,18 @@ def assets_build(
 
 @assets_app.command("list")
 def assets_list(json_lines: Json = False) -> None:
-    """List the built assets, and what each shows."""
-    from rich.table import Table
-
+    """List the built assets and their experiments."""
     from gauge_envs.experiments.export.assets import asset_rows, assets_folder
+    from gauge_envs.report.table import Column, Table
 
-    rows = asset_rows(assets_folder())
-    if json_lines:
-        print_json_lines(rows)
-        return
-    table = Table("file", "KiB", "of", box=None)
-    for row in rows:
-        table.add_row(row["file"], f"{row['bytes'] / 1024:.1f}", row["of"])
-    stdout_console().print(table)
+    columns = (
+        Column("file", "file"),
+        Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True),
+        Column("of", "of", _owners_text),
+    )
+    print_table(Table(columns=columns, rows=asset_rows(assets_folder())), json_lines=json_lines)
+
+
+def _owners_text(names: str) -> str:
+    first, *others = names.split(", ")
+    return f"{first} and {len(others)} more" if others else first

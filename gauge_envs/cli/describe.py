@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, matching_variants
-from gauge_envs.cli.output import counted, print_json_lines, stdout_console
+from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, Wide, matching_variants
+from gauge_envs.cli.output import counted, print_json_lines, print_table, stdout_console
 from gauge_envs.references.imported import DataSource
 
 __all__ = [
@@ -20,19 +20,19 @@ __all__ = [
 def list_(
     pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
     json_lines: Json = False,
+    wide: Wide = False,
 ) -> None:
-    """List experiments: what they observe, how good their reference is, and which backends can run them."""
+    """List experiments with their observable, the grade of their reference, and the backends that can run them."""
     from gauge_envs.report import control_summary, list_rows, list_table
 
     rows = list_rows(matching_variants(pattern))
+    print_table(list_table(rows), json_lines=json_lines, wide=wide)
     if json_lines:
-        print_json_lines(rows)
         return
     families = len({row["family"] for row in rows})
     console = stdout_console()
-    console.print(list_table(rows))
     if pattern == "*":
-        console.print(control_summary(), soft_wrap=True)
+        console.print(control_summary())
     console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
 
 
@@ -43,9 +43,9 @@ def show(
     reference: ReferenceOption = DataSource.BUNDLED,
     json_lines: Json = False,
 ) -> None:
-    """Show one experiment: scene, constants and where each number is from, reference, published scores.
+    """Show one experiment: scene, constants and their sources, reference, published scores.
 
-    Of a control task: its law, limit and reward.
+    For a control task: law, limit and reward.
     """
     from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
@@ -63,12 +63,12 @@ def show(
         stdout_console().print(view)
 
 
-def materials(json_lines: Json = False) -> None:
-    """Show the six fabrics in every engine's constants, what comes back from them, and what is lost."""
+def materials(json_lines: Json = False, wide: Wide = False) -> None:
+    """Show the six fabrics in every engine's constants, the stiffness that these give, and what is lost."""
     from gauge_envs.experiments.fabrics import fabrics
     from gauge_envs.report import material_values, material_view
 
     if json_lines:
         print_json_lines([material_values(fabrics())])
     else:
-        stdout_console().print(material_view(fabrics()))
+        stdout_console().print(material_view(fabrics(), wide=wide))

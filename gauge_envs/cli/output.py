@@ -1,4 +1,7 @@
-"""Terminal output and exit codes."""
+"""Terminal output and exit codes.
+
+Exit code 0 is success. The commands document when they use the others.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ from typing import Any
 import typer
 from rich.console import Console
 
+from gauge_envs.report.table import Table, as_rich, as_rows
+
 __all__ = [
     "EXIT_FAILED",
     "EXIT_INTERRUPTED",
@@ -18,6 +23,7 @@ __all__ = [
     "counted",
     "plain_text",
     "print_json_lines",
+    "print_table",
     "progress_bar",
     "stderr_console",
     "stdout_console",
@@ -25,42 +31,47 @@ __all__ = [
 
 
 PIPE_WIDTH = 140
-"""Width of tables where there is no terminal [characters]; rich would take 80, and cut them."""
+"""Width of tables where there is no terminal [characters]; rich would take 80."""
 
 
 EXIT_FAILED = 1
-"""An episode failed, diverged, or was asked for by name and declined."""
+"""The command ran, with a bad outcome: a failed episode or check, a damaged file, a stale asset."""
 
 
 EXIT_USAGE = 2
-"""What was asked for cannot be done."""
+"""The request is wrong: an unknown name, a missing file, an unsupported option."""
 
 
 EXIT_INTERRUPTED = 130
+"""Ctrl-C."""
 
 
 def stdout_console() -> Console:
+    """Return the console of results."""
     return _widened(Console())
 
 
 def stderr_console() -> Console:
+    """Return the console of messages and progress."""
     return _widened(Console(stderr=True, highlight=False))
 
 
 def _widened(console: Console) -> Console:
-    """A console that does not cut tables where there is no terminal."""
+    """Give a console without a terminal a fixed width, unless `COLUMNS` states one."""
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = PIPE_WIDTH
     return console
 
 
 def plain_text(text: str) -> str:
+    """Return a text in which rich interprets no brackets."""
     from rich.markup import escape
 
     return escape(text)
 
 
 def progress_bar(console: Console) -> Any:
+    """Return a progress bar, which only a terminal shows."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
@@ -68,9 +79,19 @@ def progress_bar(console: Console) -> Any:
 
 
 def print_json_lines(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print one JSON object per line on stdout."""
     for row in rows:
         typer.echo(json.dumps(row, allow_nan=False))
 
 
+def print_table(table: Table, *, json_lines: bool, wide: bool = False) -> None:
+    """Print a table, or its rows as JSON objects."""
+    if json_lines:
+        print_json_lines(as_rows(table))
+    else:
+        stdout_console().print(as_rich(table, wide=wide))
+
+
 def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: `1 check`, `2 checks`."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

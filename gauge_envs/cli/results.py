@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, WithheldOption, check_one_format
+from gauge_envs.cli.arguments import Json, Wide, WithheldOption, check_one_format
 from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, stderr_console, stdout_console
 from gauge_envs.errors import ParameterError, ResultFileError
 
@@ -30,7 +30,7 @@ def plot(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
 ) -> None:
-    """Plot results over the real band, one PNG an experiment; several results of one experiment share it."""
+    """Plot results over the real band, one PNG per experiment. Exit code 1 when a damaged file was skipped."""
     from gauge_envs.report.figures.experiment import save_figures
 
     results, skipped = _loaded(sources)
@@ -46,15 +46,17 @@ def compare(
     ] = None,
     json_lines: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Tables as GitHub Markdown.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for pictures; none are drawn without it.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Draw pictures into this folder.")] = None,
     metrics: Annotated[
         list[str] | None,
         typer.Option("--metric", help="Repeatable: rmse, dtw, rmse_aligned, lsd, mte, pd, el; all by default."),
     ] = None,
+    wide: Wide = False,
 ) -> None:
-    """Compare engines, parameters and settings: scores side by side, and where they disagree without a reference.
+    """Compare engines, parameters and settings: scores side by side, and distances where there is no reference.
 
-    Results that differ in their seed alone are repeats: mean and scatter. Exit code 1 when a damaged file was skipped.
+    Results that differ in their seed alone are repeats, shown as mean and scatter. Exit code 1 when a damaged file was
+    skipped.
     """
     from gauge_envs.analysis.comparison import compare as compare_results
     from gauge_envs.analysis.scores import check_metrics
@@ -69,7 +71,7 @@ def compare(
     elif markdown:
         typer.echo(comparison_markdown(comparison, chosen), nl=False)
     else:
-        stdout_console().print(comparison_view(comparison, chosen))
+        stdout_console().print(comparison_view(comparison, chosen, wide=wide))
     if out is not None:
         from gauge_envs.report.figures.overview import save_comparison
 
@@ -84,20 +86,21 @@ def diagnose(
         list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
     ] = None,
     name: Annotated[
-        str | None, typer.Option("--id", help="Files are trajectories of this experiment, as for gauge score.")
+        str | None, typer.Option("--id", help="Experiment of trajectory files, as for gauge score.")
     ] = None,
     order: Annotated[
         str, typer.Option(help="Parts in the order in which they are added to the fit.")
     ] = "release,offset,rate",
     measured_only: Annotated[bool, typer.Option("--measured-only", help="Leave out extrapolated frames.")] = False,
     use_withheld: WithheldOption = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for a picture; none is drawn without it.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Draw a picture into this folder.")] = None,
     json_lines: Json = False,
+    wide: Wide = False,
 ) -> None:
     """Split the error of episodes: release time, constant offset, rate or scale of the motion, and the rest.
 
-    Results without a reference, or that did not run to their end, are told and left out; exit code 2 where none is
-    left, 1 when a damaged file was skipped.
+    Results without a reference, or that did not run to their end, are reported and left out. Exit code 2 when no
+    result is left, 1 when a damaged file was skipped.
     """
     from gauge_envs.analysis.error_budget import DiagnosisError, stage_order
     from gauge_envs.analysis.error_budget import diagnose as diagnose_result
@@ -109,7 +112,7 @@ def diagnose(
         results, skipped = _loaded(sources)
     else:
         if not sources:
-            raise ParameterError("--id says what trajectory files are of: give the files")
+            raise ParameterError("--id needs trajectory files: give one or more")
         results, skipped = [score_file(file, variant=name, use_withheld=use_withheld)[0] for file in sources], 0
     pairs: list[tuple[Result, Diagnosis]] = []
     reasons: list[str] = []
@@ -126,7 +129,7 @@ def diagnose(
     if json_lines:
         print_json_lines(diagnosis_rows(pairs))
     else:
-        stdout_console().print(diagnosis_view(pairs))
+        stdout_console().print(diagnosis_view(pairs, wide=wide))
     if out is not None:
         from gauge_envs.report.figures.budgets import save_diagnoses
 
@@ -136,7 +139,7 @@ def diagnose(
 
 
 def _loaded(sources: Sequence[Path] | None) -> tuple[list[Result], int]:
-    """Results of files and folders, each file once, and how many were skipped because they are damaged."""
+    """Return the results of files and folders, each file once, and the number of damaged files."""
     from gauge_envs.runs.result_file import load_result
 
     files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))

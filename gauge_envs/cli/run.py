@@ -15,6 +15,7 @@ from gauge_envs.cli.arguments import (
     Json,
     ParametersOption,
     ReferenceOption,
+    Wide,
     WithheldOption,
     is_glob,
     matching_subjects,
@@ -63,10 +64,12 @@ def run(
     seed: Annotated[int, typer.Option(min=0)] = 0,
     marker_proxy: Annotated[
         str,
-        typer.Option(help="What stands for a marker on a deformable body: node, the nearest, or material, its own."),
+        typer.Option(
+            help="Marker proxy on a deformable body: node, the nearest tracked node; or material, the material point."
+        ),
     ] = "node",
     repeats: Annotated[
-        int, typer.Option(min=1, help="Runs of each, at once, from starts that scatter as real ones do.")
+        int, typer.Option(min=1, help="Runs of each experiment, from starts with the scatter of real ones.")
     ] = 1,
     jitter_mm: Annotated[
         float | None, typer.Option(min=0.0, help="Standard deviation of start positions [mm]; 1.0 with --repeats.")
@@ -75,13 +78,14 @@ def run(
         float | None, typer.Option(min=0.0, help="Standard deviation of start angles [deg]; 0.5 with --repeats.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
-    resume: Annotated[bool, typer.Option(help="Keep results that are there already.")] = False,
+    resume: Annotated[bool, typer.Option(help="Keep results that exist already.")] = False,
     json_lines: Json = False,
+    wide: Wide = False,
 ) -> None:
-    """Run experiments, score them against reality, and write a result file each.
+    """Run experiments, score them against reality, and write a result file for each.
 
-    Exit code 1 when an episode failed or diverged, or one that was asked for by its id was declined; those that a
-    pattern or --all adds may be declined.
+    Exit code 1 when an episode failed or diverged, or when an experiment given by its id was declined. Experiments of
+    a pattern or of --all may be declined.
     """
     from gauge_envs.report import summary_view
     from gauge_envs.runs.batch import check_requests, run_many
@@ -136,9 +140,9 @@ def run(
                     print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
         kept = sum(result.error is None for result in results)
-        stderr.print(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume goes on from there")
+        stderr.print(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
         raise typer.Exit(EXIT_INTERRUPTED) from None
-    (stderr if json_lines else stdout_console()).print(summary_view(results))
+    (stderr if json_lines else stdout_console()).print(summary_view(results, wide=wide))
     stderr.print(_totals(results, out))
     bad = (Outcome.FAILED, Outcome.DIVERGED)
     if any(r.outcome in bad or (r.outcome is Outcome.DECLINED and r.id in by_name) for r in results):
@@ -154,6 +158,7 @@ def score(
     reference: ReferenceOption = DataSource.BUNDLED,
     use_withheld: WithheldOption = False,
     json_lines: Json = False,
+    wide: Wide = False,
 ) -> None:
     """Score a trajectory from your own simulator: g(t) in the observable's unit (mm for positions), no engine needed.
 
@@ -171,12 +176,12 @@ def score(
     )
     if interpolated:
         stderr_console().print(
-            f"[yellow]note:[/] {counted(interpolated, 'frame')} lay between samples: interpolated linearly"
+            f"[yellow]note:[/] {counted(interpolated, 'frame')} between samples: interpolated linearly"
         )
     if json_lines:
         print_json_lines([result.to_dict(trajectory=False)])
     else:
-        stdout_console().print(summary_view([result]))
+        stdout_console().print(summary_view([result], wide=wide))
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:

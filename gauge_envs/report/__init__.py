@@ -2,8 +2,9 @@
 
 from gauge_envs.report.comparison import comparison_markdown, comparison_rows, comparison_view
 from gauge_envs.report.control import control_description, control_summary, control_view
+from gauge_envs.report.description import description, description_view
 from gauge_envs.report.diagnosis import diagnosis_rows, diagnosis_view
-from gauge_envs.report.listing import backend_rows, backend_table, description, description_view, list_rows, list_table
+from gauge_envs.report.listing import backend_rows, backend_table, list_rows, list_table
 from gauge_envs.report.materials import material_values, material_view
 from gauge_envs.report.results import configuration_labels, result_label, summary_view
 from gauge_envs.report.text import ALIGNED_TITLE, ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, NORMALIZED_NOTE, score_text

@@ -1,16 +1,16 @@
-"""Findings as a table: one row a check, one column a backend."""
+"""Results of conformance checks as a table: one row per check, one column per backend."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.markup import escape
-from rich.table import Table
 from rich.text import Text
 
 from gauge_envs.checks.conformance.model import CheckResult, Status
+from gauge_envs.report.table import Column, Table, as_markdown, as_rich
+from gauge_envs.report.text import pairs_text
 
 __all__ = [
     "findings_markdown",
@@ -21,36 +21,44 @@ STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim",
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
 
 
-def findings_view(findings: Sequence[CheckResult]) -> Group:
-    """Table, diagnoses of what failed, reasons of what was declined, versions and settings; for a terminal."""
-    names = _backends(findings)
-    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
-    for title in ("check", "law", "expected"):
-        table.add_column(title, overflow="fold")
-    for name in names:
-        table.add_column(escape(name), overflow="fold")
-    for row in _rows(findings):
-        first = next(iter(row.values()))
-        cells = [_cell(row[name]) if name in row else Text("") for name in names]
-        table.add_row(escape(first.check), escape(first.law), escape(_expected(row)), *cells)
-    parts: list[RenderableType] = [table]
+def findings_view(findings: Sequence[CheckResult], *, wide: bool = False) -> Group:
+    """Return the table, diagnoses of failures, reasons of what was declined, versions and settings, for a terminal."""
+    parts: list[RenderableType] = [as_rich(_findings_table(findings, lambda one: one.check), wide=wide)]
     for title, lines in _notes(findings):
         parts += [Text(""), Text(title, style="bold"), *(Text(f"  {line}") for line in lines)]
     return Group(*parts)
 
 
 def findings_markdown(findings: Sequence[CheckResult]) -> str:
-    """The same table in Markdown, for a README, with the notes below it as lists."""
-    names = _backends(findings)
-    lines = [f"| check | law | expected | {' | '.join(names)} |", "|---" * (3 + len(names)) + "|"]
-    for row in _rows(findings):
-        first = next(iter(row.values()))
-        cells = [_cell(row[name]).plain if name in row else "" for name in names]
-        entries = (f"{first.title} (`{first.check}`)", first.law, _expected(row), *cells)
-        lines.append("| " + " | ".join(entry.replace("|", "\\|") for entry in entries) + " |")
+    """Return the same table in Markdown, for a README, with the notes below it as lists."""
+    lines = [as_markdown(_findings_table(findings, lambda one: f"{one.title} (`{one.check}`)")).rstrip()]
     for title, notes in _notes(findings):
         lines += ["", f"{title}:", "", *(f"- {note}" for note in notes)]
     return "\n".join(lines)
+
+
+def _findings_table(findings: Sequence[CheckResult], name: Callable[[CheckResult], str]) -> Table:
+    def first(text: Callable[[CheckResult], str]) -> Callable[[Mapping[str, CheckResult]], str]:
+        return lambda row: text(next(iter(row.values())))
+
+    return Table(
+        columns=(
+            Column("", "check", first(name)),
+            Column("", "law", first(lambda one: one.law), wide_only=True),
+            Column("", "expected", _expected),
+            *(Column(backend, backend, _measured, style=_style) for backend in _backends(findings)),
+        ),
+        rows=_rows(findings),
+    )
+
+
+def _measured(finding: CheckResult) -> str:
+    measured = "" if finding.measured is None else f"{_number(finding.measured)} "
+    return measured + WORDS[finding.status]
+
+
+def _style(finding: CheckResult | None) -> str:
+    return "" if finding is None else STYLES[finding.status]
 
 
 def _backends(findings: Sequence[CheckResult]) -> list[str]:
@@ -58,7 +66,7 @@ def _backends(findings: Sequence[CheckResult]) -> list[str]:
 
 
 def _rows(findings: Sequence[CheckResult]) -> list[dict[str, CheckResult]]:
-    """Findings of each check by backend, in the order of the checks."""
+    """Return the results of each check by backend, in the order of the checks."""
     rows: dict[str, dict[str, CheckResult]] = {}
     for finding in findings:
         rows.setdefault(finding.check, {})[finding.backend] = finding
@@ -74,7 +82,7 @@ def _with_unit(text: str, unit: str) -> str:
 
 
 def _expected(row: Mapping[str, CheckResult]) -> str:
-    """Expected value with the pass mark; empty where no backend was measured."""
+    """Return the expected value with its tolerance; empty if no backend was measured."""
     for finding in row.values():
         if finding.expected is not None and finding.width is not None:
             expected = _number(finding.expected)
@@ -83,14 +91,8 @@ def _expected(row: Mapping[str, CheckResult]) -> str:
     return ""
 
 
-def _cell(finding: CheckResult) -> Text:
-    word = WORDS[finding.status]
-    measured = "" if finding.measured is None else f"{_number(finding.measured)} "
-    return Text(measured + word, style=STYLES[finding.status])
-
-
 def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
-    """What stands below the table: title and lines."""
+    """Yield the titles and lines below the table."""
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
         yield "Diagnoses", [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in bad]
@@ -107,7 +109,7 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
-    """Settings that all checks share, then what each group of checks has beyond them."""
+    """Yield the settings that all checks share, then those of each group of checks."""
     groups: list[tuple[Mapping[str, Any], list[str]]] = []
     for finding in findings:
         if not finding.settings:
@@ -121,19 +123,11 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
         return
     first = groups[0][0]
     shared = {key for key in first if all(key in s and s[key] == first[key] for s, _ in groups)}
-    yield "all: " + (_assignments({key: first[key] for key in first if key in shared}) or "nothing in common")
+    yield "all: " + (pairs_text({key: first[key] for key in first if key in shared}) or "nothing in common")
     for settings, ids in groups:
-        own = _assignments({key: value for key, value in settings.items() if key not in shared})
+        own = pairs_text({key: value for key, value in settings.items() if key not in shared})
         if own:
             yield f"{', '.join(ids)}: {own}"
-
-
-def _assignments(settings: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key}={_value(value)}" for key, value in settings.items())
-
-
-def _value(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _what(finding: CheckResult) -> str:

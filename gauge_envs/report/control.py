@@ -1,4 +1,4 @@
-"""Control tasks, for the command line."""
+"""Control tasks: a summary, and one task in full."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from rich.text import Text
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.tasks import ControlTask, control_tasks
 from gauge_envs.files import json_ready
-from gauge_envs.report.text import facts_grid, heading, shortened
+from gauge_envs.report.table import Facts
+from gauge_envs.report.text import heading, shortened
 
 __all__ = [
     "control_description",
@@ -24,13 +25,13 @@ __all__ = [
 
 
 def control_summary() -> str:
-    """The control tasks in a line."""
+    """Return the control tasks in a line."""
     ids = [task.id for task in control_tasks()]
     return f"extra, {len(ids)} control tasks whose optimum a law gives: {shortened(ids)}; gauge show explains one"
 
 
 def control_description(task: ControlTask) -> dict[str, Any]:
-    """What defines one control task, JSON-ready."""
+    """Return what defines one control task, JSON-ready."""
     env = gymnasium.make(task.id).unwrapped
     assert isinstance(env, ControlEnv)
     bases = [base for base in type(env).__mro__ if issubclass(base, ControlEnv) and base is not ControlEnv]
@@ -47,14 +48,14 @@ def control_description(task: ControlTask) -> dict[str, Any]:
 
 
 def control_view(values: Mapping[str, Any]) -> Group:
-    """The dictionary of `control_description`, for reading."""
+    """Return the dictionary of `control_description` for a terminal."""
     limit = values["limit"]
     unit = "" if limit["unit"] == "1" else f" {limit['unit']}"
     return Group(
         Text(f"{values['id']}  control task", style="bold"),
-        facts_grid(
+        Facts(
             {
-                "scene": f"that of {values['scene']}, where the action takes the driver's place",
+                "scene": f"that of {values['scene']}, with the action instead of the driver",
                 "episode": f"{values['duration_s']:g} s, one step is 1/30 s",
                 "observed": ", ".join(values["observed"]),
                 "law": limit["law"],

@@ -1,4 +1,4 @@
-"""Tables of imports and of the dataset's state, for reading."""
+"""Tables of imports and of the state of the dataset."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Group
-from rich.markup import escape
-from rich.table import Table
 from rich.text import Text
 
 from gauge_envs.dataset.importer import FLAGGED_DIFFERENCE, BaselineRow, ImportedTrials
-from gauge_envs.references.imported import DriverRecord
-from gauge_envs.report.text import METRIC_TITLES
+from gauge_envs.report.table import Column, Place, Table, as_rich
+from gauge_envs.report.text import METRIC_TITLES, short_id
 
 __all__ = [
     "import_view",
@@ -21,49 +19,44 @@ __all__ = [
 
 
 def import_view(imports: Sequence[ImportedTrials]) -> Group:
-    """Own baselines beside the paper's, one row a metric, and the imported drivers."""
-    table = _table("experiment", "trials", "left out", "metric", "own baseline", "published", "difference")
-    for one in imports:
-        for number, row in enumerate(one.rows):
-            shown = (one.variant.name, str(one.used), str(one.left_out)) if number == 0 else ("", "", "")
-            table.add_row(*shown, METRIC_TITLES[row.metric], _own(row), _published(row), _difference(row))
-    parts: list[Any] = [table]
-    driven = [(one.variant.name, driver) for one in imports if one.record for driver in one.record.drivers]
-    if driven:
-        drivers = _table("experiment", "driver", "trials", "left out by its motions", "start off by", "scatter")
-        for name, driver in driven:
-            drivers.add_row(name, *_driver(driver))
-        parts += [Text(""), drivers]
+    """Return the own baselines beside the paper's, one row per metric, and the imported drivers."""
+    baselines = [
+        {"name": one.variant.name, "trials": f"{one.used} trials, {one.left_out} left out", "row": row}
+        for one in imports
+        for row in one.rows
+    ]
+    drivers = [
+        {"name": one.variant.name, "driver": driver} for one in imports if one.record for driver in one.record.drivers
+    ]
     flagged = sum(row.is_flagged for one in imports for row in one.rows)
     note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
-    parts += [Text(""), Text(note, style="yellow" if flagged else "dim")]
-    return Group(*parts)
+    return Group(
+        as_rich(Table(columns=BASELINE_COLUMNS, rows=baselines)),
+        *([as_rich(Table(title="Drivers", columns=DRIVER_COLUMNS, rows=drivers))] if drivers else []),
+        Text(f"\n{note}", style="yellow" if flagged else "dim"),
+    )
 
 
-def status_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Rows of `status_rows` as a table."""
-    table = _table("experiment", "grade", "trials", "driver", "metric", "own baseline", "published")
-    for row in rows:
-        grade = f"{row['grade']}, imported" if row["imported"] else row["grade"]
-        grade += "; task file changed" if row["is_current"] is False else ""
-        drivers = ", ".join(f"{driver['body']}: {driver['provenance']}" for driver in row["drivers"]) or "-"
-        first = (row["id"].removeprefix("GAUGE/"), grade, str(row["trials"] or "-"), drivers)
-        for number, line in enumerate(row["baselines"] or [None]):
-            cells = first if number == 0 else ("", "", "", "")
-            if line is None:
-                table.add_row(*cells, "-", "-", "-")
-                continue
-            own = _spread(line["own_mean"], line["own_std"])
-            published = _spread(line["published_mean"], line["published_std"])
-            table.add_row(*cells, METRIC_TITLES[line["metric"]], own, published)
-    return table
+def status_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the rows of `status_rows` as a table."""
+    return Table(columns=STATUS_COLUMNS, rows=rows, notes=(STATUS_NOTE,))
 
 
-def _table(*titles: str) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for title in titles:
-        table.add_column(escape(title), overflow="fold")
-    return table
+def _grade_text(row: Mapping[str, Any]) -> str:
+    grade = f"{row['grade']}, imported" if row["imported"] else row["grade"]
+    return f"{grade}; task file changed" if row["is_current"] is False else grade
+
+
+def _drivers_text(drivers: Sequence[Mapping[str, Any]]) -> str:
+    return ", ".join(f"{driver['body']}: {driver['provenance']}" for driver in drivers) or "-"
+
+
+def _baselines_text(lines: Sequence[Mapping[str, Any]]) -> str:
+    texts = []
+    for line in lines:
+        own, published = (_spread(line[f"{whose}_mean"], line[f"{whose}_std"]) for whose in ("own", "published"))
+        texts.append(f"{METRIC_TITLES[line['metric']]} own {own}, published {published}")
+    return "; ".join(texts)
 
 
 def _spread(mean: float | None, std: float | None) -> str:
@@ -83,22 +76,44 @@ def _published(row: BaselineRow) -> str:
 
 
 def _difference(row: BaselineRow) -> str:
-    if row.difference is None:
-        return "-"
-    text = f"{100 * row.difference:+.1f} %"
-    return f"[yellow]{text}[/]" if row.is_flagged else text
+    return "-" if row.difference is None else f"{100 * row.difference:+.1f} %"
 
 
-def _driver(driver: DriverRecord) -> tuple[str, ...]:
-    return (
-        driver.body,
-        str(driver.trial_count),
-        _amounts(driver.residual_mm, driver.residual_deg),
-        f"{driver.start_offset_mm:.2g} mm",
-        _amounts(driver.scatter_mm, driver.scatter_deg),
-    )
+def _flag_style(row: BaselineRow) -> str:
+    return "yellow" if row.is_flagged else ""
 
 
 def _amounts(length_mm: float | None, angle_deg: float | None) -> str:
     amounts = ((length_mm, "mm"), (angle_deg, "deg"))
     return ", ".join(f"{value:.2g} {unit}" for value, unit in amounts if value is not None) or "-"
+
+
+BASELINE_COLUMNS = (
+    Column("name", "experiment", place=Place.HEADING),
+    Column("trials", "", place=Place.HEADING),
+    Column("row.metric", "metric", METRIC_TITLES.__getitem__),
+    Column("row", "own baseline", _own, is_number=True),
+    Column("row", "published", _published, is_number=True),
+    Column("row", "difference", _difference, is_number=True, style=_flag_style),
+)
+
+DRIVER_COLUMNS = (
+    Column("name", "experiment", place=Place.HEADING),
+    Column("driver.body", "body"),
+    Column("driver.trial_count", "trials", is_number=True),
+    Column("driver", "left out by its motions", lambda one: _amounts(one.residual_mm, one.residual_deg)),
+    Column("driver.start_offset_mm", "start off by", lambda value: f"{value:.2g} mm", is_number=True),
+    Column("driver", "scatter", lambda one: _amounts(one.scatter_mm, one.scatter_deg)),
+)
+
+STATUS_COLUMNS = (
+    Column("id", "experiment", short_id),
+    Column("", "grade", _grade_text),
+    Column("trials", "trials", is_number=True),
+    Column("drivers", "driver", _drivers_text),
+    Column("baselines", "baselines", _baselines_text, place=Place.BELOW),
+)
+
+STATUS_NOTE = (
+    "Baselines: mean (standard deviation) of the real trials, own from imported trials, published from Table 5."
+)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
-from gauge_envs.report.text import facts_grid, heading, markdown_row, quantity_text, rows_table, vector_text
+from gauge_envs.report.table import Column, Facts, Place, Table, as_markdown, as_rich
+from gauge_envs.report.text import heading, quantity_text, vector_text
 
 __all__ = [
     "VERDICT_NOTES",
@@ -34,38 +35,40 @@ VERDICT_NOTES = {
 
 STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bold red", Verdict.DECLINED: "dim"}
 
-TITLES = ("phenomenon", "reality", "default", "this", "verdict", "responsible")
-
 LEGEND = (
-    "Reality: mean +- standard deviation (sigma) of real trials. Default: the backend's own settings. Responsible: "
-    "found by putting one setting at a time back to the default and measuring again."
+    "Reality: mean +- standard deviation (sigma) of real trials. Default: the backend's default settings. This: the "
+    "checked configuration. Below a row: the settings that are responsible, found by resetting one setting at a time "
+    "to the default and measuring again."
 )
 
 
 def sanity_rows(report: Report) -> list[dict[str, Any]]:
-    """JSON-ready objects: what was checked, with the worst verdict, then one a phenomenon, without its curve."""
+    """Return JSON-ready objects: the configuration with the worst verdict, then each phenomenon without its curve."""
     whole = report.to_dict()
     rows = whole.pop("rows")
     return [whole, *({key: value for key, value in row.items() if key != "curve"} for row in rows)]
 
 
-def sanity_view(report: Report) -> Group:
-    """A sanity check for reading: what was read, the table of phenomena, and what the words mean."""
+def sanity_view(report: Report, *, wide: bool = False) -> Group:
+    """Return a sanity check for a terminal: what was read, the table of phenomena, and the meaning of the verdicts."""
     checked = report.configuration
-    parts: list[Any] = [heading(checked.name), facts_grid(_facts(checked))]
-    if len(checked.contact_groups) > 1:
-        parts += [heading("Contacts of the model"), _groups_table(checked)]
-    parts += [Text(f"note: {note}", style="yellow") for note in checked.notes]
-    parts += [heading("Phenomena"), _phenomena_table(report)]
-    parts += [Text(""), Text(tally_text(report), style="bold"), Text(LEGEND, style="dim")]
-    parts += [Text(f"{verdict.value}: {VERDICT_NOTES[verdict]}", style="dim") for verdict in _present(report)]
-    return Group(*parts)
+    return Group(
+        heading(checked.name),
+        Facts(_facts(checked)),
+        *([as_rich(_contact_table(checked), wide=wide)] if len(checked.contact_groups) > 1 else []),
+        *(Text(f"note: {note}", style="yellow") for note in checked.notes),
+        as_rich(_phenomenon_table(report), wide=wide),
+        Text(""),
+        Text(tally_text(report), style="bold"),
+        Text(LEGEND, style="dim"),
+        *(Text(f"{verdict.value}: {VERDICT_NOTES[verdict]}", style="dim") for verdict in _present(report)),
+    )
 
 
 def sanity_markdown(report: Report) -> str:
-    """The table of phenomena as GitHub Markdown, and how many rows have each verdict."""
-    rows = [TITLES, ("---",) * len(TITLES), *map(_cells, report.rows)]
-    return "\n".join([*map(markdown_row, rows), "", f"{report.configuration.name}: {tally_text(report)}"]) + "\n"
+    """Return the table of phenomena as GitHub Markdown, and the number of rows with each verdict."""
+    table = replace(_phenomenon_table(report), title="")
+    return f"{as_markdown(table)}\n{report.configuration.name}: {tally_text(report)}\n"
 
 
 def _facts(checked: TrainingConfiguration) -> dict[str, str]:
@@ -80,7 +83,7 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
 
 
 def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, Any]]:
-    """Settings by where they are from, in the order in which they were read."""
+    """Return the settings by origin, in the order in which they were read."""
     grouped: dict[str, dict[str, Any]] = {}
     for name, value in checked.settings.items():
         grouped.setdefault(checked.origins.get(name, "settings"), {})[name] = value
@@ -88,9 +91,9 @@ def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, An
 
 
 def setting_text(value: Any) -> str:
-    """A setting as people write it."""
+    """Return a setting as people write it."""
     if value is None:
-        return "the backend's own"
+        return "the backend's default"
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, list | tuple):
@@ -98,76 +101,77 @@ def setting_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _groups_table(checked: TrainingConfiguration) -> Table | Text:
-    names = ("condim", "friction", "solref", "solimp", "margin", "gap")
-    rows = [
-        [
-            "used" if group.is_used else "",
-            group.geoms,
-            str(group.pair_count),
-            *(setting_text(group.constants[name]) for name in names),
-        ]
-        for group in checked.contact_groups
-    ]
-    return rows_table(("", "geoms", "pairs", *names), rows)
-
-
-def _phenomena_table(report: Report) -> Table:
-    table = Table(box=None, header_style="dim", pad_edge=False)
-    phenomenon, *numbers, verdict, responsible = TITLES
-    table.add_column(phenomenon, overflow="fold", ratio=3)
-    for title in numbers:
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column(verdict, no_wrap=True)
-    table.add_column(responsible, overflow="fold", ratio=4)
-    for row in report.rows:
-        styles = ("", "", STYLES[row.default_verdict], STYLES[row.verdict], STYLES[row.verdict], "")
-        table.add_row(*(Text(cell, style=style) for cell, style in zip(_cells(row), styles, strict=True)))
-    return table
-
-
-def _cells(row: PhenomenonResult) -> tuple[str, ...]:
-    return (
-        row.title,
-        reality_text(row.reality, row.unit),
-        measured_text(row.default),
-        measured_text(row.configured),
-        verdict_text(row),
-        responsible_text(row),
+def _contact_table(checked: TrainingConfiguration) -> Table:
+    names = {"condim": False, "friction": False, "solref": False, "solimp": False, "margin": True, "gap": True}
+    return Table(
+        title="Contacts of the model",
+        columns=(
+            Column("is_used", "", lambda is_used: "used" if is_used else ""),
+            Column("geoms", "geoms", place=Place.HEADING),
+            Column("pair_count", "pairs", is_number=True),
+            *(
+                Column(f"constants.{name}", name, setting_text, wide_only=wide_only)
+                for name, wide_only in names.items()
+            ),
+        ),
+        rows=checked.contact_groups,
     )
 
 
+def _phenomenon_table(report: Report) -> Table:
+    return Table(
+        title="Phenomena",
+        columns=(
+            Column("title", "phenomenon"),
+            Column("", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True),
+            Column("", "default", lambda row: measured_text(row.default), is_number=True, style=_default_style),
+            Column("", "this", lambda row: measured_text(row.configured), is_number=True, style=_style),
+            Column("", "verdict", verdict_text, style=_style),
+            Column("", "responsible", responsible_text, place=Place.BELOW),
+        ),
+        rows=report.rows,
+    )
+
+
+def _style(row: PhenomenonResult) -> str:
+    return STYLES[row.verdict]
+
+
+def _default_style(row: PhenomenonResult) -> str:
+    return STYLES[row.default_verdict]
+
+
 def reality_text(reality: Reality, unit: str) -> str:
-    """`mean +- sigma unit`."""
-    told = f"{quantity_text(reality.value)} +- {quantity_text(reality.scatter)}"
-    return told if unit == "1" else f"{told} {unit}"
+    """Return `mean +- sigma unit`."""
+    text = f"{quantity_text(reality.value)} +- {quantity_text(reality.scatter)}"
+    return text if unit == "1" else f"{text} {unit}"
 
 
 def measured_text(value: float | None) -> str:
-    """A measured value; a dash where there is none."""
+    """Return a measured value; a dash for None."""
     return "-" if value is None else quantity_text(value)
 
 
 def verdict_text(row: PhenomenonResult) -> str:
-    """The verdict, and how many standard deviations the value is off where it is."""
+    """Return the verdict, and for a visible or wrong value its distance from reality in standard deviations."""
     if row.sigmas is None or row.verdict in (Verdict.INSIDE, Verdict.DECLINED):
         return row.verdict.value
     return f"{row.verdict.value}, {quantity_text(row.sigmas)} sigma"
 
 
 def responsible_text(row: PhenomenonResult) -> str:
-    """What is responsible, and how the run failed where it did."""
+    """Return the remark of a row and its responsible settings."""
     return "; ".join(part for part in (row.remark, "" if row.cause is None else row.cause.line) if part)
 
 
 def tally_text(report: Report) -> str:
-    """How many rows have each verdict."""
+    """Return the number of rows with each verdict."""
     counts = {verdict: sum(row.verdict is verdict for row in report.rows) for verdict in _present(report)}
-    told = ", ".join(f"{count} {verdict.value}" for verdict, count in counts.items())
-    return f"{told or 'nothing was measured'}; {report.wall_s:.0f} s"
+    text = ", ".join(f"{count} {verdict.value}" for verdict, count in counts.items())
+    return f"{text or 'nothing was measured'}; {report.wall_s:.0f} s"
 
 
 def _present(report: Report) -> list[Verdict]:
-    """Verdicts that occur, the worst first."""
+    """Return the verdicts that occur, the worst first."""
     found = {row.verdict for row in report.rows}
     return [v for v in (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE, Verdict.DECLINED) if v in found]

@@ -28,10 +28,10 @@ __all__ = [
 ]
 
 REALITY_COLOR, DEFAULT_COLOR, CONFIGURED_COLOR = "#303030", "#0072b2", "#d55e00"
-"""Grey and two of Okabe and Ito's colours, which colour-blind readers can tell apart; line styles tell too."""
+"""Grey and two of Okabe and Ito's colours, which colour-blind readers distinguish; line styles differ too."""
 
 MARKS = {Verdict.INSIDE: "&#10003;", Verdict.VISIBLE: "&#9651;", Verdict.WRONG: "&#10007;", Verdict.DECLINED: "&ndash;"}
-"""Signs beside the words, so that a verdict is seen without its colour."""
+"""Signs beside the words, so that a verdict is visible without its colour."""
 
 FIGURE_SIZE_IN = (5.2, 2.5)
 
@@ -63,7 +63,7 @@ details td, details th { padding: .12rem .5rem; } details { overflow-x: auto; }
 
 
 def check_can_draw() -> None:
-    """Tell before a long run that its page cannot be drawn.
+    """Check that a page can be drawn, before a long run.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -91,7 +91,7 @@ def save_sanity_page(report: Report, path: Path) -> Path:
 
 
 def sanity_page(report: Report) -> str:
-    """The page of a sanity check, whole and self-contained.
+    """Return the self-contained page of a sanity check.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -120,7 +120,7 @@ def sanity_page(report: Report) -> str:
 
 
 def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Plain table of text."""
+    """Return a plain table of text."""
     head = "".join(f"<th>{escape(title)}</th>" for title in titles)
     body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><tr>{head}</tr>{body}</table>"
@@ -186,12 +186,12 @@ def _configuration(checked: TrainingConfiguration) -> str:
 
 
 def _card(row: PhenomenonResult) -> str:
-    told = responsible_text(row)
+    text = responsible_text(row)
     figure = "" if row.curve is None else _figure(row.curve)
     return (
         f'<div class="card" id="{escape(row.phenomenon)}"><h3>{escape(row.title)}</h3>'
         f"<p>{_badge(row.verdict, verdict_text(row))} {escape(_sentence(row))}</p>{figure}"
-        f"{f'<p>{escape(told)}</p>' if told else ''}"
+        f"{f'<p>{escape(text)}</p>' if text else ''}"
         f"{_tried(row.cause, row.unit) if row.cause is not None and row.cause.tried else ''}"
         f'<p class="small">Reality: {escape(row.reality.source)}. Scene: {escape(row.experiment)}.</p></div>'
     )
@@ -218,7 +218,7 @@ def _tried(cause: Cause, unit: str) -> str:
 
 
 def _figure(curve: Curve) -> str:
-    """Curves of a phenomenon as inline SVG."""
+    """Return the curves of a phenomenon as inline SVG."""
     check_can_draw()
     import matplotlib as mpl
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""How names, numbers and small tables are put into words; what every view of the command line shares."""
+"""Texts of names, numbers and lists that all views of the command line share."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
 from rich.text import Text
 
 from gauge_envs.references.bands import BandGrade, SigmaSource
@@ -21,7 +19,6 @@ __all__ = [
     "METRIC_TITLES",
     "NORMALIZED_NOTE",
     "SIGMA_NOTES",
-    "facts_grid",
     "heading",
     "markdown_row",
     "markdown_text",
@@ -29,8 +26,8 @@ __all__ = [
     "pairs_text",
     "plus_minus_text",
     "quantity_text",
-    "rows_table",
     "score_text",
+    "short_id",
     "shortened",
     "value_text",
     "vector_text",
@@ -71,39 +68,17 @@ SIGMA_NOTES = {
 
 
 def heading(text: str) -> Text:
-    """Bold line above a part of a view."""
+    """Return the bold line above a part of a view."""
     return Text(f"\n{text}", style="bold")
 
 
-def facts_grid(pairs: Mapping[str, str]) -> Table:
-    """Two columns: names, and what is to be said of them."""
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="cyan")
-    table.add_column(overflow="fold")
-    for key, value in pairs.items():
-        table.add_row(escape(key), escape(value))
-    return table
-
-
-def rows_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Table | Text:
-    """Plain table; the word none where there are no rows."""
-    if not rows:
-        return Text("none", style="dim")
-    table = Table(box=None, header_style="dim", pad_edge=False)
-    for title in titles:
-        table.add_column(escape(title), overflow="fold")
-    for row in rows:
-        table.add_row(*map(escape, row))
-    return table
-
-
 def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:
-    """`key = value, key = value`, without some keys."""
+    """Return `key = value, key = value`, without some keys."""
     return ", ".join(f"{key} = {value_text(value)}" for key, value in values.items() if key not in skip)
 
 
 def value_text(value: Any) -> str:
-    """A value as people write it: rounded numbers, the first few entries of a list."""
+    """Return a value as people write it: rounded numbers, the first few entries of a list."""
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
@@ -114,34 +89,39 @@ def value_text(value: Any) -> str:
 
 
 def vector_text(values: Sequence[float]) -> str:
-    """Numbers beside each other."""
+    """Return numbers beside each other."""
     return " ".join(f"{value:.6g}" for value in values)
 
 
+def short_id(name: str) -> str:
+    """Return the id of an experiment without `GAUGE/`."""
+    return name.removeprefix("GAUGE/")
+
+
 def shortened(names: Sequence[str]) -> str:
-    """Names, cut in the middle where they are many."""
+    """Return names in a line; of more than six, the first three and the last."""
     return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:3])}, ... {names[-1]} ({len(names)})"
 
 
 def plus_minus_text(mean: float, std: float | None, unit: str) -> str:
-    """`mean +- std unit`."""
+    """Return `mean +- std unit`."""
     scatter = "" if std is None else f" +- {std:g}"
     return f"{mean:g}{scatter}{'' if unit == '1' else f' {unit}'}"
 
 
 def number_text(value: float | None) -> str:
-    """A score to two decimals; a dash for None."""
+    """Return a score to two decimals; a dash for None."""
     # Adding 0.0 makes a rounded -0.00 plain zero.
     return "-" if value is None else f"{round(value, 2) + 0.0:.2f}" if abs(value) < 100 else f"{value:.3g}"
 
 
 def score_text(value: float | None) -> str:
-    """Two decimals, or two digits where they would be lost."""
+    """Return a score to two decimals, or to two digits below 0.1."""
     return f"{value:.2g}" if value is not None and abs(value) < 0.1 else number_text(value)
 
 
 def quantity_text(value: float) -> str:
-    """Three digits, without an exponent where the number is neither tiny nor huge."""
+    """Return three digits, with an exponent only for a tiny or huge number."""
     size = abs(value)
     if 1e3 <= size < 1e5:
         return f"{value:.0f}"
@@ -149,10 +129,10 @@ def quantity_text(value: float) -> str:
 
 
 def markdown_row(cells: Sequence[str]) -> str:
-    """One row of a table in GitHub Markdown."""
+    """Return one row of a table in GitHub Markdown."""
     return f"| {' | '.join(map(markdown_text, cells))} |"
 
 
 def markdown_text(text: str) -> str:
-    """Text such that Markdown shows it as it is."""
+    """Return a text in which Markdown changes nothing."""
     return re.sub(r"([|*_<\\])", r"\\\1", text)

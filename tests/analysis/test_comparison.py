@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from gauge_envs.analysis.comparison import compare
 from gauge_envs.analysis.distance import MOTION_SHARE
-from gauge_envs.analysis.scores import METRICS, ScoreSpread, check_metrics
+from gauge_envs.analysis.scores import COMPARED_METRICS, ScoreSpread, check_metrics
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.score import Score
@@ -104,7 +104,7 @@ def declined(name=SLIDER, *, backend="newton"):
 def printed(results, *metrics):
     console = Console(width=300)
     with console.capture() as capture:
-        console.print(comparison_view(compare(results), metrics or tuple(METRICS)))
+        console.print(comparison_view(compare(results), metrics or tuple(COMPARED_METRICS), wide=True))
     return capture.get()
 
 
@@ -129,7 +129,7 @@ def test_results_that_differ_in_their_seed_alone_are_one_cell():
     comparison = compare([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])])
     ((cell,),) = [one.cells for one in comparison.experiments]
     assert [result.seed for result in cell.results] == [0, 1, 2]
-    assert cell.spread(METRICS["rmse"], normalized=True) == ScoreSpread(mean=2.0, std=1.0, count=3)
+    assert cell.spread(COMPARED_METRICS["rmse"], normalized=True) == ScoreSpread(mean=2.0, std=1.0, count=3)
     assert cells([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]) == ["2.00 +- 1.00 (3)"]
 
 
@@ -161,12 +161,12 @@ def test_a_jittered_start_is_another_configuration_than_the_nominal_one():
     assert [len(cell.results) for cell in comparison.experiments[0].cells] == [1, 2]
 
 
-def test_labels_state_a_single_configuration_in_full_and_leave_out_what_all_share():
+def test_the_label_of_a_single_configuration_is_full_and_others_leave_out_what_all_share():
     fine = {"settings_given": {"timestep_s": 0.5}}
     assert configuration_labels(compare([made(**fine)]).configurations) == ["mujoco, calibrated, timestep_s=0.5"]
     both = compare([made(**fine), made(backend="newton", **fine)])
     assert configuration_labels(both.configurations) == ["mujoco", "newton"]
-    assert "All: calibrated, timestep_s=0.5." in printed([made(**fine), made(backend="newton", **fine)])
+    assert "All configurations: calibrated, timestep_s=0.5." in printed([made(**fine), made(backend="newton", **fine)])
 
 
 def test_labels_that_round_to_the_same_are_stated_in_full():
@@ -298,10 +298,10 @@ def test_drifting_apart_crosses_the_published_scatter_of_real_trials_when_it_sho
 
 
 def test_without_a_published_scatter_the_threshold_is_a_share_of_the_motion():
-    # x = v t and 1.1 v t: apart by 5 % of the mean square of both ways once 0.1 v t is.
+    # x = v t and 1.1 v t: apart by 5 % of the mean square of both motions once 0.1 v t is.
     far = distance(made(CRADLE, motion=along(100.0)), made(CRADLE, backend="newton", motion=along(110.0)))
-    ways = np.concatenate([np.arange(31) / 30 * speed for speed in (100.0, 110.0)])
-    threshold = MOTION_SHARE * np.sqrt(np.mean(ways**2))
+    positions = np.concatenate([np.arange(31) / 30 * speed for speed in (100.0, 110.0)])
+    threshold = MOTION_SHARE * np.sqrt(np.mean(positions**2))
     assert not far.threshold_is_scatter
     assert far.threshold == pytest.approx(threshold)
     assert far.apart_at_s == pytest.approx(np.ceil(threshold / 10.0 * 30) / 30)
@@ -369,7 +369,7 @@ def test_markdown_tables_are_whole():
 
 
 def test_metrics_are_checked_and_kept_in_order():
-    assert check_metrics([]) == tuple(METRICS)
+    assert check_metrics([]) == tuple(COMPARED_METRICS)
     assert check_metrics(["dtw", "rmse", "dtw"]) == ("dtw", "rmse")
     with pytest.raises(UnknownNameError, match="did you mean rmse"):
         check_metrics(["rsme"])

@@ -41,7 +41,7 @@ def save_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]], folder: Path) -> P
 
 
 def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
-    """Picture of error budgets: a bar for each result, of the shares of its squared error.
+    """Return the picture of error budgets: a bar for each result, with the shares of its squared error.
 
     Args:
         pairs: Results with their budgets, one or more, all with the parts in the same order.

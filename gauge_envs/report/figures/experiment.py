@@ -55,7 +55,7 @@ __all__ = [
 
 MOST_LEGEND_ENTRIES = 12
 MOST_ALIGNED = 2
-"""Curves that are drawn a second time, aligned to the release; with more, the picture would be full of them."""
+"""Largest number of curves that are drawn a second time, aligned to the release."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class _Series:
     results: tuple[Result, ...]
 
     @property
-    def told(self) -> str:
+    def legend(self) -> str:
         """Entry of the legend."""
         diverged = sum(result.diverged for result in self.results)
         count = len(self.results)
@@ -101,7 +101,7 @@ def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
 
 
 def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) -> Figure:
-    """Picture of one experiment: curves of all its results, the band where there is one, and scores.
+    """Return the picture of one experiment: curves of all its results, the band if it has one, and scores.
 
     Results that differ in their seed alone are thin lines of one colour.
 
@@ -170,7 +170,7 @@ def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]
 
 
 def _draw_band(axis: Axes, band: Band, column: int) -> None:
-    """Mean with one and two sigma; where it is extrapolated, hatched and dotted instead of solid."""
+    """Draw the mean with one and two sigma; extrapolated parts are hatched and dotted."""
     times = np.arange(len(band.mean)) / FRAME_RATE_HZ
     mean, sigma = band.mean[:, column], band.sigma[:, column]
     # A law is a line that simulations lie on: wide and below them. A measured mean is dots, and above them.
@@ -206,7 +206,7 @@ def _mean_label(band: Band) -> str:
 
 
 def _runs(flags: NDArray[np.bool_], wanted: bool) -> Iterator[tuple[int, int]]:
-    """Half-open ranges of segments whose flag is as wanted."""
+    """Yield half-open ranges of segments with the wanted flag."""
     padded = np.concatenate([[False], flags == wanted, [False]]).astype(int)
     edges = np.diff(padded)
     yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
@@ -220,7 +220,7 @@ def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int
             times, samples = _recorded(result).arrays()
             values = band.project(samples)[:, column]
             low, high = _span(low, high, values)
-            label = one.told if column == 0 and number == 0 else None
+            label = one.legend if column == 0 and number == 0 else None
             axis.plot(times, values, color=one.color, lw=one.width, alpha=one.alpha, label=label, zorder=4)
         offset = one.results[0].score.release_offset_s
         if offset is not None and len(one.results) == 1 and len(series) <= MOST_ALIGNED:
@@ -233,7 +233,7 @@ def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int
 
 
 def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, float]:
-    """Limits that show the values too, but no more than ten times what they showed: a diverged curve goes anywhere."""
+    """Return limits that include the values, at most ten times as wide: a diverged curve is cut."""
     finite = values[np.isfinite(values)]
     reach = 10.0 * (high - low)
     return (
@@ -243,7 +243,7 @@ def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, 
 
 
 def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
-    """Curves of an experiment without a band, a panel each for x, y and z.
+    """Draw the curves of an experiment without a band, in one panel each for x, y and z.
 
     One configuration has a colour for each body; several have a colour each, and a line style for each of a few bodies.
     """
@@ -261,7 +261,7 @@ def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
 
 
 def _curves(result: Result, panels: int) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Panel, body, times [s] and values of each coordinate."""
+    """Yield panel, body, times [s] and values of each coordinate."""
     recorded = _recorded(result)
     times, samples = recorded.arrays()
     for index, name in enumerate(recorded.coordinates):
@@ -275,31 +275,31 @@ def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> N
     for result in one.results:
         for panel, body, times, values in _curves(result, len(axes)):
             # Too many bodies to name: one entry for all.
-            told = _crowd(one, bodies) if many else f"{body}, {one.told}"
+            label = _crowd(one, bodies) if many else f"{body}, {one.legend}"
             color = OURS[bodies.index(body) % len(OURS)]
             width = 0.9 if many else min(one.width, 1.5)
-            axes[panel].plot(times, values, color=color, lw=width, label=None if told in seen or panel else told)
-            seen |= {told} if panel == 0 else set()
+            axes[panel].plot(times, values, color=color, lw=width, label=None if label in seen or panel else label)
+            seen |= {label} if panel == 0 else set()
 
 
 def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Sequence[str]) -> None:
     few = len(bodies) <= len(LINE_STYLES)
     for one in series:
-        told: str | None = one.told if few else _crowd(one, bodies)
+        label: str | None = one.legend if few else _crowd(one, bodies)
         for result in one.results:
             for panel, body, times, values in _curves(result, len(axes)):
                 style = LINE_STYLES[bodies.index(body)] if few else "-"
                 width = one.width if few else 0.7
                 alpha = one.alpha if few else 0.6
-                axes[panel].plot(times, values, color=one.color, ls=style, lw=width, alpha=alpha, label=told)
-                told = None
+                axes[panel].plot(times, values, color=one.color, ls=style, lw=width, alpha=alpha, label=label)
+                label = None
     if few and len(bodies) > 1:
         for body, style in zip(bodies, LINE_STYLES, strict=False):
             axes[0].plot([], [], color=REAL, ls=style, lw=1.2, label=body)
 
 
 def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
-    """Distance of each configuration to the first, and how far a typical real trial is from their mean."""
+    """Draw the distance of each configuration to the first, and that of a typical real trial to the mean."""
     first = series[0]
     for one in series[1:]:
         for times, distance in distances_over_time(first.results, one.results):
@@ -316,7 +316,7 @@ def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
 
 def _crowd(one: _Series, bodies: Sequence[str]) -> str:
     stems = {name.rpartition("-")[0] for name in bodies}
-    return f"{one.told}, {len(bodies)} {f'{stems.pop()}s' if len(stems) == 1 else 'bodies'}"
+    return f"{one.legend}, {len(bodies)} {f'{stems.pop()}s' if len(stems) == 1 else 'bodies'}"
 
 
 def _axis_names(result: Result) -> tuple[str, ...]:
@@ -334,7 +334,7 @@ def _recorded(result: Result) -> RecordedTrajectory:
 
 @dataclass(frozen=True)
 class _Bar:
-    """A normalized score: whose, how much, and what is said where there is none."""
+    """A normalized score: label, colour, spread, and the text for a missing one."""
 
     label: str
     color: str
@@ -343,7 +343,7 @@ class _Bar:
 
 
 def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
-    """Normalized scores of the results and of the published engines, for the metrics that the paper has."""
+    """Return normalized scores of the results and of the published engines, for the metrics of the paper."""
     groups: dict[str, list[_Bar]] = {}
     for metric, line in published_baselines(name.removeprefix("GAUGE/")).items():
         if metric == "el":
@@ -364,7 +364,7 @@ def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
 
 
 def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> None:
-    """Bars from the top down; `depth` is how many fit at the least, so that a tall panel has no thick bars."""
+    """Draw bars from the top down; `depth` is the least number that fits, so that no bar is thick."""
     spreads = [bar.spread for group in groups.values() for bar in group if bar.spread is not None]
     longest = max([1.2, *(spread.mean + (spread.std or 0.0) for spread in spreads)])
     unit = 0.015 * longest
@@ -373,12 +373,12 @@ def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> No
     for metric, group in groups.items():
         axis.text(unit, place - 0.75, metric, fontsize=9, fontweight="bold", va="center", bbox=BACKING)
         for bar in group:
-            length, reach, told = 0.0, 0.0, bar.missing
+            length, reach, text = 0.0, 0.0, bar.missing
             if bar.spread is not None:
                 length, reach = bar.spread.mean, bar.spread.std or 0.0
-                told = score_text(length) + (f" +- {score_text(reach)}" if reach else "")
+                text = score_text(length) + (f" +- {score_text(reach)}" if reach else "")
             axis.barh(place, length, color=bar.color, height=0.78, xerr=reach or None, error_kw=WHISKER)
-            axis.text(length + reach + unit, place, told, va="center", fontsize=8, color="#404040", bbox=BACKING)
+            axis.text(length + reach + unit, place, text, va="center", fontsize=8, color="#404040", bbox=BACKING)
             places.append(place)
             ticks.append("\n".join(wrap(bar.label, 22)))
             place += 1.0

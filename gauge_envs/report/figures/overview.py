@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gauge_envs.analysis.comparison import Comparison, ExperimentComparison, compare
-from gauge_envs.analysis.scores import METRICS, ScoreSpread
+from gauge_envs.analysis.scores import COMPARED_METRICS, ScoreSpread
 from gauge_envs.report import ALIGNED_TITLE, ENGINE_TITLES, METRIC_TITLES, configuration_labels
 from gauge_envs.report.figures.experiment import save_figures
 from gauge_envs.report.figures.style import (
@@ -39,12 +39,12 @@ OVERVIEW = "overview"
 
 
 def save_comparison(results: Sequence[Result], folder: Path, *, metric: str = "rmse") -> Iterator[Path]:
-    """Write the pictures of `save_figures`, and one of all experiments, `overview.png`, where any has a score.
+    """Write the pictures of `save_figures`, and one of all experiments with scores, `overview.png`.
 
     Args:
         results: Results of any experiments and configurations.
         folder: Where to, created if need be.
-        metric: Metric of the overview, one of `gauge_envs.analysis.scores.METRICS`.
+        metric: ComparedMetric of the overview, one of `gauge_envs.analysis.scores.COMPARED_METRICS`.
 
     Yields:
         Path of each picture, as soon as it is written.
@@ -60,19 +60,19 @@ def save_comparison(results: Sequence[Result], folder: Path, *, metric: str = "r
 
 
 def draw_overview(comparison: Comparison, *, metric: str = "rmse") -> Figure | None:
-    """Dots of the normalized score of every experiment: configurations in colour, published engines in grey.
+    """Return dots of the normalized score of every experiment: configurations in colour, published engines in grey.
 
     Args:
         comparison: What `gauge_envs.analysis.comparison.compare` returns.
-        metric: One of `gauge_envs.analysis.scores.METRICS`.
+        metric: One of `gauge_envs.analysis.scores.COMPARED_METRICS`.
 
     Returns:
-        The picture; None where no experiment has such a score.
+        The picture; None if no experiment has such a score.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    chosen = METRICS[metric]
+    chosen = COMPARED_METRICS[metric]
     scores = {
         one.id: [None if cell is None else cell.spread(chosen, normalized=True) for cell in one.cells]
         for one in comparison.experiments
@@ -109,7 +109,7 @@ def draw_overview(comparison: Comparison, *, metric: str = "rmse") -> Figure | N
 
 
 def _draw_dots(axis: Axes, one: ExperimentComparison, spreads: Sequence[ScoreSpread | None], place: int) -> None:
-    """Scores of one experiment as a row of dots, crosses at the right edge for what diverged."""
+    """Draw the scores of one experiment as a row of dots, and crosses at the right edge for diverged results."""
     for index, (cell, spread) in enumerate(zip(one.cells, spreads, strict=True)):
         # Configurations side by side within the row, so that equal scores do not hide each other.
         height = place + 0.5 * ((index + 0.5) / len(one.cells) - 0.5)

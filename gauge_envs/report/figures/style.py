@@ -16,7 +16,7 @@ __all__ = []
 
 
 OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colours of results: Okabe and Ito's, which colour-blind readers can tell apart."""
+"""Colours of results: Okabe and Ito's, which colour-blind readers distinguish."""
 
 
 ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
@@ -50,6 +50,11 @@ BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8
 
 
 def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size [inch].
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -58,6 +63,11 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save_png(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG and return its path.
+
+    Raises:
+        ResultFileError: The file cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=120)
@@ -67,13 +77,14 @@ def save_png(figure: Figure, path: Path) -> Path:
 
 
 def tidy_axis(axis: Axes) -> None:
+    """Remove the upper and right border, and draw a grid behind the curves."""
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(color="#ececec", lw=0.7)
     axis.set_axisbelow(True)
 
 
 def legend_above(axis: Axes) -> None:
-    """Legend above the curves, where it hides none of them; its lines are bold where those of a crowd are faint."""
+    """Put the legend above the curves, with bold lines for faint curves."""
     columns = max(1, min(3, len(axis.get_legend_handles_labels()[0])))
     place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderpad": 0.2}
     legend = axis.legend(fontsize=8, frameon=False, ncols=columns, **place)
