@@ -460,7 +460,7 @@ def test_what_cannot_be_built_is_named() -> None:
                 deformables=(rope(), rod()),
                 attachments=(Attachment(deformable="rod", region=Region(axis="z", side="high"), to="rope"),),
             ),
-            "no rigid body",
+            "not a rigid body",
         ),
         (
             replace(scene, deformables=(rope(), *load_experiment("FoamStretching-soft").scene.deformables)),
