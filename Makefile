@@ -6,28 +6,55 @@ BIN := $(VENV)/bin
 
 DEMO := "SlopeSlider-*" "Turntable-1-*" BouncingBall-rubber NewtonsCradle-metal Pendulum-metal
 
-.PHONY: demo test slow lint bench clean
+# What a change is checked with before it is committed.
+CHECK_TESTS := tests/test_dependencies.py tests/test_layers.py tests/evaluation tests/experiments/test_task_files.py \
+	tests/experiments/test_task_rigid.py tests/observables tests/references tests/scene/test_drivers.py
+
+# What every supported version of Python is tested with.
+MATRIX := 3.12:lowest 3.13:newest
+MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/test_env.py tests/evaluation \
+	tests/experiments/test_scene_source.py tests/experiments/test_task_files.py tests/experiments/test_task_rigid.py \
+	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene
+
+.PHONY: demo test check lint slow test-matrix bench docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
 	$(BIN)/gauge run BouncingBall-rubber NewtonsCradle-metal --parameters effective --out results
 	$(BIN)/gauge plot results --out plots
 
-test: $(VENV)/.installed
+test: lint
+	$(BIN)/python -m pytest -n 2
+
+lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy gauge_envs
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/lint-imports
+
+# Under a minute: what the pre-commit hooks run, and the tests that fail most often.
+check: lint
+	$(BIN)/python -m pytest -n 2 $(CHECK_TESTS)
 
 # Some slow checks train policies.
 slow: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[rl]"
 	$(BIN)/python -m pytest -n 2 -m slow
 
+# The built wheel on other versions of Python, and the guides' commands as a reader installs and runs them.
+test-matrix: $(VENV)/.installed
+	$(BIN)/python scripts/test_matrix.py $(MATRIX) --tests $(MATRIX_TESTS)
+	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "(README or getting_started or scripts) and not point_engine"
+
 bench: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[bench]"
+	$(BIN)/python benchmarks/import_time.py
 	$(BIN)/python benchmarks/step.py
 	$(BIN)/python benchmarks/dtw.py
+
+docs: $(VENV)/.installed
+	$(BIN)/pip install --quiet -e ".[docs]"
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 
 # Running needs no engine but MuJoCo; the tests want them all.
 $(VENV)/.runs: pyproject.toml

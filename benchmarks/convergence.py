@@ -1,12 +1,15 @@
-"""How far the numbers of a simulation still move when its step, or the cells of its cloth, are halved.
+"""Convergence: the change of a simulation when its step, or the cells of its cloth, are halved.
 
-For one variant of each family with deformable bodies, an episode runs with the preset, with half the step, and with
-half the cell where there is cloth, each observed at the same material points. A change is the root mean square, over
-frames and coordinates, of the difference in g(t); its share is of how much g(t) itself moves in these frames, the root
-mean square of g(t) - g(0). Beside it, in mm, how far the observed points are apart, root mean square over frames and
-points: where a cloth stays flat or bends one way, its curvature is next to nothing and the share says little. Motion
-that is chaotic, as of cloth that folds, does not converge point by point; there the table says how far two equally good
-runs part.
+For one variant of each family with deformable bodies, an episode runs with the preset, with half the step, and for
+cloth with half the cell. All are observed at the same material points. The table states for each finer run:
+
+- the change, the root mean square over frames and coordinates of the difference in g(t);
+- its share of the motion, the root mean square of g(t) - g(0) over the same frames;
+- the distance of the observed points in mm, root mean square over frames and points. It matters for a cloth that stays
+  flat or bends one way: its curvature is close to zero, so the share is not meaningful.
+
+Chaotic motion, such as that of a folding cloth, does not converge point by point. The table then states how far two
+equally good runs separate.
 """
 
 from __future__ import annotations
@@ -56,7 +59,7 @@ UNITS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """What one run gave.
+    """Result of one run.
 
     Attributes:
         frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
@@ -69,7 +72,7 @@ class Episode:
     cost: float
 
     def first(self, frame_count: int) -> Episode:
-        """Only its first frames."""
+        """Return the episode with its first frames only."""
         return Episode(frames=self.frames[:frame_count], points_m=self.points_m[:frame_count], cost=self.cost)
 
 
@@ -79,9 +82,9 @@ def episode(name: str, frame_count: int, settings: dict[str, float]) -> Episode:
     Args:
         name: Variant.
         frame_count: Frames at most, the first included.
-        settings: What differs from the preset.
+        settings: Settings that differ from the preset.
     """
-    # A marker on cloth is its material point, whatever the cells; those of other bodies do not change.
+    # Material points of a cloth do not depend on its cells. Nodes of other bodies do not change.
     cloth = any(isinstance(body, Cloth) for body in load_experiment(name).scene.deformables)
     env = gymnasium.make(f"GAUGE/{name}", settings=settings, marker_proxy="material" if cloth else "node")
     env.reset(seed=0)
@@ -99,14 +102,14 @@ def episode(name: str, frame_count: int, settings: dict[str, float]) -> Episode:
 
 
 def rms(values: NDArray[np.float64]) -> float:
-    """Root mean square over frames and coordinates, those that are undefined left out."""
+    """Return the root mean square over frames and coordinates without undefined values."""
     return float(np.sqrt(np.nanmean(values**2)))
 
 
 def change(preset: Episode, finer: Episode) -> tuple[float, float, float]:
-    """RMS difference of g(t), in its unit and as a share of the RMS of g(t) - g(0), and RMS distance of points [mm].
+    """Return the RMS difference of g(t), its share of the RMS of g(t) - g(0), and the RMS distance of points [mm].
 
-    NaN where one run diverged.
+    All are NaN if one run diverged.
     """
     if preset.frames.shape != finer.frames.shape:
         return np.nan, np.nan, np.nan
@@ -116,7 +119,7 @@ def change(preset: Episode, finer: Episode) -> tuple[float, float, float]:
 
 
 def columns(finer: Episode | None, preset: Episode) -> str:
-    """The four columns of a finer run."""
+    """Return the four columns of a finer run."""
     if finer is None:
         return f"{'-':>6} {'-':>8} {'-':>6} {'-':>7}"
     difference, share, apart_mm = change(preset, finer)
@@ -124,13 +127,12 @@ def columns(finer: Episode | None, preset: Episode) -> str:
 
 
 def row(name: str, frame_count: int, fine_frame_count: int) -> str:
-    """One line of the table.
+    """Return one line of the table.
 
     Args:
         name: Variant.
         frame_count: Frames at most, the first included.
-        fine_frame_count: Frames at most of the run with half the cell, which is compared over these only; below 2
-            there is none.
+        fine_frame_count: Frames at most of the run with half the cell; below 2 there is no such run.
     """
     experiment = load_experiment(name)
     settings = settings_for(experiment.scene)

@@ -1,7 +1,7 @@
 """Time `dtw_path` against tslearn and dtaidistance on two trajectories of the longest textile task, 562 x 63.
 
-Prints the ratio of medians (ours over theirs, below 1 is faster) of interleaved runs, and exits 1 when slower than any.
-All run on one thread, linear algebra too, and are timed by that thread's CPU clock: a busy machine changes nothing.
+Prints the ratio of medians (ours over theirs, below 1 is faster) of interleaved runs. The exit code is 1 if another
+library is faster. All run on one thread and are timed by its CPU clock, so the load of the machine does not matter.
 
     python benchmarks/dtw.py [--repeats 101]
 """
@@ -38,9 +38,9 @@ def competitors(first: np.ndarray, second: np.ndarray) -> dict[str, Callable[[],
 
 
 def cpu_medians_ms(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median CPU time of each call; one repeat runs all of them in turn, so that caches and clock rates are shared."""
+    """Return the median CPU time of each call [ms]; each repeat runs all calls under the same clock rate."""
     for call in calls.values():
-        call()  # compiles, where a library does that on first use
+        call()  # Some libraries compile at first use.
     times_ms: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():

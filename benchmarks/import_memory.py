@@ -3,8 +3,8 @@
     python benchmarks/import_memory.py                    1600 trials of 600 frames x 63 markers, 1.8 GB on disk
     python benchmarks/import_memory.py --trials 100
 
-The trials are synthetic and all of one variant, so that nothing is freed between variants. They are written to a
-temporary folder first; the import runs in a process of its own, whose peak resident memory is printed.
+The trials are synthetic and all of one variant, so that no memory is freed between variants. They are first written to
+a temporary folder. The import then runs in its own process, and its peak resident memory is printed.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from gauge_envs.dataset.layout import find_trials
 
 VARIANT = "TextileFlinging-satin"
 FOLDER = "data/textile/textile flinging/json/satin"
-TEMPLATES = 16  # writing 113 400 numbers as text takes longer than importing them
-MISSING_SHARE = 0.002  # markers out of sight, in every fourth trial
+TEMPLATES = 16  # distinct trials; writing 113 400 numbers as text takes longer than importing them
+MISSING_SHARE = 0.002  # share of hidden markers, in every fourth trial
 LIMIT_BYTES = 1e9
 
 
 def write_trials(root: Path, trials: int, frames: int) -> int:
-    """Write trials that sway, with noise of 0.5 mm; no two are equal. Returns the bytes written."""
+    """Write trials that sway, with noise of 0.5 mm, all different; return the number of bytes."""
     experiment = load_experiment(VARIANT)
     markers = experiment.scene.markers
     assert markers is not None
@@ -69,7 +69,7 @@ def _column(values: np.ndarray) -> list[float | None]:
 
 
 def measure(root: Path) -> dict[str, float]:
-    """Import a dataset and say what that took."""
+    """Import a dataset, and return its counts, wall time and peak memory."""
     start = time.perf_counter()
     imports = list(import_trials(find_trials(root)))
     wall_s = time.perf_counter() - start

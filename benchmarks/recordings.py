@@ -1,8 +1,8 @@
-"""What the published recordings show beside what an engine does: scores, areas of the foams, slips of the turntable.
+"""Published recordings compared with an engine: scores, areas of the foams, slip on the turntable, lag of the cloth.
 
     python benchmarks/recordings.py [--backend mujoco] [--marker-proxy node]
 
-Each recording is one trial. It does not show whether its foam is soft or hard, so both are run.
+Each recording is one trial. It does not show whether its foam is soft or hard, so both variants run.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from build_recordings import read_table
 FOAMS = ("FoamStretching", "FoamCompressing", "FoamShearing", "FoamTwisting", "FoamBending")
 FACTS = Path(__file__).parents[1] / "scoring" / "facts" / "recordings"
 LEAST_FACES = 9
-"""The change of area is taken at the last frame that shows as many of the twelve faces."""
+"""Number of faces, of twelve, that the frame of the area change must show at least."""
 TURNTABLE_ZERO_S = 0.638
 FLING_ZERO_S = 1.14
 FLING_FRAMES = 85
-"""As many frames of the cloth as the clip shows."""
-# Between the speed changes, in seconds of the clip.
+"""Number of frames in the clip."""
 TURNTABLE_WINDOWS = {"start": (1.0, 2.28), "first stop": (2.6, 3.76)}
+"""Intervals between the speed changes, in seconds of the clip."""
 
 FloatArray = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class Rollout:
 
 
 def rollout(name: str, *, backend: str, marker_proxy: str = "node") -> Rollout:
-    """Run a variant, scored on its recording even where that is withheld."""
+    """Run a variant, and score it against its recording, also if that is withheld."""
     made = gymnasium.make(
         f"GAUGE/{name}", backend=backend, marker_proxy=marker_proxy, use_withheld=True, drivers="bundled"
     )
@@ -72,7 +72,7 @@ def rollout(name: str, *, backend: str, marker_proxy: str = "node") -> Rollout:
 
 
 def rest_areas(family: str) -> FloatArray:
-    """Areas of the twelve faces [mm^2] before the motion, mean over the pictures, shape [12]."""
+    """Return the areas of the twelve faces before the motion [mm^2], mean over the pictures, shape [12]."""
     name = f"foam_{family.removeprefix('Foam').lower()}"
     start_s = tomllib.loads((FACTS / "recordings.toml").read_text(encoding="utf-8"))[name]["frame_zero_s"]
     table = read_table(FACTS / f"{name}.csv")
@@ -81,7 +81,7 @@ def rest_areas(family: str) -> FloatArray:
 
 
 def print_fling(backend: str) -> None:
-    """Print how far the cloth lags behind the rod and swings past it; which fabric was recorded is not known."""
+    """Print lag and swings of the cloth relative to the rod for all fabrics; the recorded fabric is not known."""
     recorded = read_table(FACTS / "textile_flinging_chord.csv")
     print("\nTextileFlinging: chord from the rod to the lower edge, from hanging, positive towards +y [deg]\n")
     print("| fabric | lags by | swings past to | swings back to |\n|---|---|---|---|")
@@ -104,7 +104,7 @@ def print_fling(backend: str) -> None:
 
 
 def fling_row(name: str, times_s: FloatArray, angles_deg: FloatArray) -> str:
-    """Largest lag, swing past the rod and swing back with their times, as a row of a Markdown table."""
+    """Return the largest lag, swing past the rod and swing back with their times, as a row of a Markdown table."""
     forward = int(angles_deg.argmin())
     lag, back = int(angles_deg[:forward].argmax()), forward + int(angles_deg[forward:].argmax())
     cells = [f"{angles_deg[index]:+.1f} at {times_s[index]:.2f} s" for index in (lag, forward, back)]
@@ -112,7 +112,7 @@ def fling_row(name: str, times_s: FloatArray, angles_deg: FloatArray) -> str:
 
 
 def foam_rows(family: str, *, backend: str, marker_proxy: str) -> list[str]:
-    """Areas of the twelve faces in the recording and in both simulated foams, as rows of a Markdown table."""
+    """Return the areas of the twelve faces, recorded and in both simulated foams, as rows of a Markdown table."""
     rows = []
     for hardness in ("soft", "hard"):
         run = rollout(f"{family}-{hardness}", backend=backend, marker_proxy=marker_proxy)
@@ -167,7 +167,7 @@ def print_foams(backend: str, marker_proxy: str) -> None:
 
 
 def plate_angle_rad(env: GaugeEnv, times_s: FloatArray) -> FloatArray:
-    """Turn of the plate about z from frame 0 on, unwrapped, shape [sample_count]."""
+    """Return the rotation of the plate about z from frame 0 on [rad], unwrapped, shape [sample_count]."""
     scene = env.experiment.scene
     driver, start = scene.drivers[0], scene.body("plate").pose
     poses: list[Pose] = [driver.pose(start, time_s) for time_s in times_s]
@@ -195,11 +195,11 @@ def print_turntable(backend: str) -> None:
             f"| {name} | {slips.mean():.1f} +- {slips.std():.1f} | {slip[then].mean():.1f} | "
             f"{real['radius_mm'][seen].mean():.1f} | {radius[then].mean():.1f} |"
         )
-    print(f"\n{described(run)}; {SAMPLE_INTERVAL_S * 1e3:.1f} ms a sample")
+    print(f"\n{score_text(run)}; {SAMPLE_INTERVAL_S * 1e3:.1f} ms a sample")
 
 
-def described(run: Rollout) -> str:
-    """Score of a run in a line."""
+def score_text(run: Rollout) -> str:
+    """Return the score of a run in one line."""
     score = run.score
     parts = [f"grade {score.grade}", f"RMSE {score.rmse:.1f} {score.unit}", f"DTW {score.dtw:.1f} {score.unit}"]
     if score.rmse_normalized is not None:
@@ -217,10 +217,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     print_turntable(options.backend)
     for name in ("SlopeSlider-3-metal", "SlopeContact-wood", "Pendulum-metal", "TableclothPulling-metal"):
-        print(f"{name}: {described(rollout(name, backend=options.backend))}")
+        print(f"{name}: {score_text(rollout(name, backend=options.backend))}")
     for hardness in ("soft", "hard"):
         name = f"CantileverBeam-{hardness}"
-        print(f"{name}: {described(rollout(name, backend=options.backend, marker_proxy='material'))}")
+        print(f"{name}: {score_text(rollout(name, backend=options.backend, marker_proxy='material'))}")
     print_fling(options.backend)
     print_foams(options.backend, options.marker_proxy)
 

@@ -1,7 +1,7 @@
-"""Cost of `env.step` over bare MuJoCo stepping of the same model for the same frames, paired in one run.
+"""Cost of `env.step` relative to bare MuJoCo stepping of the same model for the same frames, paired in one run.
 
-Bare stepping is one `mj_step` call a frame with all substeps in it, the cheapest there is. The last step of an
-episode, which scores it, is timed apart. Exits 1 when a ratio is above the limit.
+Bare stepping is one `mj_step` call for each frame with all substeps, the cheapest way. The last step of an episode,
+which scores it, is timed separately. The exit code is 1 if a ratio is above the limit.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SECONDS_EACH = 4.0
 
 
 def measured(name: str) -> tuple[float, float, float]:
-    """Medians over paired repeats: bare and full time a frame [us], and their ratio."""
+    """Return medians over paired repeats: bare and full time for each frame [us], and their ratio."""
     env = gymnasium.make(f"GAUGE/{name}")
     env.reset(seed=0)
     simulation = env.unwrapped.simulation
@@ -56,7 +56,7 @@ def measured(name: str) -> tuple[float, float, float]:
 
 
 def scoring_ms(name: str) -> float:
-    """Median time of the last step of an episode less that of the one before it [ms]."""
+    """Return the median time of the last step of an episode minus that of the step before [ms]."""
     env = gymnasium.make(f"GAUGE/{name}")
     extra = []
     for _ in range(20):
@@ -72,7 +72,7 @@ def scoring_ms(name: str) -> float:
 
 
 def main() -> int:
-    """Print the table; 1 when a ratio is above the limit."""
+    """Print the table, and return 1 if a ratio is above the limit."""
     worst = 0.0
     print(f"{'experiment':26} {'bare us':>9} {'step us':>9} {'ratio':>7}")
     for name in NAMES:

@@ -1,8 +1,9 @@
-"""Train a policy in one configuration of a simulator, then ask the law and better simulators what it is worth.
+"""Train a policy in one configuration of a simulator, and compare it with the law and with better simulators.
 
-The task is to use as much of a cube's friction as there is (docs/control.md). A policy is trained with MuJoCo as it
-comes, or with its contacts set with care, and replayed without exploration where contacts follow the law: MuJoCo as
-this package sets it, the same with half the step, Newton, and at the edges of the measured friction.
+The task is to use as much of a cube's friction as the law allows (docs/control.md). The policy is trained in MuJoCo
+with the engine's default contacts or with those of this package. It is then replayed without exploration where contacts
+follow the law: MuJoCo with this package's preset, the same with half the step, Newton, and with the friction at the
+edges of its uncertainty.
 
 Takes about two minutes on two cores. Needs pip install 'gauge-envs[rl]'.
 """
@@ -41,9 +42,9 @@ class Training(StrEnum):
     """Configuration of MuJoCo in which the policy is trained."""
 
     OUT_OF_BOX = "out_of_box"
-    """What a model has that states nothing, at the nearest step that divides the environment's 1/180 s."""
+    """MuJoCo's defaults, with the nearest step that divides the environment's 1/180 s."""
     CAREFUL = "careful"
-    """This package's contacts, with the longest step that they allow."""
+    """The contacts of this package's preset, with the longest step that they allow."""
 
 
 SETTINGS: Mapping[Training, Mapping[str, Any]] = {
@@ -57,23 +58,23 @@ class Replay:
     """One run of the trained policy.
 
     Attributes:
-        name: Where it ran.
-        report: What it reached beside what the law allows.
-        course: Observations of its frames, shape [frame_count, 5].
+        name: Name of the simulator and its configuration.
+        report: What the policy reached, and what the law allows.
+        trajectory: Observations of its frames, shape [frame_count, 5].
     """
 
     name: str
     report: LimitReport
-    course: NDArray[np.float64]
+    trajectory: NDArray[np.float64]
 
     @property
     def held(self) -> bool:
-        """Whether the cube stayed where it was."""
+        """Whether the cube held."""
         return self.report.ending is Ending.HELD
 
 
 def make_task(task: str, **arguments: Any) -> ControlEnv:
-    """The bare environment of a control task."""
+    """Return the environment of a control task without wrappers."""
     env = gym.make(f"GAUGE/{task}", **arguments).unwrapped
     if not isinstance(env, FrictionLimit):
         raise typer.BadParameter(
@@ -83,7 +84,7 @@ def make_task(task: str, **arguments: Any) -> ControlEnv:
 
 
 def train(task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool) -> Policy:
-    """PPO, with observations scaled to unit variance; deterministic afterwards."""
+    """Train with PPO on observations of unit variance, and return the deterministic policy."""
 
     def seen(observation: NDArray[np.float64]) -> NDArray[np.float64]:
         shown = observation.copy()
@@ -95,7 +96,7 @@ def train(task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool
         env = make_task(task, settings=settings)
         return Monitor(gym.wrappers.TransformObservation(env, seen, env.observation_space))
 
-    # The networks are so small that threads cost more than they bring.
+    # With networks this small, threads only add cost.
     torch.set_num_threads(1)
     scaled = VecNormalize(DummyVecEnv([world] * 4), norm_reward=False)
     model = PPO(
@@ -103,10 +104,10 @@ def train(task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool
         scaled,
         n_steps=300,
         batch_size=300,
-        # Falls to 0, so that the policy settles this side of the limit.
+        # The rate falls to 0, so that the policy settles below the limit.
         learning_rate=lambda left: 1e-3 * left,
         gamma=0.98,
-        # An action of 0.4 changes the rate by a thirtieth of what is reached: more noise falls off the limit.
+        # An action of 0.4 changes the angular rate by 1/30 of its final value; more noise would cause slips.
         policy_kwargs={"log_std_init": -1.0, "net_arch": [32, 32]},
         seed=SEED,
         device="cpu",
@@ -116,7 +117,7 @@ def train(task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool
 
 
 def replays(task: str, policy: Policy, training: Training) -> list[Replay]:
-    """The policy where it was trained, where contacts follow the law, and at the edges of the measured friction."""
+    """Replay the policy as trained, where contacts follow the law, and at the edges of the measured friction."""
     limit = make_task(task).limit
     worlds: dict[str, dict[str, Any]] = {
         f"MuJoCo, {training.value}: as trained": {"settings": SETTINGS[training]},
@@ -134,12 +135,12 @@ def replays(task: str, policy: Policy, training: Training) -> list[Replay]:
             print(f"left out: {name}: {error}")
             continue
         report = play(env, policy, seed=SEED)
-        done.append(Replay(name=name, report=report, course=env.trajectory()))
+        done.append(Replay(name=name, report=report, trajectory=env.trajectory()))
     return done
 
 
 def verdict(runs: list[Replay], engine_share: float) -> str:
-    """What the replays say of the policy, in a sentence."""
+    """Return the conclusion from the replays, in a few sentences."""
     trained, *others = runs
     edges = [run for run in others if "sigma" in run.name]
     checks = [run for run in others if run not in edges]
@@ -148,9 +149,9 @@ def verdict(runs: list[Replay], engine_share: float) -> str:
     if trained.held and len(slipped) == len(checks):
         first = min(run.report.time_s for run in slipped)
         return (
-            f"The policy lives on its simulator's error. There it {uses}, and the cube holds; wherever contacts follow "
-            f"the law the cube slips, first after {first:.1f} s. (The law's own policy can use {engine_share:.2f} in "
-            "that simulator before its cube slips.)"
+            f"The policy exploits an error of its simulator. There it {uses}, and the cube holds. In every simulator "
+            f"whose contacts follow the law the cube slips, first after {first:.1f} s. (The law's policy can use "
+            f"{engine_share:.2f} in the training simulator before its cube slips.)"
         )
     if slipped:
         names = "; ".join(f"{run.name} ({run.report.time_s:.1f} s)" for run in slipped)
@@ -161,14 +162,14 @@ def verdict(runs: list[Replay], engine_share: float) -> str:
     weak = [run.name for run in edges if not run.held]
     if weak:
         return (
-            f"The policy does not live on its simulator's error: it {uses}, and the cube holds wherever contacts "
-            f"follow the law. It does live on a constant, within whose uncertainty the cube slips: {'; '.join(weak)}."
+            f"The policy does not exploit an error of its simulator: it {uses}, and the cube holds wherever contacts "
+            f"follow the law. It depends on a constant: the cube slips within its uncertainty: {'; '.join(weak)}."
         )
-    return f"The policy holds everywhere, and {uses}: reality will pay it."
+    return f"The policy {uses}, and the cube holds in every replay."
 
 
 def table(runs: list[Replay]) -> Table:
-    """One row a replay."""
+    """Return a table with one row for each replay."""
     rows = Table(box=None, header_style="bold", pad_edge=False)
     for title in ("replay", "law allows", "used for 1 s", "ratio", "z", "cube"):
         rows.add_column(title, justify="left" if title in ("replay", "cube") else "right", no_wrap=True)
@@ -186,14 +187,14 @@ def table(runs: list[Replay]) -> Table:
 
 
 def draw(runs: list[Replay], task: str, path: Path) -> None:
-    """Friction used and motion of the cube over time; a cross where it slips."""
+    """Draw the friction used and the motion of the cube over time, with a cross at each slip."""
     figure, (above, below) = plt.subplots(2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2), layout="constrained")
     limit = runs[1].report.limit
     above.axhspan(limit.value - 2 * limit.sigma, limit.value + 2 * limit.sigma, color="0.9", label="law, +- 2 sigma")
     above.axhline(limit.value, color="0.4", lw=1, label="law, calibrated friction")
     below.axhline(1e3 * SLIP_SPEED_M_PER_S, color="0.4", lw=1, label="counts as a slip")
     for number, run in enumerate(runs):
-        _, _, used, slip, time_s = run.course.T
+        _, _, used, slip, time_s = run.trajectory.T
         slip_mm_per_s = 1e3 * SLIP_SPEED_M_PER_S * slip
         style = {"color": f"C{number}", "ls": ("-", "--", ":", "-.", "-", "--")[number % 6], "lw": 1.6}
         above.plot(time_s, used, label=run.name, **style)
@@ -202,7 +203,7 @@ def draw(runs: list[Replay], task: str, path: Path) -> None:
             above.plot(time_s[-1], used[-1], "X", color=style["color"], ms=9, mec="w")
             below.plot(time_s[-1], slip_mm_per_s[-1], "X", color=style["color"], ms=9, mec="w")
     above.set(ylabel="friction used", ylim=(0.0, 1.25 * limit.value), title=f"{task}: a trained policy, replayed")
-    below.set(ylabel="speed of the cube on it [mm/s]", xlabel="time [s]", yscale="symlog", ylim=(0.0, 100.0))
+    below.set(ylabel="speed of the cube on its carrier [mm/s]", xlabel="time [s]", yscale="symlog", ylim=(0.0, 100.0))
     figure.legend(fontsize=8, loc="outside lower center", ncols=3)
     figure.savefig(path, dpi=130)
     plt.close(figure)
@@ -212,15 +213,15 @@ def main(
     task: Annotated[str, typer.Option(help="A control task with friction.")] = "Turntable-Limit-wood",
     training: Annotated[Training, typer.Option(help="Configuration to train in.")] = Training.OUT_OF_BOX,
     hide_slip: Annotated[
-        bool, typer.Option("--hide-slip", help="Do not show the policy how the cube creeps, as no real sensor would.")
+        bool, typer.Option("--hide-slip", help="Hide the creep of the cube from the policy, as a real sensor would.")
     ] = False,
     steps: Annotated[int, typer.Option(min=1, help="Steps of training.")] = 50_000,
     out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("rl_sanity.png"),
 ) -> None:
-    """Train a policy, replay it elsewhere, and say what it lives on."""
+    """Train a policy, replay it in other simulators, and print a conclusion."""
     policy = train(task, SETTINGS[training], steps, hide_slip=hide_slip)
     runs = replays(task, policy, training)
-    # Where there is no terminal, rich would cut the table to 80 characters.
+    # Without a terminal, rich would cut the table to 80 characters.
     console = Console(width=None if Console().is_terminal else 120)
     console.print(table(runs))
     share = engine_limit(make_task(task, settings=SETTINGS[training]), bounds=(0.05, 1.5), resolution=0.01)

@@ -9,7 +9,7 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
 
 and seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`.
 
-Registering needs names alone. Engines, SciPy and the rest are imported at first use.
+The registration needs only names. Engines, SciPy and pydantic are imported at first use.
 """
 
 from __future__ import annotations
@@ -55,38 +55,41 @@ __all__ = [
     "variants",
 ]
 
-_HOMES = {
-    "Experiment": "experiments.experiment",
-    "GaugeEnv": "envs.env",
-    "Jitter": "scene.jitter",
-    "Score": "evaluation.score",
-    "ScoreEpisode": "envs.wrappers",
-    "Trajectory": "envs.episode",
-    "load_experiment": "experiments.resolve",
-    "load_experiment_file": "experiments.user_file",
-    "load_experiment_from_asset": "experiments.resolve",
-    "load_task": "experiments.task_files",
-    "reference_band": "evaluation.reference",
-    "score_trajectory": "evaluation.score",
+_LAZY = {
+    "Experiment": "gauge_envs.experiments.experiment",
+    "GaugeEnv": "gauge_envs.envs.env",
+    "Jitter": "gauge_envs.scene.jitter",
+    "Score": "gauge_envs.evaluation.score",
+    "ScoreEpisode": "gauge_envs.envs.wrappers",
+    "Trajectory": "gauge_envs.envs.episode",
+    "load_experiment": "gauge_envs.experiments.resolve",
+    "load_experiment_file": "gauge_envs.experiments.user_file",
+    "load_experiment_from_asset": "gauge_envs.experiments.resolve",
+    "load_task": "gauge_envs.experiments.task_files",
+    "reference_band": "gauge_envs.evaluation.reference",
+    "score_trajectory": "gauge_envs.evaluation.score",
 }
-"""Modules of the public names that are imported at first use."""
+"""Modules of the public names that are imported at first use; the imports for type checkers above list the same."""
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name at its first use (PEP 562)."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:  # With this function, a type checker would accept any name.
+
+    def __getattr__(name: str) -> Any:
+        """Return a public name, imported at its first use (PEP 562)."""
+        if name not in _LAZY:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(_LAZY[name]), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:
+    """Return all names of the module, including those that are not imported yet."""
     return sorted({*globals(), *__all__})
 
 
 def register_all() -> None:
-    """Register every variant, and `GAUGE/Asset`, with Gymnasium; importing the package has done so already."""
+    """Register every variant and `GAUGE/Asset` with Gymnasium; `import gauge_envs` calls this."""
     for name in (*(variant.name for variant in variants()), "Asset"):
         if f"GAUGE/{name}" not in registry:
             register(

@@ -1,10 +1,14 @@
-"""Errors of gauge-envs. Each message says what was wrong, where, and what would be right."""
+"""Errors of gauge-envs. Each message says what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 __all__ = [
     "ActionError",
@@ -24,6 +28,7 @@ __all__ = [
     "TrajectoryFileError",
     "UnknownNameError",
     "UnsupportedSceneError",
+    "first_fault",
 ]
 
 
@@ -32,7 +37,7 @@ class GaugeError(Exception):
 
 
 class ShapeError(GaugeError, ValueError):
-    """Arrays that must agree in shape do not, or hold values that the function cannot use."""
+    """Arrays differ in shape, or hold values that the function cannot use."""
 
 
 class ActionError(GaugeError, ValueError):
@@ -40,12 +45,12 @@ class ActionError(GaugeError, ValueError):
 
 
 class AssetError(GaugeError, ValueError):
-    """An asset cannot be used: names the file, the place in it (prim path, body or key) and the reason.
+    """An asset cannot be used.
 
     Args:
         file: The USD, MJCF or experiment file.
-        place: Prim path, name of a body, or key; empty where the file as a whole is meant.
-        reason: What is wrong, and what would be right.
+        place: Prim path, name of a body, or key; empty for the file as a whole.
+        reason: What is wrong, and what to do.
     """
 
     def __init__(self, file: Path | str, place: str, reason: str) -> None:
@@ -56,7 +61,7 @@ class AssetError(GaugeError, ValueError):
 
 
 class BackendError(GaugeError, RuntimeError):
-    """A backend cannot be loaded, or does not keep the contract."""
+    """A backend cannot be loaded, or breaks the contract of backends."""
 
 
 class DatasetError(GaugeError, OSError):
@@ -68,25 +73,25 @@ class EpisodeError(GaugeError, RuntimeError):
 
 
 class ParameterError(GaugeError, ValueError):
-    """A parameter set or a single override names something that the scene does not have, or an impossible value."""
+    """An argument names something that does not exist, or holds an impossible value."""
 
 
 class RenderError(GaugeError, RuntimeError):
-    """A picture cannot be made, usually because the machine lacks an OpenGL library."""
+    """A picture cannot be rendered; usually an OpenGL library is missing."""
 
 
 class UnsupportedSceneError(GaugeError, RuntimeError):
-    """A backend declines a scene; the message carries the backend's own reasons."""
+    """A backend cannot simulate a scene; the message lists the unsupported features."""
 
 
 class MissingExtraError(GaugeError, ImportError):
     """An optional dependency is missing; the message names the pip command that installs it.
 
     Args:
-        feature: What needs it, as `backend 'newton'`.
-        extra: Extra of the package that brings it.
-        cause: The import that failed.
-        package: Package that has the extra.
+        feature: Feature that needs it, as `backend 'newton'`.
+        extra: Extra that installs it.
+        cause: Import that failed.
+        package: Package that defines the extra.
     """
 
     def __init__(self, feature: str, extra: str, cause: ImportError, *, package: str = "gauge-envs") -> None:
@@ -96,11 +101,17 @@ class MissingExtraError(GaugeError, ImportError):
 
 
 class TargetError(GaugeError, ValueError):
-    """What the sanity check is asked to check cannot be read; the message names it and what can be."""
+    """The target of a sanity check cannot be read; the message names it and lists what can be read."""
 
 
 class TaskFileError(GaugeError, ValueError):
-    """A task file is wrong: names the file, the key and the reason."""
+    """A task file or an experiment file is wrong.
+
+    Args:
+        file: The file.
+        key: Dotted key; `(file)` for the file as a whole.
+        reason: What is wrong, and what to do.
+    """
 
     def __init__(self, file: Path | str, key: str, reason: str) -> None:
         super().__init__(f"{file}: {key}: {reason}")
@@ -114,11 +125,17 @@ class ResultFileError(GaugeError, OSError):
 
 
 class TrajectoryFileError(GaugeError, ValueError):
-    """A trajectory file brought by a user cannot be scored: names file, place and what was expected."""
+    """A user's trajectory file cannot be scored; the message names file, place and what is expected."""
 
 
 class UnknownNameError(GaugeError, LookupError):
-    """A name is not one of the known ones; the message offers the nearest."""
+    """A name is unknown; the message offers the nearest known ones.
+
+    Args:
+        kind: What the name is of, as `variant`.
+        name: The unknown name.
+        known: All known names.
+    """
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
@@ -130,10 +147,40 @@ class UnknownNameError(GaugeError, LookupError):
 
 
 class ReferenceFileError(GaugeError, ValueError):
-    """A data file in `scoring/` is damaged: names the file, the line where there is one, and the reason."""
+    """A file of reference data is damaged: a band, published baselines, laws or an import.
+
+    Args:
+        file: The file.
+        line: Line of the file; None for the file as a whole.
+        reason: What is wrong, and what to do.
+    """
 
     def __init__(self, file: Path, line: int | None, reason: str) -> None:
         super().__init__(f"{file}: {reason}" if line is None else f"{file}: line {line}: {reason}")
         self.file = file
         self.line = line
         self.reason = reason
+
+
+def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]:
+    """Return the place and the reason of the first fault that pydantic found.
+
+    Args:
+        error: What pydantic raised.
+        noun: Word for a field of the model, as `key` or `setting`.
+
+    Returns:
+        Dotted path of the field, as `score.metrics.0`, which is empty for the model as a whole; and the reason, with
+        the value where it is short.
+    """
+    fault = error.errors(include_url=False)[0]
+    place = ".".join(map(str, fault["loc"]))
+    if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return place, f"unknown {noun}"
+    if fault["type"] == "missing":
+        return place, f"missing {noun}"
+    if fault["type"] == "union_tag_not_found":
+        return f"{place}.{fault['ctx']['discriminator'].strip(chr(39))}".lstrip("."), f"missing {noun}"
+    given = repr(fault["input"])
+    shown = f" (given: {given})" if isinstance(fault["input"], int | float | str) and len(given) <= 60 else ""
+    return place, fault["msg"].removeprefix("Value error, ") + shown

@@ -1,11 +1,13 @@
-"""Where the data folders lie, in a checkout and in an installed wheel alike."""
+"""Find the data folders of a checkout or a wheel, write files whole, and prepare values for JSON."""
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from secrets import token_hex
 from typing import Any
 
 import numpy as np
@@ -14,11 +16,12 @@ __all__ = [
     "data_folder",
     "json_ready",
     "versions",
+    "write_whole",
 ]
 
 
 def data_folder(name: str) -> Path:
-    """Folder `tasks`, `scoring` or `assets`: inside the installed package, or beside it in a checkout.
+    """Return the folder `tasks`, `scoring` or `assets`, inside the installed package or beside it in a checkout.
 
     Raises:
         FileNotFoundError: The installation lacks the folder.
@@ -31,7 +34,7 @@ def data_folder(name: str) -> Path:
 
 
 def json_ready(value: Any) -> Any:
-    """Plain containers, None for numbers that are not finite: JSON has neither NaN nor infinity."""
+    """Return a value in plain containers, with None for NaN and infinity, which JSON lacks."""
     if isinstance(value, Mapping):
         return {str(key): json_ready(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -42,6 +45,23 @@ def json_ready(value: Any) -> Any:
 
 
 def versions() -> dict[str, str]:
-    """Versions of gauge-envs, gymnasium, numpy and python."""
+    """Return the versions of gauge-envs, gymnasium, numpy and python."""
     packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
     return packages | {"python": platform.python_version()}
+
+
+def write_whole(file: Path, content: bytes) -> None:
+    """Write a file whole or not at all: a reader finds the old content or the new one.
+
+    Raises:
+        OSError: The file cannot be written; an older one is unchanged.
+    """
+    part = file.with_name(f".{file.name}.{token_hex(8)}.tmp")
+    try:
+        with part.open("xb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(file)
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
-"""Builds the bundled bands of real trials in `scoring/bands/` and the summaries in `scoring/facts/` from the facts.
+"""Build the bundled bands of real trials in `scoring/bands/` and the summaries in `scoring/facts/` from the facts.
 
     python scripts/build_bands.py            writes the files
-    python scripts/build_bands.py --check    fails when a file is not what the facts give
+    python scripts/build_bands.py --check    fails if a file differs from what the facts give
 
 The facts hold what was measured: 59 slides and 22 bounces. Each trial is reconstructed at the published number of 30 Hz
 frames, then the band is the mean and the sample standard deviation over trials. `scoring/README.md` defines all terms.
@@ -28,7 +28,7 @@ FRAME_RATE_HZ = 30
 SLOPE_RAD = math.radians(30)
 SLOPE_MATERIALS = ("wood", "plastic", "metal")
 BALL_VARIANT = "BouncingBall-rubber"
-BALL_FIRST_MEASURED_FRAME = 4  # the arcs leave out the first three or four frames; which trial how many is not known
+BALL_FIRST_MEASURED_FRAME = 4  # the arcs lack three or four first frames; the count of each trial is unknown
 
 GENERATED = "# Written by scripts/build_bands.py; do not edit."
 DATASET = "InternRobotics/GAUGE-Dataset, revision 9e0acb7, MIT licence"
@@ -68,7 +68,7 @@ class Slide:
     positions_mm: FloatArray
 
     def quadratic(self) -> tuple[float, float, float]:
-        """Acceleration in mm/s^2, and the vertex: its time in s and its position in mm."""
+        """Return the acceleration in mm/s^2, and the vertex: its time in s and its position in mm."""
         square, linear, constant = np.polyfit(self.frames / FRAME_RATE_HZ, self.positions_mm, 2)
         return 2 * float(square), float(-linear / (2 * square)), float(constant - linear**2 / (4 * square))
 
@@ -103,13 +103,13 @@ class Impact:
 
 
 def read_rows(file: Path) -> list[dict[str, str]]:
-    """Rows of a facts file; its header comments start with `#`."""
+    """Return the rows of a facts file; its header comments start with `#`."""
     with file.open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(line for line in stream if not line.startswith("#")))
 
 
 def read_slides(facts: Path, material: str) -> list[Slide]:
-    """All slides of one material, in order of trial."""
+    """Return all slides of one material, in order of trial."""
     samples: dict[int, list[tuple[int, float]]] = {}
     for row in read_rows(facts / "slope_slider_30deg.csv"):
         if row["material"] == material:
@@ -118,7 +118,7 @@ def read_slides(facts: Path, material: str) -> list[Slide]:
 
 
 def read_impacts(facts: Path) -> list[Impact]:
-    """First impacts of all trials of the bouncing ball."""
+    """Return the first impacts of all trials of the bouncing ball."""
     rows = read_rows(facts / "bouncing_ball.csv")
     next_times = {row["trial"]: float(row["time_s"]) for row in rows if row["impact"] == "2"}
     return [
@@ -135,7 +135,7 @@ def read_impacts(facts: Path) -> list[Impact]:
 
 
 def reconstruct_slides(slides: Sequence[Slide], frame_count: int) -> Trials:
-    """Samples where there are any; else the quadratic through them, at rest before its vertex."""
+    """Return trials of the measured samples; other frames take their quadratic, at rest before its vertex."""
     positions = np.empty((len(slides), frame_count))
     measured = np.zeros((len(slides), frame_count), dtype=bool)
     for trial, slide in enumerate(slides):
@@ -156,7 +156,7 @@ def reconstruct_slides(slides: Sequence[Slide], frame_count: int) -> Trials:
 
 
 def reconstruct_bounces(impacts: Sequence[Impact], frame_count: int) -> Trials:
-    """At rest until its release, free fall into and out of the first impact; no trial reaches its second."""
+    """Return trials of rest until the release and free fall before and after the first impact; none has a second."""
     times = np.arange(frame_count) / FRAME_RATE_HZ
     positions = np.empty((len(impacts), frame_count))
     for trial, impact in enumerate(impacts):
@@ -177,7 +177,7 @@ def reconstruct_bounces(impacts: Sequence[Impact], frame_count: int) -> Trials:
 
 
 def trial_scores(trials: Trials) -> dict[str, FloatArray]:
-    """E_RMSE and E_DTW in mm of each trial to the mean over trials, each of shape [trial_count]."""
+    """Return E_RMSE and E_DTW of each trial to the mean over trials [mm], each of shape [trial_count]."""
     mean = trials.positions_mm.mean(axis=0)[:, np.newaxis]
     return {
         metric: np.array([score(trial[:, np.newaxis], mean) for trial in trials.positions_mm])
@@ -186,7 +186,7 @@ def trial_scores(trials: Trials) -> dict[str, FloatArray]:
 
 
 def band_csv(trials: Trials) -> str:
-    """Text of a band's table."""
+    """Return the text of a band's table."""
     mean, sigma = trials.positions_mm.mean(axis=0), trials.positions_mm.std(axis=0, ddof=1)
     counts = trials.measured.sum(axis=0)
     lines = [f"frame,time_s,measured,measured_trials,mean.{trials.coordinate},sigma.{trials.coordinate}"]
@@ -198,7 +198,7 @@ def band_csv(trials: Trials) -> str:
 
 
 def band_toml(trials: Trials) -> str:
-    """Text of a band's sidecar: what the table's numbers are, and the scores of the trials themselves."""
+    """Return the text of a band's sidecar: what the table's numbers are, and the scores of the trials themselves."""
     direction = ", ".join(f"{component:.12g}" for component in trials.direction)
     scores = "".join(
         f"\n[{metric}]  # {metric.upper()} of each trial to the mean, over all frames, in the unit above\n"
@@ -219,7 +219,7 @@ def band_toml(trials: Trials) -> str:
 
 
 def slides_summary_toml(slides: dict[str, list[Slide]]) -> str:
-    """Text of the summary of SlopeSlider-2: measured acceleration and the kinetic friction that it implies."""
+    """Return the summary of SlopeSlider-2 as text: measured acceleration, and the kinetic friction from it."""
     lines = [GENERATED, f"# Over the trials of each material of SlopeSlider-2; g = {GRAVITY_M_S2} m/s^2."]
     for material, trials in slides.items():
         acceleration = np.array([slide.quadratic()[0] / 1000 for slide in trials])
@@ -230,7 +230,7 @@ def slides_summary_toml(slides: dict[str, list[Slide]]) -> str:
 
 
 def bounces_summary_toml(impacts: Sequence[Impact]) -> str:
-    """Text of the summary of BouncingBall: the quantities of the first impact that an effective parameter set needs."""
+    """Return the summary of BouncingBall as text: quantities of the first impact for an effective parameter set."""
     quantities = {
         "rebound_ratio": [impact.speed_out / impact.speed_in for impact in impacts],
         "start_height_m": [impact.start_height for impact in impacts],
@@ -247,17 +247,17 @@ def bounces_summary_toml(impacts: Sequence[Impact]) -> str:
 
 
 def statistics_toml(values: FloatArray) -> str:
-    """Mean and sample standard deviation as two lines of TOML."""
+    """Return mean and sample standard deviation as two lines of TOML."""
     return f"mean = {np.mean(values):.6f}\nstd = {np.std(values, ddof=1):.6f}\n"
 
 
 def inline_statistics(values: Sequence[float] | FloatArray) -> str:
-    """Mean, sample standard deviation and median as an inline TOML table."""
+    """Return mean, sample standard deviation and median as an inline TOML table."""
     return f"{{ mean = {np.mean(values):.6f}, std = {np.std(values, ddof=1):.6f}, median = {np.median(values):.6f} }}"
 
 
 def reconstruct(scoring: Path) -> dict[str, Trials]:
-    """Trials of every variant that has facts, over its published number of frames."""
+    """Return the trials of every variant that has facts, over its published number of frames."""
     trials = {}
     for material in SLOPE_MATERIALS:
         variant = f"SlopeSlider-2-{material}"
@@ -269,7 +269,7 @@ def reconstruct(scoring: Path) -> dict[str, Trials]:
 
 
 def generated_files(scoring: Path) -> dict[Path, str]:
-    """Every generated file with the text that the facts give it."""
+    """Return every generated file with the text that the facts give it."""
     facts = scoring / "facts"
     slides = {material: read_slides(facts, material) for material in SLOPE_MATERIALS}
     files = {
@@ -283,10 +283,10 @@ def generated_files(scoring: Path) -> dict[Path, str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes or checks the generated files.
+    """Write or check the generated files.
 
     Returns:
-        Exit status: 1 when a check found a file that is missing or not current.
+        Exit status: 1 if a check found a file that is missing or not current.
     """
     return write_or_check(
         generated_files,

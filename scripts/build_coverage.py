@@ -1,9 +1,9 @@
-"""Writes the table of coverage in `README.md`: what each id is measured against and driven by, as the package comes.
+"""Write the table of coverage in `docs/coverage.md`: what each id is measured against and driven by in the package.
 
     python scripts/build_coverage.py            writes it
     python scripts/build_coverage.py --check    fails when it is not current
 
-Imported trials, which each user has or has not, are left out of it: `gauge data status` tells of those.
+The table leaves out imported trials, which differ between users: `gauge data status` reports those.
 """
 
 from __future__ import annotations
@@ -23,19 +23,18 @@ from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.published import law_for, published_baselines
 
 BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- end of coverage -->"
-"""Lines of the README between which the table stands."""
+"""Lines of the page that enclose the table."""
 
 HEAD = """
-<details>
-<summary>Coverage: what each of the 75 ids is measured against as the package comes, and what drives it</summary>
+| column | meaning |
+| --- | --- |
+| band | grade of the best band in the package; *withheld* where nothing is scored on it unless you ask for it |
+| known | frames with a known mean, of all frames of the experiment; in brackets, frames known in every coordinate |
+| sigma | source of the scatter: the `trials`, the published `baseline`, or the uncertainty of the `measurement` |
+| driver | source of the motion of the driven body; `-` where nothing is driven |
+| normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 
-- **band**: grade of the best band there is; *withheld* where nothing is scored on it unless it is asked for.
-- **known**: frames at which the band has a mean, of those of the experiment, and at how many it has one in every
-  coordinate where those are fewer. A law states every frame.
-- **sigma**: scatter of the `trials`, from the published `baseline`, or uncertainty of the `measurement`.
-- **driver**: where the motion of the driven body is from; `-` where nothing is driven.
-- **normalized**: scores that are given over the published one of real trials; `no` where there is no band to score on,
-  or no published score.
+A law states every frame.
 """
 GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.NONE)
 
@@ -66,7 +65,7 @@ class Row:
 
 
 def coverage(variant: Variant) -> Row:
-    """What comes with the package for one variant."""
+    """Return what the package holds for one variant."""
     experiment = load_experiment(variant)
     band, law = bundled_band(variant.name), law_for(variant.name)
     grade = band.grade if band is not None else BandGrade.NONE if law is None else BandGrade.LAW
@@ -90,20 +89,20 @@ def coverage(variant: Variant) -> Row:
 
 
 def known_frames(band: Band) -> str:
-    """Number of frames at which a band has a mean, and how many have it in every coordinate where that is fewer."""
+    """Count the frames at which a band has a mean, and, where fewer, those with a mean in every coordinate."""
     known = np.isfinite(band.mean)
     some, full = known.any(axis=1).sum(), known.all(axis=1).sum()
     return str(some) if full == some else f"{some} ({full} in full)"
 
 
 def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Lines of a Markdown table."""
+    """Yield the lines of a Markdown table."""
     for cells in (titles, ["---"] * len(titles), *rows):
         yield f"| {' | '.join(cells)} |"
 
 
 def coverage_markdown(rows: Sequence[Row]) -> str:
-    """Text of the block."""
+    """Return the text of the block."""
     count = Counter((row.grade, row.used) for row in rows)
     drivers = Counter(row.driver for row in rows)
     lines = [HEAD.strip(), "", f"{len(rows)} ids:", ""]
@@ -123,11 +122,11 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         if row.withheld:
             reasons.setdefault(row.withheld, []).append(row.variant)
     lines += [f"- {', '.join(names)}: {reason}." for reason, names in reasons.items()]
-    return "\n".join([*lines, "", "</details>"])
+    return "\n".join(lines)
 
 
 def with_block(page: str, block: str) -> str:
-    """A page with the block put between its two marks.
+    """Put the block between the two marks of a page.
 
     Raises:
         ValueError: The page does not have the marks, once each and in order.
@@ -140,14 +139,14 @@ def with_block(page: str, block: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes or checks the file.
+    """Write or check the file.
 
     Returns:
         Exit status: 1 when a check found it not current.
     """
     parser = argparse.ArgumentParser(description="Write the table of coverage.")
     parser.add_argument("--check", action="store_true", help="write nothing; fail when the file is not current")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "README.md", help="file")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "coverage.md", help="file")
     options = parser.parse_args(arguments)
     page = options.out.read_text(encoding="utf-8")
     text = with_block(page, coverage_markdown([coverage(variant) for variant in variants()]))

@@ -1,7 +1,7 @@
-"""Builds the bands of published recordings in `scoring/bands/` from what was measured in them.
+"""Build the bands of published recordings in `scoring/bands/` from what was measured in them.
 
     python scripts/build_recordings.py            writes the files
-    python scripts/build_recordings.py --check    fails when a file is not what the measurements give
+    python scripts/build_recordings.py --check    fails if a file differs from what the measurements give
 
 `scoring/facts/recordings/recordings.toml` says of each recording what it shows, what was assumed and what it supports;
 the tables beside it hold one row a picture. A band has the 30 Hz frames of its experiment. Between two neighbouring
@@ -32,17 +32,17 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 GENERATED = "# Written by scripts/build_recordings.py; do not edit."
 SOURCE = "Published recording {video} of one trial (GAUGE project page): {method}"
 LARGEST_GAP = 1.5
-"""Pictures further apart than this many intervals have one missing between them."""
+"""Number of intervals between two pictures above which a picture is missing between them."""
 
 ROUNDING_S = 1e-6
-"""A frame this far outside of the pictures is one that falls on the first or the last of them."""
+"""Largest time outside of the pictures at which a frame counts as on the first or the last of them [s]."""
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class RecordedBand:
-    """A band of one variant, before it is text.
+    """Band of one variant, before it is text.
 
     Attributes:
         names: Names of the coordinates.
@@ -63,7 +63,7 @@ class RecordedBand:
 
 
 def read_table(file: Path) -> dict[str, FloatArray]:
-    """Columns of a table of measurements, NaN where a field is empty; its header comments start with `#`."""
+    """Return the columns of a table of measurements, NaN where a field is empty; its header comments start with `#`."""
     with file.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
@@ -72,7 +72,7 @@ def read_table(file: Path) -> dict[str, FloatArray]:
 def at_frames(
     times_s: FloatArray, values: FloatArray, frame_times_s: FloatArray, *, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """A measured quantity and its rate at the frames.
+    """Return a measured quantity and its rate at the frames.
 
     Args:
         times_s: Times of the pictures, ascending, shape [picture_count].
@@ -98,7 +98,7 @@ def at_frames(
 
 
 def seen_well(values: FloatArray, before_hidden: int) -> FloatArray:
-    """A column without the pictures just before it becomes empty; its end is the end of the clip, and stays."""
+    """Return a column without the pictures just before each gap; those before the end of the clip stay."""
     seen = values.copy()
     for hidden in np.flatnonzero(np.isnan(values)):
         seen[max(0, hidden - before_hidden) : hidden] = np.nan
@@ -106,14 +106,14 @@ def seen_well(values: FloatArray, before_hidden: int) -> FloatArray:
 
 
 def sigma_of(baseline: Baseline, width: int) -> float:
-    """Sigma of each coordinate of g(t), `width` in all: the published scatter, split evenly over them."""
+    """Return the sigma of each of `width` coordinates of g(t): the published scatter, split evenly over them."""
     return math.hypot(baseline.mean, baseline.std or 0.0) / math.sqrt(width)
 
 
 def recorded_band(
     variant: str, recording: Mapping[str, Any], layout: Mapping[str, Any], table: Mapping[str, FloatArray]
 ) -> RecordedBand:
-    """The band of a variant from one recording.
+    """Return the band of a variant from one recording.
 
     Raises:
         ValueError: A coordinate is measured at no frame, or number of frames or of coordinates is not the experiment's.
@@ -150,7 +150,7 @@ def recorded_band(
 def placement_sigma(
     stated: Mapping[str, Any], table: Mapping[str, FloatArray], value: FloatArray, frame_times_s: FloatArray
 ) -> FloatArray:
-    """1-sigma uncertainty of a coordinate at the frames apart from that of their time, shape [frame_count]."""
+    """Return the 1-sigma uncertainty of a coordinate at the frames without that of their time, [frame_count]."""
     parts = [stated.get("constant", 0.0) * np.ones_like(value), stated.get("relative", 0.0) * np.abs(value)]
     if "column" in stated:
         parts.append(np.interp(frame_times_s, table["time_s"], table[stated["column"]]))
@@ -158,7 +158,7 @@ def placement_sigma(
 
 
 def band_csv(band: RecordedBand) -> str:
-    """Text of a band's table, down to the last measured frame."""
+    """Return the text of a band's table, down to the last measured frame."""
     columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in band.names]
     lines = [",".join(["frame", "time_s", "measured", *columns])]
     for frame in range(int(np.flatnonzero(band.measured)[-1]) + 1):
@@ -171,7 +171,7 @@ def band_csv(band: RecordedBand) -> str:
 def band_toml(
     variant: str, band: RecordedBand, name: str, recording: Mapping[str, Any], layout: Mapping[str, Any]
 ) -> str:
-    """Text of a band's sidecar: what the table's numbers are."""
+    """Return the text of a band's sidecar: what the table's numbers are."""
     coordinates = layout["coordinates"]
     lines = [
         GENERATED,
@@ -197,7 +197,7 @@ def band_toml(
 
 
 def supported(folder: Path) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Name, description and layout of each recording that supports a band."""
+    """Yield name, description and layout of each recording that supports a band."""
     recordings = tomllib.loads((folder / "recordings.toml").read_text(encoding="utf-8"))
     layouts = recordings.pop("layouts")
     for name, recording in recordings.items():
@@ -206,7 +206,7 @@ def supported(folder: Path) -> Iterator[tuple[str, dict[str, Any], dict[str, Any
 
 
 def generated_files(scoring: Path) -> dict[Path, str]:
-    """Every generated file with the text that the measurements give it."""
+    """Return every generated file with the text that the measurements give it."""
     folder = scoring / "facts" / "recordings"
     files = {}
     for name, recording, layout in supported(folder):
@@ -219,10 +219,10 @@ def generated_files(scoring: Path) -> dict[Path, str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes or checks the generated files.
+    """Write or check the generated files.
 
     Returns:
-        Exit status: 1 when a check found a file that is missing or not current.
+        Exit status: 1 if a check found a file that is missing or not current.
     """
     return write_or_check(
         generated_files,

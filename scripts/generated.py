@@ -1,4 +1,4 @@
-"""What scripts that generate data files share: write them, or check that they are current."""
+"""Command line of scripts that generate data files: write them, or check that they are current."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ __all__ = ["write_or_check"]
 def write_or_check(
     generate: Callable[[Path], Mapping[Path, str]], *, script: str, what: str, arguments: Sequence[str] | None
 ) -> int:
-    """Command line of a script that generates files from the data in `scoring/`.
+    """Run the command line of a script that generates files from the data in `scoring/`.
 
     Args:
-        generate: Every generated file with its text, for a folder of data.
+        generate: Function that returns every generated file with its text, for a folder of data.
         script: File name of the script.
-        what: What it does, for its help.
+        what: Description of the script for its help.
         arguments: Command line arguments; None takes those of the process.
 
     Returns:
-        Exit status: 1 when a check found a file that is missing or not current.
+        Exit status: 1 if a check found a file that is missing or not current.
     """
     parser = argparse.ArgumentParser(description=what)
-    parser.add_argument("--check", action="store_true", help="write nothing; fail when a file is not current")
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a file is not current")
     parser.add_argument(
         "--scoring", type=Path, default=Path(__file__).parents[1] / "scoring", help="folder of the data"
     )

@@ -42,11 +42,11 @@ SHEETS = {
         "CantileverBeam-soft": 0.5,
     },
 }
-"""Variants, and how much of the episode to show [s]."""
+"""Variants, and the time of the last picture [s]."""
 
 
 def frames(name: str, seconds: float) -> list[np.ndarray]:
-    """First, middle and last picture of the start of an episode."""
+    """Return the first, middle and last picture of the first seconds of an episode."""
     env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=480, height=360)
     env.reset(seed=0)
     zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
@@ -61,7 +61,7 @@ def frames(name: str, seconds: float) -> list[np.ndarray]:
 
 
 def main() -> None:
-    """Write a sheet."""
+    """Draw and write a sheet."""
     sheet = sys.argv[1]
     out = Path(sys.argv[2] if len(sys.argv) > 2 else f"docs/images/{sheet}.png")
     rows = len(SHEETS[sheet]) // 2

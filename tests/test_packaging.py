@@ -28,6 +28,7 @@ def test_wheel_carries_the_data(wheel: Path) -> None:
     assert sum(name.startswith("gauge_envs/tasks/") and name.endswith(".toml") for name in names) == 22
     assert "gauge_envs/scoring/published/engine_results.csv" in names
     assert "gauge_envs/scoring/bands/SlopeSlider-2-wood.csv" in names
+    assert "gauge_envs/py.typed" in names
     assert not any(name.startswith("tests") for name in names)
 
 
@@ -48,6 +49,10 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel: Path, 
     assert Path(file).is_relative_to(tmp_path)
     assert count == "75"
     assert float(rmse) == pytest.approx(14.1, abs=0.1)
+    # `gauge sanity` reads Gymnasium's MuJoCo environments, which import more than Gymnasium declares.
+    subprocess.run(
+        [python, "-I", "-c", "import gymnasium; gymnasium.make('HalfCheetah-v5').reset()"], cwd=tmp_path, check=True
+    )
     listed = subprocess.run(
         [tmp_path / "venv" / "bin" / "gauge", "list"], cwd=tmp_path, capture_output=True, text=True, check=True
     )

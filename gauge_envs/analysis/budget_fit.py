@@ -19,46 +19,39 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 __all__ = [
     "MAX_SHIFT_S",
     "BudgetStage",
+    "NestedFits",
+    "StageFit",
 ]
 
+FloatArray = NDArray[np.float64]
 
 MAX_SHIFT_S = 10.0 / 30.0
-"""Largest time shift tried to either side [s]; that of the score's release offset."""
-
+"""Largest time shift in either direction [s]; the same as for the score's release offset."""
 
 SHIFT_STEP_S = 1.0 / 180.0
-"""Step of the grid of time shifts, a sample [s]."""
-
+"""Step of the grid of time shifts [s]: one sample."""
 
 RATE_STEP = 0.01
 """Step of the grid of rates."""
 
-
 CYCLE_STEP = 0.1
-"""Largest step of the grid of rates for an oscillation, in cycles at its end: minima are half a cycle wide."""
-
+"""Largest step of the grid of rates for an oscillation, in cycles at its end; a minimum is half a cycle wide."""
 
 GRID_COORDINATES = 12
-"""Coordinates that the grid looks at; the refinement has them all."""
-
+"""Number of coordinates in the grid search; the refinement takes all."""
 
 GRID_NUMBERS = 5_000_000
-"""Numbers that a grid may compute; with more, it leaves out frames."""
-
+"""Largest count of numbers that a grid search computes; it leaves out frames to stay below."""
 
 CHUNK_NUMBERS = 1_000_000
-"""Numbers that are computed at once: 8 MB an array."""
-
+"""Count of numbers that are computed at once; each array then takes 8 MB."""
 
 START_COUNT = 4
-"""Local minima of the grid that are refined."""
-
-
-FloatArray = NDArray[np.float64]
+"""Number of local minima of the grid that are refined."""
 
 
 class BudgetStage(StrEnum):
-    """A part of the error budget."""
+    """A stage of the error budget."""
 
     RELEASE = "release"
     """Constant time shift."""
@@ -69,25 +62,46 @@ class BudgetStage(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
-    """Best fit of some stages together."""
+class StageFit:
+    """Best fit of a set of stages.
+
+    Attributes:
+        shift_s: Time shift [s]; positive is later.
+        rate: Speed of the motion over that of the simulation.
+        scale: Change of scale; see `RecognizedMotion.at`.
+        offsets: Offset of each coordinate, shape [C].
+        mean_squares: Mean squared error of each coordinate, shape [C].
+    """
 
     shift_s: float
     rate: float
     scale: float
     offsets: FloatArray
     mean_squares: FloatArray
-    """Of each coordinate, shape [C]; they sum to `mean_square`."""
 
     @property
     def mean_square(self) -> float:
+        """Mean squared error, the sum over coordinates."""
         return float(self.mean_squares.sum())
 
 
-class _Budget:
-    """Least-squares fits of a motion to the mean of reality, of every set of stages.
+class NestedFits:
+    """Least-squares fits of a motion to the mean of real trials, for each set of stages.
 
-    Shift and rate are searched on a grid and refined; offsets and scale enter linearly and are solved for at each.
+    Shift and rate are searched on a grid and refined. Offsets and scale are linear, and are solved for at each point.
+
+    Args:
+        reference: Mean of the real trials at the frames, shape [frame_count, C]; NaN for a value that is not compared.
+        times_s: Times of the simulation [s], shape [S].
+        simulated: Band coordinates of the simulation, shape [S, C].
+        motion: The recognized motion of the simulation.
+        missing: Stages that do not apply, with the reason.
+
+    Attributes:
+        known: Frames with a value to compare, shape [frame_count].
+        frame_count: Number of those frames.
+        motion: The recognized motion.
+        missing: Stages that do not apply, with the reason.
     """
 
     def __init__(
@@ -98,7 +112,7 @@ class _Budget:
         motion: RecognizedMotion,
         missing: Mapping[BudgetStage, str],
     ) -> None:
-        # The score divides by the frames that have anything to compare; the others play no part.
+        # The score, too, divides by the number of frames that have a value to compare.
         self.known = np.isfinite(reference).any(axis=1)
         self.frame_count = int(self.known.sum())
         self.motion = motion
@@ -108,27 +122,28 @@ class _Budget:
         self._whole_reference = reference
         self._reference = reference[self.known]
         self._frames_s = np.flatnonzero(self.known) / FRAME_RATE_HZ
-        self._fits: dict[frozenset[BudgetStage], _Fit] = {}
+        self._fits: dict[frozenset[BudgetStage], StageFit] = {}
 
-    def fit(self, stages: Iterable[BudgetStage]) -> _Fit:
-        """Best fit of a set of stages; those that do not apply are left out."""
+    def fit(self, stages: Iterable[BudgetStage]) -> StageFit:
+        """Return the best fit of a set of stages, without those that do not apply."""
         wanted = frozenset(stages) - set(self.missing)
         if wanted not in self._fits:
             self._fits[wanted] = self._searched(wanted)
         return self._fits[wanted]
 
     def deviations(self) -> FloatArray:
-        """Squared deviation of the unchanged simulation at each known frame."""
+        """Return the squared deviation of the unchanged simulation at each known frame, shape [frame_count]."""
         played, _ = self.motion.at(self._frames_s, np.zeros(1), np.ones(1))
-        return np.nansum(np.square(self._reference - played[0]), axis=1)
+        squares: FloatArray = np.nansum(np.square(self._reference - played[0]), axis=1)
+        return squares
 
-    def continued_frames(self, fit: _Fit) -> int:
-        """Frames at which a fit shows the motion past the end of the simulation."""
+    def continued_frames(self, fit: StageFit) -> int:
+        """Return the number of frames at which a fit needs the motion past the end of the simulation."""
         since_start = np.clip(self._frames_s - fit.shift_s, 0.0, self.motion.end_s)
         return int((fit.rate * since_start > self.motion.end_s + 1e-9).sum()) if fit.rate > 1.0 else 0
 
-    def likeness(self, fit: _Fit) -> float:
-        """How alike a change of rate and one of scale are at a fit, as the squared cosine between them; 0 with one."""
+    def likeness(self, fit: StageFit) -> float:
+        """Return the squared cosine between changes of rate and of scale at a fit; 0 if the motion has only one."""
         low, high = self.motion.rate_bounds
         if BudgetStage.RATE in self.missing or low == high:
             return 0.0
@@ -139,7 +154,7 @@ class _Budget:
         both = np.square(faster).sum() * np.square(larger).sum()
         return float(np.square((faster * larger).sum()) / both) if both > 0.0 else 0.0
 
-    def _searched(self, stages: frozenset[BudgetStage]) -> _Fit:
+    def _searched(self, stages: frozenset[BudgetStage]) -> StageFit:
         smaller = [self.fit(some) for some in combinations(sorted(stages), len(stages) - 1)] if stages else []
         if stages == {BudgetStage.RELEASE}:
             # The score's own alignment, so that both give the same number.
@@ -155,12 +170,12 @@ class _Budget:
             found = self._refined(stages, smaller)
         fits = [self._solved(stages, *point) for point in found]
         best = min(fits, key=lambda one: one.mean_square)
-        # A larger model contains the smaller one: what the search finds is never worse.
+        # A larger model contains the smaller one, so its fit is never worse.
         least = min(smaller, key=lambda one: one.mean_square, default=None)
         return best if least is None or best.mean_square <= least.mean_square else least
 
-    def _refined(self, stages: frozenset[BudgetStage], smaller: Sequence[_Fit]) -> list[FloatArray]:
-        """Shift and rate of the best local minima."""
+    def _refined(self, stages: frozenset[BudgetStage], smaller: Sequence[StageFit]) -> list[FloatArray]:
+        """Return shift and rate of the best local minima, shape [2] each."""
         bounds = np.array([self._shift_bounds(stages), self._rate_bounds(stages)])
         free = bounds[:, 0] < bounds[:, 1]
         if not free.any():
@@ -186,7 +201,7 @@ class _Budget:
             full = point.copy()
             full[free] = fitted.x
             found += [point, full]
-        # The least change among equals, so that a body at rest is not shifted.
+        # Among equal fits the smallest change comes first, so that a body at rest is not shifted.
         found.append(np.array([0.0, 1.0]))
         return sorted(found, key=lambda one: (abs(one[0]), abs(one[1] - 1.0)))
 
@@ -197,7 +212,7 @@ class _Budget:
         return self.motion.rate_bounds if BudgetStage.RATE in stages else (1.0, 1.0)
 
     def _grid(self, bounds: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Values of shift and rate to try, and their steps."""
+        """Return the values of shift and rate on the grid, and their steps."""
         rate_step = RATE_STEP
         if self.motion.period_s is not None:
             rate_step = min(rate_step, CYCLE_STEP * self.motion.period_s / self._frames_s[-1])
@@ -207,9 +222,10 @@ class _Budget:
         return shifts, rates, steps
 
     def _grid_errors(self, stages: frozenset[BudgetStage], shifts: FloatArray, rates: FloatArray) -> FloatArray:
-        """Mean squared error on the grid, shape [shifts, rates]; of the coordinates and frames that matter most.
+        """Return the squared error on the grid, shape [shift_count, rate_count].
 
-        It only finds where to start from, so a part of many coordinates and frames is enough.
+        The grid only gives starts for the refinement, so it takes the coordinates with the largest error and, for long
+        episodes, a part of the frames.
         """
         weight = np.nansum(np.square(self._reference - self._simulated[0]), axis=0)
         columns = np.sort(np.argsort(weight)[::-1][:GRID_COORDINATES])
@@ -221,26 +237,26 @@ class _Budget:
         errors = [self._linear(stages, reference, *one)[0].sum(axis=1) for one in played]
         return np.concatenate(errors).reshape(len(shifts), len(rates))
 
-    def _solved(self, stages: frozenset[BudgetStage], shift_s: float, rate: float) -> _Fit:
+    def _solved(self, stages: frozenset[BudgetStage], shift_s: float, rate: float) -> StageFit:
         played = self.motion.at(self._frames_s, np.array([shift_s]), np.array([rate]))
         squares, scale, offsets = self._linear(stages, self._reference, *played)
-        return _Fit(float(shift_s), float(rate), float(scale[0]), offsets[0], squares[0] / self.frame_count)
+        return StageFit(float(shift_s), float(rate), float(scale[0]), offsets[0], squares[0] / self.frame_count)
 
     def _linear(
         self, stages: frozenset[BudgetStage], reference: FloatArray, played: FloatArray, basis: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Best scale and offsets for G motions, with the squared error that is left.
+        """Solve for scale and offsets of G motions.
 
-        With offsets solved for, the error is a parabola in the scale, so that its bounded minimum is the clipped one.
+        With the best offsets the error is a parabola in the scale, so the bounded minimum is the clipped one.
 
         Returns:
-            Summed squared error of each coordinate, shape [G, C]; scales, shape [G]; offsets, shape [G, C].
+            Remaining summed squared error of each coordinate, shape [G, C]; scales, shape [G]; offsets, shape [G, C].
         """
         known = np.isfinite(reference)
         counts = np.maximum(known.sum(axis=0), 1)
 
         def centred(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Values where something is known, less their mean over time where offsets are free; and that mean."""
+            """Return known values minus their mean over time if the stages have offsets, and that mean."""
             kept = values if known.all() else np.where(known, values, 0.0)
             if BudgetStage.OFFSET not in stages:
                 return kept, np.zeros((len(played), reference.shape[1]))
@@ -261,7 +277,7 @@ class _Budget:
 
 
 def _local_minima(shifts: FloatArray, rates: FloatArray, errors: FloatArray) -> list[FloatArray]:
-    """The deepest local minima of a grid, deepest first."""
+    """Return the deepest local minima of a grid, deepest first."""
     padded = np.pad(errors, 1, constant_values=np.inf)
     around = [padded[i : i + len(shifts), j : j + len(rates)] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
     rows, columns = np.nonzero(errors <= np.min(around, axis=0))

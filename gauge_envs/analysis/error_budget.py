@@ -1,29 +1,40 @@
-"""An error budget: how much of an episode's RMSE is release time, constant offset, scale or rate, and the rest.
+"""Error budgets: an episode's RMSE split into release time, constant offset, rate or scale, and the rest.
 
-The simulated trajectory is changed so that it fits the mean of reality best, and what a change takes off the mean
-squared error is its part of the budget. Three stages, each a change that has a meaning in the laboratory:
+The simulated trajectory is changed to fit the mean of the real trials best. The reduction of the mean squared error by
+a change is its part of the budget. There are three stages, each a change with a meaning in the laboratory:
 
-- `release`: it is played later by a constant time and held at both ends, as `release_offset` of the score does;
-- `offset`: a constant is added, one number a coordinate;
-- `rate`: the motion is faster or larger, in the quantity that it has (`analysis.motion_kinds.MotionKind`): another
-  acceleration, restitution, period and amplitude, or in general a stretch of time and of displacement.
+- `release`: the trajectory starts later by a constant time and is held at both ends, as for the score's
+  `release_offset`;
+- `offset`: one constant is added to each coordinate;
+- `rate`: the motion is faster or larger, in the quantity of its kind (`analysis.motion_kinds.MotionKind`): another
+  acceleration, restitution, or period and amplitude; else a stretch of time and of displacement.
 
-Stages are nested least squares: each adds its change to those before it, and all of them are fitted again. So the
-squared error only falls, its parts and the rest add up to the whole, and so do the falls of the RMSE. The split depends
-on the order, as changes can stand in for each other; so beside it stands what a stage takes off `alone`, and what it
-takes off as the `last` of the three. Frames are those of the score: all, extrapolated ones too, as in the paper.
+The stages are nested least squares: each adds its change to those before it, and all of them are fitted again. So the
+squared error only falls, and its parts and the rest sum to the whole; so do the reductions of the RMSE. The split
+depends on the order, because one change can replace another. Each part therefore also states the reduction by the stage
+`alone` and as the `last` of the three. The frames are those of the score: all, including extrapolated ones, as in the
+paper.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gauge_envs.analysis.budget_fit import MAX_SHIFT_S, BudgetStage, FloatArray, _Budget, _Fit
-from gauge_envs.analysis.motion_kinds import Change, MotionKind, recognized
+from gauge_envs.analysis.budget_fit import MAX_SHIFT_S, BudgetStage, NestedFits, StageFit
+from gauge_envs.analysis.diagnosis import (
+    MARKERS,
+    SEVERAL_BODIES,
+    Diagnosis,
+    PublishedScore,
+    Remainder,
+    StagePart,
+)
+from gauge_envs.analysis.motion_kinds import Change, recognized
 from gauge_envs.errors import GaugeError, ParameterError, ShapeError
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
@@ -35,178 +46,30 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
     "DEFAULT_ORDER",
-    "MARKERS",
-    "SEVERAL_BODIES",
-    "Diagnosis",
     "DiagnosisError",
-    "PublishedScore",
-    "Remainder",
-    "StagePart",
     "diagnose",
     "diagnose_trajectory",
     "stage_order",
 ]
 
 
-STILL_SHARE = 0.1
-"""A real motion below this share of the scatter of the trials is none, so that it has no rate."""
+FloatArray = NDArray[np.float64]
 
+DEFAULT_ORDER = (BudgetStage.RELEASE, BudgetStage.OFFSET, BudgetStage.RATE)
+"""Default order of the stages."""
+
+STILL_SHARE = 0.1
+"""Real motion over scatter of the trials up to which the motion counts as none, so that it has no rate."""
 
 INSEPARABLE = 0.95
-"""Squared cosine between two changes from which on noise decides which of them the fit takes."""
-
+"""Squared cosine between two changes above which noise decides between them."""
 
 CLOSE_TO_BOUND = 1e-3
-"""Share of a range within which a fit counts as ended at its limit."""
-
-NO_PUBLISHED_SPLIT = (
-    "only scalar scores are published: a split of the RMSE needs the trajectory. DTW over RMSE, both in the unit of "
-    "g(t), says how much is left where time may be warped at will; PD is the period over the real one."
-)
+"""Distance to the end of a range, over its length, within which a fit counts as at its bound."""
 
 
 class DiagnosisError(GaugeError, ValueError):
-    """An episode has no error budget; the message says what is missing."""
-
-
-DEFAULT_ORDER = (BudgetStage.RELEASE, BudgetStage.OFFSET, BudgetStage.RATE)
-
-
-@dataclass(frozen=True, kw_only=True)
-class StagePart:
-    """What one stage takes off the error.
-
-    Squared errors are means over frames of the squared Euclidean deviation, in the squared unit of g(t).
-
-    Attributes:
-        stage: Which one.
-        missing: Why it does not apply; None where it does. Then it explains 0.
-        explained: What it takes off the mean squared error after the stages before it.
-        share: The same over the whole mean squared error.
-        rmse_before: RMSE before it.
-        rmse_after: RMSE after it.
-        rmse_before_normalized: Over the published baseline; None where none is published.
-        rmse_after_normalized: The same.
-        alone_share: What it takes off as the only change, over the whole.
-        last_share: What it takes off after both others, over the whole.
-        by_coordinate: What it takes off each coordinate's mean squared error, shape [C]; negative where a coordinate
-            pays for the others. It sums to `explained`.
-        changes: All changes in force after it, its own among them, as fitted together.
-        alone_changes: Its own changes where it is the only one.
-    """
-
-    stage: BudgetStage
-    missing: str | None
-    explained: float
-    share: float
-    rmse_before: float
-    rmse_after: float
-    rmse_before_normalized: float | None
-    rmse_after_normalized: float | None
-    alone_share: float
-    last_share: float
-    by_coordinate: tuple[float, ...]
-    changes: tuple[Change, ...]
-    alone_changes: tuple[Change, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Remainder:
-    """What no stage explains: its mean squared error, share of the whole, and RMSE."""
-
-    mean_square: float
-    share: float
-    rmse: float
-    rmse_normalized: float | None
-    by_coordinate: tuple[float, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PublishedScore:
-    """What can be said of a published engine.
-
-    Attributes:
-        rmse: RMSE in the unit of g(t), from the normalized score; None where none was published.
-        rmse_normalized: As published.
-        dtw_normalized: As published.
-        dtw_over_rmse: Ratio of the two in the unit of g(t).
-        period_ratio: Period over the real mean, as published.
-    """
-
-    rmse: float | None
-    rmse_normalized: float | None
-    dtw_normalized: float | None
-    dtw_over_rmse: float | None
-    period_ratio: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis:
-    """The error budget of one episode.
-
-    Attributes:
-        id: Gymnasium id.
-        grade: Grade of the band.
-        source: Where the band is from.
-        unit: Unit of g(t) and of every RMSE.
-        baseline: Published mean RMSE of the real trials, by which RMSEs are normalized; None where there is none.
-        coordinates: Names of the band coordinates.
-        kind: What the simulated motion does, which decides what `rate` means.
-        subject: What is observed, as `the ball`.
-        driven: Whether something in the scene follows a recorded motion, so that nothing is let go.
-        frames: Frames counted.
-        extrapolated_frames: Those of them that the band extrapolates.
-        extrapolated_share: Share of the squared error that lies in them.
-        mean_square: Mean squared error.
-        rmse: Its root: the RMSE of the score, unless `measured_only`.
-        rmse_normalized: Over the baseline.
-        dtw_over_rmse: DTW of the score over its RMSE; None where it is not known.
-        measured_only: Whether extrapolated frames were left out.
-        by_coordinate: Mean squared error of each coordinate, shape [C].
-        parts: The stages in the order in which they were added.
-        rest: What is left.
-        published: What is known of the published engines; the split is not, see `published_note`.
-        published_note: Why.
-        notes: What to know about this budget.
-    """
-
-    id: str
-    grade: str
-    source: str
-    unit: str
-    baseline: float | None
-    coordinates: tuple[str, ...]
-    kind: MotionKind
-    subject: str
-    driven: bool
-    frames: int
-    extrapolated_frames: int
-    extrapolated_share: float
-    mean_square: float
-    rmse: float
-    rmse_normalized: float | None
-    dtw_over_rmse: float | None
-    measured_only: bool
-    by_coordinate: tuple[float, ...]
-    parts: tuple[StagePart, ...]
-    rest: Remainder
-    published: Mapping[str, PublishedScore]
-    published_note: str = NO_PUBLISHED_SPLIT
-    notes: tuple[str, ...] = ()
-
-    def axes(self) -> dict[str, tuple[int, ...]]:
-        """Coordinates by what they are along: `marker-3.x` counts to `x`; one that names no axis is its own."""
-        groups: dict[str, list[int]] = {}
-        for index, name in enumerate(self.coordinates):
-            groups.setdefault(name.rpartition(".")[2], []).append(index)
-        return {axis: tuple(indices) for axis, indices in groups.items()}
-
-    def part(self, stage: BudgetStage) -> StagePart:
-        """The part of one stage."""
-        return next(part for part in self.parts if part.stage is stage)
-
-
-# --- entry points ----------------------------------------------------------------------------------------------------
+    """An episode has no error budget; the message states the reason."""
 
 
 def diagnose(
@@ -217,31 +80,31 @@ def diagnose(
     measured_only: bool = False,
     use_withheld: bool = False,
 ) -> Diagnosis:
-    """Error budget of a result.
+    """Return the error budget of a result.
 
     Args:
-        result: Result of an episode that ran to its end, or of a trajectory that a user brought.
-        band: What to measure against; None takes the experiment's own, also a withheld one where the result was scored
-            on that.
-        order: Stages in the order in which they are added, each once.
-        measured_only: Leave out the frames that the band extrapolates; then the whole is not the score's RMSE.
-        use_withheld: Take a band too that is withheld by default; `gauge show` tells why it is.
+        result: Result of an episode that ran to its end, or of a trajectory file of a user.
+        band: Band to compare with. None takes that of the experiment, also a withheld one if the result was scored
+            against it.
+        order: The three stages in the order in which they are added.
+        measured_only: Leave out the frames that the band extrapolates; the whole is then not the score's RMSE.
+        use_withheld: Take also a band that is withheld by default; `gauge show` gives the reason.
 
     Raises:
-        DiagnosisError: It did not run to its end, or there is no band for it.
-        ParameterError: The order is not one of the three stages.
+        DiagnosisError: The episode did not run to its end, or there is no band.
+        ParameterError: The order does not hold each of the three stages once.
     """
     if result.outcome is not Outcome.FINISHED or result.trajectory is None:
         reason = result.error or result.diverged_reason or "it holds no trajectory"
-        raise DiagnosisError(f"{result.id}: {result.outcome.value}, so that there is no score to explain: {reason}")
+        raise DiagnosisError(f"{result.id}: {result.outcome.value}, so there is no score to split: {reason}")
     experiment = recorded_experiment(result)
     if band is None:
         band = reference_band(experiment, use_withheld=use_withheld or result.score.withheld is not None)
     times_s, values = result.trajectory.arrays()
     if band is not None and (own := values.shape[1]) != (taken := band.projection.shape[1]):
         raise DiagnosisError(
-            f"{result.id}: its trajectory has {own} coordinates, the band takes {taken}: it was made with another "
-            "version of the task file; run it again"
+            f"{result.id}: its trajectory has {own} coordinates, the band needs {taken}. It was made with another "
+            "version of the task file: run it again."
         )
     diagnosis = diagnose_trajectory(
         experiment,
@@ -270,20 +133,20 @@ def diagnose_trajectory(
     order: Sequence[BudgetStage] = DEFAULT_ORDER,
     measured_only: bool = False,
 ) -> Diagnosis:
-    """Error budget of a generalized trajectory.
+    """Return the error budget of a generalized trajectory.
 
     Args:
-        experiment: The experiment that it is of.
-        band: What to measure against.
+        experiment: The experiment of the trajectory.
+        band: Band to compare with.
         times_s: Times of the samples from frame 0 on [s], strictly increasing, shape [sample_count]; they must reach
-            the last frame. 180 samples a second or more make times exact.
+            the last frame. 180 samples a second or more give exact times.
         values: g(t) at those times, shape [sample_count, coordinate_count].
-        order: Stages in the order in which they are added, each once.
+        order: The three stages in the order in which they are added.
         measured_only: Leave out the frames that the band extrapolates.
 
     Raises:
-        DiagnosisError: There is no band, or it says nothing about any frame.
-        ParameterError: The order is not one of the three stages.
+        DiagnosisError: There is no band, or it has no frame.
+        ParameterError: The order does not hold each of the three stages once.
         ShapeError: Times or values do not fit the experiment, or are not finite.
     """
     stages = stage_order(order)
@@ -296,15 +159,15 @@ def diagnose_trajectory(
     simulated = band.project(values)
     last_s = float(np.flatnonzero(np.isfinite(reference).any(axis=1))[-1]) / FRAME_RATE_HZ
     motion = recognized(experiment, band, times_s, simulated, until_s=last_s)
-    budget = _Budget(reference, times_s, simulated, motion, _missing(band, simulated))
+    budget = NestedFits(reference, times_s, simulated, motion, _missing(band, simulated))
     return _diagnosis(experiment, band, budget, stages, measured_only=measured_only)
 
 
 def stage_order(names: Iterable[str]) -> tuple[BudgetStage, ...]:
-    """Stages by name.
+    """Return stages by name.
 
     Raises:
-        ParameterError: They are not the three stages, each once.
+        ParameterError: The names are not those of the three stages, each once.
     """
     given = list(names)
     known = [stage.value for stage in DEFAULT_ORDER]
@@ -340,10 +203,10 @@ def _checked(times_s: FloatArray, values: FloatArray, frame_count: int) -> tuple
 
 
 def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
-    """Stages that do not apply, and why."""
+    """Return the stages that do not apply, with the reason."""
     missing = {}
     if band.grade is BandGrade.LAW:
-        # As in the score: a law is exact from frame 0 on, and a shift would only hide a drift.
+        # As in the score: a law is exact from frame 0 on, and a shift could only hide a drift.
         missing[BudgetStage.RELEASE] = "a law has no release: it holds from frame 0 on"
     real = float(np.sqrt(np.nanmean(np.square(band.mean - np.nanmean(band.mean, axis=0)))))
     own = float(np.sqrt(np.mean(np.square(simulated - simulated[0]))))
@@ -359,7 +222,7 @@ def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
 
 
 def _diagnosis(
-    experiment: Experiment, band: Band, budget: _Budget, order: Sequence[BudgetStage], *, measured_only: bool
+    experiment: Experiment, band: Band, budget: NestedFits, order: Sequence[BudgetStage], *, measured_only: bool
 ) -> Diagnosis:
     baselines = experiment.baselines
     baseline = baselines["rmse"].mean if "rmse" in baselines else None
@@ -398,7 +261,9 @@ def _diagnosis(
     )
 
 
-def _part(budget: _Budget, band: Band, order: Sequence[BudgetStage], index: int, baseline: float | None) -> StagePart:
+def _part(
+    budget: NestedFits, band: Band, order: Sequence[BudgetStage], index: int, baseline: float | None
+) -> StagePart:
     stage = order[index]
     whole, before, after = budget.fit(()), budget.fit(order[:index]), budget.fit(order[: index + 1])
     alone, others, everything = budget.fit([stage]), budget.fit(set(order) - {stage}), budget.fit(order)
@@ -419,10 +284,10 @@ def _part(budget: _Budget, band: Band, order: Sequence[BudgetStage], index: int,
     )
 
 
-def _changes(budget: _Budget, band: Band, stages: Sequence[BudgetStage], fit: _Fit) -> tuple[Change, ...]:
-    """What a fit changed, in the order of the stages."""
+def _changes(budget: NestedFits, band: Band, stages: Sequence[BudgetStage], fit: StageFit) -> tuple[Change, ...]:
+    """Return the changes of a fit, in the order of the stages."""
     motion = budget.motion
-    told: dict[BudgetStage, tuple[Change, ...]] = {
+    changes: dict[BudgetStage, tuple[Change, ...]] = {
         BudgetStage.RELEASE: (
             Change(
                 quantity="release_time",
@@ -443,7 +308,7 @@ def _changes(budget: _Budget, band: Band, stages: Sequence[BudgetStage], fit: _F
             scale_at_bound=_at_bound(fit.scale, motion.scale_bounds),
         ),
     }
-    return tuple(change for stage in stages if stage not in budget.missing for change in told[stage])
+    return tuple(change for stage in stages if stage not in budget.missing for change in changes[stage])
 
 
 def _at_bound(value: float, bounds: tuple[float, float]) -> bool:
@@ -451,7 +316,7 @@ def _at_bound(value: float, bounds: tuple[float, float]) -> bool:
     return min(abs(value - bound) for bound in bounds) <= close
 
 
-def _notes(budget: _Budget, band: Band, order: Sequence[BudgetStage], *, measured_only: bool) -> tuple[str, ...]:
+def _notes(budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, measured_only: bool) -> tuple[str, ...]:
     notes = []
     fit = budget.fit(order)
     late = budget.continued_frames(fit)
@@ -459,7 +324,9 @@ def _notes(budget: _Budget, band: Band, order: Sequence[BudgetStage], *, measure
         how = "periodically" if budget.motion.period_s is not None else "at constant velocity"
         notes.append(f"{late} frames of the faster motion lie past the end of the simulation, continued {how}")
     if budget.likeness(fit) > INSEPARABLE:
-        notes.append("speed and displacement change this motion alike: the part is sure, how they share it is not")
+        notes.append(
+            "speed and displacement change this motion alike: their sum is determined, its split between them is not"
+        )
     if measured_only:
         notes.append("frames that the band extrapolates are left out, so the whole is not the RMSE of the score")
     impact = budget.motion.impact
@@ -497,11 +364,6 @@ def _over(part: float, whole: float) -> float:
 
 def _normalized(mean_square: float, baseline: float | None) -> float | None:
     return math.sqrt(mean_square) / baseline if baseline else None
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
-
-MARKERS, SEVERAL_BODIES = "the markers", "the bodies"
 
 
 def _subject(experiment: Experiment) -> str:

@@ -1,12 +1,12 @@
-"""What a simulated trajectory does (slides, rebounds, swings), and the same motion made faster, larger or shifted.
+"""Kinds of motion of a simulated trajectory (slide, rebound, swing), and the same motion faster, larger or shifted.
 
-Recognition looks at the trajectory and at what is in the scene, never at a name. What it finds decides the physical
-quantity in which a faster or larger motion is told:
+Recognition uses the trajectory and the scene, never a name. The kind decides the physical quantity that makes a motion
+faster or larger:
 
-- `uniform_acceleration`: from rest, at a constant acceleration: another acceleration scales the displacement.
-- `rebound`: free flight, one impact, free flight: another restitution changes the speed after the impact.
-- `oscillation`: a body on a hinge or tether that completes a period: another period stretches time, another amplitude
-  the displacement from where the body hangs at rest.
+- `uniform_acceleration`, from rest at a constant acceleration: another acceleration scales the displacement.
+- `rebound`, free flight, one impact, free flight: another restitution changes the speed after the impact.
+- `oscillation`, a body on a hinge or tether that completes a period: another period stretches time, and another
+  amplitude scales the displacement from the rest position.
 - `general`: time is stretched from the start on, and the displacement from the start is scaled.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 
@@ -34,8 +34,8 @@ __all__ = [
     "SCALE_BOUNDS",
     "Change",
     "Impact",
-    "RecognizedMotion",
     "MotionKind",
+    "RecognizedMotion",
     "find_impact",
     "recognized",
 ]
@@ -44,34 +44,34 @@ FloatArray = NDArray[np.float64]
 Continuation = Callable[[FloatArray], FloatArray]
 
 RATE_BOUNDS = (0.5, 2.0)
-"""How many times as fast a motion may be made."""
+"""Least and largest factor of speed."""
 
 SCALE_BOUNDS = (0.5, 2.0)
-"""How many times as large a motion may be made."""
+"""Least and largest factor of displacement."""
 
 SHAPE_TOLERANCE = 0.04
-"""Root mean square misfit, over that of the displacement, up to which a law of motion counts as followed.
+"""Largest root-mean-square misfit of a law of motion, over the root mean square of the displacement.
 
-The mean of real slides, which start at different times, misses uniform acceleration by up to 0.032.
+The mean of real slides, which start at different times, has a misfit of up to 0.032 to uniform acceleration.
 """
 
 IMPACT_WINDOW_S = 1.0 / 60.0
-"""An impact reverses the velocity within this time [s]; that of the ball takes 5 ms."""
+"""Longest duration of an impact [s]; that of the ball takes 5 ms."""
 
 IMPACT_SHARE = 0.1
-"""Change of velocity, over the largest, from which on it is an impact: the second one has the share e of the first."""
+"""Smallest change of velocity in an impact, over the largest; a second impact has e times the change of the first."""
 
 SELF_SIMILARITY = 0.8
-"""Correlation of a motion with itself one period later from which on it counts as an oscillation."""
+"""Smallest correlation of an oscillation with itself one period later."""
 
 
 class MotionKind(StrEnum):
-    """What a trajectory does, and so in which quantity its rate is told."""
+    """Kind of a motion, which decides the quantities of its rate and scale."""
 
     UNIFORM_ACCELERATION = "uniform_acceleration"
     """From rest at constant acceleration: the acceleration is scaled."""
     REBOUND = "rebound"
-    """Free flight into and out of an impact: the coefficient of restitution is changed."""
+    """Free flight before and after an impact: the coefficient of restitution is changed."""
     OSCILLATION = "oscillation"
     """Swings on a joint: period and amplitude are scaled."""
     GENERAL = "general"
@@ -80,16 +80,16 @@ class MotionKind(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """One quantity that the simulation has, and what it would have to be for the best fit.
+    """Change of one quantity of the simulation that fits best.
 
     Attributes:
-        quantity: `release_time`, `offset`, `acceleration`, `restitution`, `period`, `amplitude`, `speed` (how many
-            times as fast) or `displacement` (how many times as far).
-        coordinate: Coordinate that it is of, for an offset.
+        quantity: `release_time`, `offset`, `acceleration`, `restitution`, `period`, `amplitude`, `speed` (factor) or
+            `displacement` (factor).
         unit: Unit of both values; `1` for a ratio.
-        simulated: What the simulation has.
-        fitted: What fits best.
-        at_bound: Whether the fit ended at the limit of what was tried, so that it says "at least as much".
+        simulated: Value in the simulation.
+        fitted: Value of the best fit.
+        coordinate: Coordinate of an offset; else None.
+        at_bound: Whether the fit ended at the end of its range, so that the change is at least as large.
     """
 
     quantity: str
@@ -105,8 +105,8 @@ class Impact:
     """The first impact of a trajectory, between two free flights.
 
     Attributes:
-        time_s: When it is [s].
-        until_s: End of the free flight after it: the next impact, or the end of what was looked at [s].
+        time_s: Time of the impact [s].
+        until_s: End of the free flight after it [s]: the next impact, or the last sample.
         normal: Unit vector along which the velocity jumps, shape [C].
         speed_in: Speed against the normal just before it [unit/s].
         speed_out: Speed along the normal just after it [unit/s].
@@ -126,19 +126,19 @@ class Impact:
 
 @dataclass(frozen=True, eq=False)
 class RecognizedMotion:
-    """A simulated trajectory that can be played later, faster and larger.
+    """A simulated trajectory that can be shifted in time, made faster and made larger.
 
     Attributes:
-        kind: What it does.
+        kind: Kind of the motion.
         times_s: Times [s], strictly increasing, shape [S]; they reach past `end_s` as far as a faster motion needs.
         values: Coordinates at these times, shape [S, C].
-        end_s: Where the simulation ended [s]; what comes after it is its continuation.
-        centre: From where displacement is scaled, shape [C].
-        rate_bounds: How many times as fast it may be made; (1, 1) where its kind has no such change.
+        end_s: End of the simulation [s]; later values are a continuation.
+        centre: Point from which displacement is scaled, shape [C].
+        rate_bounds: Least and largest factor of speed; (1, 1) for a kind without such a change.
         scale_bounds: Least and largest `scale`.
-        acceleration: Constant acceleration [unit/s^2], of `uniform_acceleration`.
-        impact: The impact of a `rebound`.
-        period_s: Period of an `oscillation` [s].
+        acceleration: Constant acceleration of `uniform_acceleration` [unit/s^2]; else None.
+        impact: Impact of a `rebound`; else None.
+        period_s: Period of an `oscillation` [s]; else None.
     """
 
     kind: MotionKind
@@ -153,36 +153,25 @@ class RecognizedMotion:
     period_s: float | None = None
 
     def select(self, columns: NDArray[np.intp]) -> RecognizedMotion:
-        """The same motion with some of its coordinates, in the order of the indices."""
+        """Return the same motion with some of its coordinates, in the order of the indices."""
         impact = self.impact
         if impact is not None:
-            impact = Impact(impact.time_s, impact.until_s, impact.normal[columns], impact.speed_in, impact.speed_out)
-        return RecognizedMotion(
-            kind=self.kind,
-            times_s=self.times_s,
-            values=self.values[:, columns],
-            end_s=self.end_s,
-            centre=self.centre[columns],
-            rate_bounds=self.rate_bounds,
-            scale_bounds=self.scale_bounds,
-            acceleration=self.acceleration,
-            impact=impact,
-            period_s=self.period_s,
-        )
+            impact = replace(impact, normal=impact.normal[columns])
+        return replace(self, values=self.values[:, columns], centre=self.centre[columns], impact=impact)
 
     def at(self, times_s: FloatArray, shifts_s: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The motion played later and faster, and what one unit of `scale` adds to it.
+        """Return the motion with time shifts and rates, and its change per unit of `scale`.
 
         Args:
-            times_s: Times to tell it at [s], shape [T].
-            shifts_s: How much later it is played [s], shape [G].
-            rates: How many times as fast, shape [G].
+            times_s: Times at which it is evaluated [s], shape [T].
+            shifts_s: Time shifts [s], shape [G]; positive is later.
+            rates: Factors of speed, shape [G].
 
         Returns:
-            Coordinates, and their change per unit of scale (a share of the displacement; for a rebound, a unit of
-            speed), each of shape [G, T, C].
+            Coordinates, and their change per unit of scale, each of shape [G, T, C]. The unit of scale is the
+            displacement; for a rebound, a unit of speed.
         """
-        # Shifted, it is held at both ends, as the score's release alignment holds it.
+        # A shifted motion is held at both ends, as in the score's release alignment.
         since_start = np.clip(times_s - shifts_s[:, None], 0.0, self.end_s)
         own_times = since_start * rates[:, None]
         played = self._curve(own_times)
@@ -196,7 +185,7 @@ class RecognizedMotion:
         return make_interp_spline(self.times_s, self.values, k=1)
 
     def changes(self, rate: float, scale: float, *, rate_at_bound: bool, scale_at_bound: bool) -> tuple[Change, ...]:
-        """What a rate and a scale mean in the quantities of this kind of motion."""
+        """Return a rate and a scale in the quantities of this kind of motion."""
         larger = 1.0 + scale
         if self.acceleration is not None:
             metric = 1e-3 * self.acceleration
@@ -222,15 +211,15 @@ def _change(quantity: str, unit: str, simulated: float, fitted: float, at_bound:
 def recognized(
     experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray, *, until_s: float | None = None
 ) -> RecognizedMotion:
-    """What a trajectory does, ready to be changed.
+    """Return the recognized motion of a trajectory.
 
     Args:
-        experiment: The experiment that it is of.
-        band: Band in whose coordinates it is.
+        experiment: The experiment of the trajectory.
+        band: Band that states the coordinates.
         times_s: Times from 0 on [s], shape [S].
-        values: Its band coordinates at these times, shape [S, C].
-        until_s: Look no further than this [s] for an acceleration or an impact: what comes later is not compared. None
-            looks at all of it.
+        values: Band coordinates at these times, shape [S, C].
+        until_s: Last time at which an acceleration or an impact is searched [s], because later values are not compared.
+            None searches the whole trajectory.
     """
     seen = slice(None) if until_s is None else slice(0, int(np.searchsorted(times_s, until_s + 1e-6, side="right")))
     single = experiment.score.observable is Observable.POSITION and len(experiment.recorded) == 1
@@ -254,13 +243,13 @@ def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) 
     if size == 0.0:
         return None
     best, acceleration = math.inf, np.zeros(values.shape[1])
-    # A recording may show the body at rest for a while; a simulation rarely does.
+    # In a recording the body may rest for a while before it moves.
     for start_s in seen_s[seen_s <= 0.5 * seen_s[-1]]:
-        course = 0.5 * np.square(np.maximum(seen_s - start_s, 0.0))
-        slope = course @ moved / (course @ course)
-        misfit = float(np.sqrt(np.mean(np.square(moved - course[:, None] * slope))))
+        unit_motion = 0.5 * np.square(np.maximum(seen_s - start_s, 0.0))
+        fitted = unit_motion @ moved / (unit_motion @ unit_motion)
+        misfit = float(np.sqrt(np.mean(np.square(moved - unit_motion[:, None] * fitted))))
         if misfit < best:
-            best, acceleration = misfit, slope
+            best, acceleration = misfit, fitted
     if best > SHAPE_TOLERANCE * size:
         return None
     return RecognizedMotion(
@@ -287,15 +276,15 @@ def _rebound(experiment: Experiment, times_s: FloatArray, values: FloatArray, se
 
 
 def find_impact(times_s: FloatArray, values: FloatArray) -> Impact | None:
-    """The first impact of a body that flies freely into it and out of it.
+    """Return the first impact of a body between two free flights.
 
     Args:
         times_s: Times [s], strictly increasing, shape [S].
         values: Coordinates at these times, shape [S, C].
 
     Returns:
-        The impact; None where the velocity never reverses within a sixtieth of a second (two samples, where they are
-        further apart), or where the coordinate along the normal is not a parabola before and after it.
+        The impact. None if the velocity never reverses within `IMPACT_WINDOW_S`, or within two samples if they are
+        further apart. None also if the coordinate along the normal is not a parabola before and after the impact.
     """
     steps = np.diff(times_s)
     window = max(2, round(IMPACT_WINDOW_S / float(np.median(steps))))
@@ -303,7 +292,7 @@ def find_impact(times_s: FloatArray, values: FloatArray) -> Impact | None:
     if len(velocity) <= 2 * window:
         return None
     jumps = velocity[window:] - velocity[:-window]
-    # What free flight changes meanwhile is no part of an impact; what a second one changes may be much less.
+    # The change of velocity in free flight is not part of an impact. A second impact may change it much less.
     sizes = np.linalg.norm(jumps - np.median(jumps, axis=0), axis=1)
     hits = np.flatnonzero(sizes >= IMPACT_SHARE * sizes.max())
     first = hits[0] + int(np.argmax(sizes[hits[0] : hits[0] + window]))
@@ -316,13 +305,13 @@ def find_impact(times_s: FloatArray, values: FloatArray) -> Impact | None:
         return None
     height = values @ normal
     before, after = slice(0, first + 2), slice(first + window, last + 1)
-    # Where it was still held, it was not in flight.
+    # Samples from before the release are not in flight.
     fell = np.abs(height[before] - height[0]) > 0.1 * abs(height[first + 1] - height[0])
     flight_in = _parabola(times_s[before][fell], height[before][fell])
     flight_out = _parabola(times_s[after], height[after])
     if flight_in is None or flight_out is None:
         return None
-    # The flights meet at the contact: before it the one out of it lies below the floor, after it the one into it does.
+    # The flights meet at the contact: the later one lies below the floor before it, the earlier one after it.
     gap, around = flight_in - flight_out, times_s[[first, min(first + window + 1, last)]]
     if gap(around[0]) <= 0.0 or gap(around[1]) >= 0.0:
         return None
@@ -360,7 +349,7 @@ def _oscillation(
 
 
 def _period(times_s: FloatArray, values: FloatArray) -> float | None:
-    """Lag at which the motion repeats itself [s]; None where it does not within its length."""
+    """Return the lag at which the motion repeats itself [s], or None if it does not repeat."""
     step_s = float(np.median(np.diff(times_s)))
     even_s = np.arange(int((times_s[-1] - times_s[0]) / step_s) + 1) * step_s + times_s[0]
     even = _interpolated(times_s, values, even_s)
@@ -368,7 +357,7 @@ def _period(times_s: FloatArray, values: FloatArray) -> float | None:
     count = len(even)
     lags = np.arange(count)
     products = sum(correlate(column, column, method="fft")[count - 1 :] for column in even.T)
-    # Each lag over the energy of the parts that overlap, so that few periods do not weaken the correlation.
+    # Each lag is divided by the energy of the overlap, so that a small number of periods does not weaken it.
     energy = np.concatenate([[0.0], np.cumsum(np.square(even).sum(axis=1))])
     overlap = np.sqrt((energy[count] - energy[lags]) * energy[count - lags])
     alike = np.divide(products, overlap, out=np.zeros(count), where=overlap > 0.0)[: max(3, int(0.9 * count))]
@@ -392,7 +381,7 @@ def _stretchable(
     *,
     period_s: float | None = None,
 ) -> RecognizedMotion:
-    """A motion that can be made faster; what it then shows from beyond its end is its continuation."""
+    """Return a motion that can be made faster, with a continuation past its end."""
     end_s, step_s = float(times_s[-1]), float(np.median(np.diff(times_s)))
     late_s = end_s + step_s * np.arange(1, math.ceil((RATE_BOUNDS[1] - 1.0) * end_s / step_s) + 2, dtype=np.float64)
     return RecognizedMotion(
@@ -407,7 +396,10 @@ def _stretchable(
 
 
 def _coasting(times_s: FloatArray, values: FloatArray) -> Continuation:
-    """Constant velocity, that of the last two frames; an acceleration would carry any jitter of the end far away."""
+    """Return a continuation at the constant velocity of the last two frames.
+
+    An acceleration would amplify the jitter of the last samples.
+    """
     recent = times_s >= times_s[-1] - IMPACT_WINDOW_S * 4.0
     recent[-2:] = True
     since = times_s[recent] - times_s[recent].mean()
@@ -416,6 +408,6 @@ def _coasting(times_s: FloatArray, values: FloatArray) -> Continuation:
 
 
 def _interpolated(times_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
-    """Linear interpolation of all coordinates at once, shape [*shape of at_s, C]."""
+    """Return all coordinates by linear interpolation, shape [*shape of at_s, C]."""
     found: FloatArray = make_interp_spline(times_s, values, k=1)(np.clip(at_s, times_s[0], times_s[-1]))
     return found

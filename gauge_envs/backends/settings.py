@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 __all__ = [
@@ -61,12 +61,9 @@ def resolve_settings(
     try:
         settings = type(start).model_validate(start.model_dump() | values)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        key, reason = first_fault(error, noun="setting")
         known = ", ".join(type(start).model_fields)
-        reason = "there is no such setting" if first["type"] == "extra_forbidden" else first["msg"]
-        raise ParameterError(
-            f"{engine} setting {first['loc'][0]!r} in preset {name!r}: {reason}; settings: {known}"
-        ) from error
+        raise ParameterError(f"{engine} setting {key!r} in preset {name!r}: {reason}; settings: {known}") from error
     interval = settings.drive_interval_s
     steps = interval / settings.timestep_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:

@@ -1,35 +1,36 @@
-"""Records what happens in a scene on an engine, through the public contract alone."""
+"""Record what happens in a scene on an engine, through the public contract alone."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
 from gauge_envs.errors import GaugeError
-from gauge_envs.scene import Pose, Scene
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
+from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 __all__ = [
-    "Course",
     "DeclinedError",
     "DivergedError",
-    "PathsOfDrivers",
+    "DriverPaths",
+    "Rollout",
     "record",
     "states_now",
 ]
 
 
-SAMPLES_PER_SECOND = round(1.0 / SAMPLE_INTERVAL_S)
-
-
 class DeclinedError(GaugeError):
-    """The backend says that it cannot build a scene.
+    """The backend cannot build a scene, or refuses the settings for it.
 
     Attributes:
         missing: Its reasons.
@@ -41,103 +42,207 @@ class DeclinedError(GaugeError):
 
 
 class DivergedError(GaugeError):
-    """A simulation returned something that is not a finite number."""
+    """The engine failed, or a body is where or as fast as the scene does not allow."""
 
 
-@dataclass(frozen=True)
-class Course:
-    """What happened in a scene, 180 samples a second.
+@dataclass(frozen=True, kw_only=True)
+class Rollout:
+    """Motion of all bodies of a scene, at evenly spaced samples.
 
     Attributes:
         scene: The scene.
-        times_s: Times of the samples, shape [sample_count].
-        states: States of each rigid body by name, shape [sample_count, 13]; see `Simulation.body_states`.
-        nodes_m: Nodes of each deformable body by name [m], shape [sample_count, node_count, 3].
+        times_s: Times of the samples [s], shape [sample_count].
+        states: States of each rigid body by name, shape [sample_count, 13]; see `World.body_states`.
+        nodes_m: Recorded nodes of deformable bodies by name [m], shape [sample_count, node_count, 3].
+        markers_m: The scene's markers as points of the material [m], shape [sample_count, marker_count, 3].
     """
 
     scene: Scene
     times_s: NDArray[np.float64]
-    states: dict[str, NDArray[np.float64]]
-    nodes_m: dict[str, NDArray[np.float64]]
+    states: Mapping[str, NDArray[np.float64]]
+    nodes_m: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    markers_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0, 3)))
+
+    @property
+    def interval_s(self) -> float:
+        """Time between samples [s]."""
+        return float(self.times_s[1] - self.times_s[0])
 
     def position(self, name: str) -> NDArray[np.float64]:
-        """Positions of a rigid body [m], shape [sample_count, 3]."""
+        """Return positions of a rigid body's origin [m], shape [sample_count, 3]."""
         return self.states[name][:, :3]
 
     def velocity(self, name: str) -> NDArray[np.float64]:
-        """Velocities of a rigid body's origin [m/s], shape [sample_count, 3]."""
+        """Return velocities of a rigid body's origin [m/s], shape [sample_count, 3]."""
         return self.states[name][:, 7:10]
 
-    def spin(self, name: str) -> NDArray[np.float64]:
-        """Angular velocities of a rigid body [rad/s], shape [sample_count, 3]."""
+    def angular_velocity(self, name: str) -> NDArray[np.float64]:
+        """Return angular velocities of a rigid body [rad/s], shape [sample_count, 3]."""
         return self.states[name][:, 10:]
 
+    def rotation(self, name: str) -> Rotation:
+        """Return rotations of a rigid body from its frame to the world, one for each sample."""
+        return Rotation.from_quat(self.states[name][:, 3:7], scalar_first=True)
+
+    def displacement(self, name: str) -> NDArray[np.float64]:
+        """Return displacements of a rigid body's origin from its start [m], shape [sample_count, 3]."""
+        return self.position(name) - self.position(name)[0]
+
     def between(self, start_s: float, end_s: float) -> slice:
-        """Samples from one time to another, both included."""
-        return slice(round(start_s * SAMPLES_PER_SECOND), round(end_s * SAMPLES_PER_SECOND) + 1)
+        """Return the samples from one time [s] to another, both included."""
+        first = np.searchsorted(self.times_s, start_s - 1e-9, side="left")
+        return slice(int(first), int(np.searchsorted(self.times_s, end_s + 1e-9, side="right")))
 
-    def driven_pose(self, driver: Driver, sample: int) -> Pose:
-        """Pose that a driver asks for at a sample."""
-        return driver.pose(self.scene.body(driver.body).pose, float(self.times_s[sample]))
+    def cut(self, start_s: float, end_s: float) -> Rollout:
+        """Return the rollout from one time [s] to another, both included; times stay as they are."""
+        part = self.between(start_s, end_s)
+        return replace(
+            self,
+            times_s=self.times_s[part],
+            states={name: states[part] for name, states in self.states.items()},
+            nodes_m={name: nodes[part] for name, nodes in self.nodes_m.items()},
+            markers_m=self.markers_m[part],
+        )
+
+    def sample_at(self, time_s: float) -> int:
+        """Return the index of the sample nearest to a time [s]."""
+        return int(np.abs(self.times_s - time_s).argmin())
 
 
-class PathsOfDrivers:
-    """Drives the kinematic bodies of a scene along their recorded motions.
+class DriverPaths:
+    """Recorded motions of a scene's kinematic bodies, cut into intervals.
 
     Args:
         scene: The scene.
-        seconds: How long it will be driven.
+        seconds: Time for which the scene will be driven [s].
+        interval_s: Length of an interval [s].
     """
 
-    def __init__(self, scene: Scene, seconds: float) -> None:
-        self._paths = [DriverPath(driver, scene, round(30 * seconds) + 2) for driver in scene.drivers]
+    def __init__(self, scene: Scene, seconds: float, interval_s: float = SAMPLE_INTERVAL_S) -> None:
+        frame_count = 2 + math.ceil(seconds * FRAME_RATE_HZ)
+        self._interval_s = interval_s
+        self._paths = [DriverPath(driver, scene, frame_count, interval_s=interval_s) for driver in scene.drivers]
 
-    def drive(self, simulation: Simulation, sample: int) -> None:
-        """Prescribe all driven bodies for the interval that starts at a sample."""
+    def advance(self, simulation: Simulation, index: int) -> None:
+        """Drive all kinematic bodies through an interval, counted from 0, and simulate it."""
         for path in self._paths:
-            simulation.drive(path.body, *path.interval(sample, np.zeros(path.motion_count)))
+            simulation.drive(path.body, *path.interval(index, np.zeros(path.motion_count)))
+        simulation.advance(self._interval_s)
 
 
-def record(simulation: Simulation, scene: Scene, seconds: float) -> Course:
-    """Record a simulation from where it stands, at its start.
+def record(
+    simulation: Simulation,
+    scene: Scene,
+    seconds: float,
+    *,
+    interval_s: float = SAMPLE_INTERVAL_S,
+    nodes_of: Collection[str] | None = None,
+    speed_limit_m_per_s: float = math.inf,
+) -> Rollout:
+    """Drive a simulation from its start and record it.
 
     Args:
         simulation: The simulation, at time 0.
         scene: Its scene.
-        seconds: How long to simulate [s].
+        seconds: Time to simulate [s].
+        interval_s: Time between samples, and of one call of `advance` [s].
+        nodes_of: Deformable bodies whose nodes are kept; all when None.
+        speed_limit_m_per_s: Highest plausible speed of a dynamic or deformable body [m/s].
 
     Raises:
-        DivergedError: A state or a node is not finite.
+        DivergedError: A state is not finite, a body exceeds the speed limit, or the engine raises an exception.
     """
-    count = round(seconds * SAMPLES_PER_SECOND)
-    names = [body.name for body in scene.bodies]
-    paths = PathsOfDrivers(scene, seconds)
-    states = np.empty((count + 1, len(names), 13))
-    nodes: dict[str, list[NDArray[np.float64]]] = {body.name: [] for body in scene.deformables}
-    for sample in range(count + 1):
-        states[sample] = simulation.body_states(names)
-        for name, rows in nodes.items():
-            rows.append(np.array(simulation.nodes(name), dtype=np.float64))
-        if sample < count:
-            paths.drive(simulation, sample)
-            simulation.advance(SAMPLE_INTERVAL_S)
-    course = Course(
+    count = round(seconds / interval_s)
+    paths = DriverPaths(scene, seconds, interval_s)
+    observer = _marker_observer(simulation, scene)
+    last = _read(simulation, scene, observer)
+    samples: list[_Sample] = []
+    for index in range(count + 1):
+        now = _read(simulation, scene, observer) if index else last
+        if fault := _fault(scene, last, now, interval_s=interval_s, speed_limit_m_per_s=speed_limit_m_per_s):
+            raise DivergedError(f"after {index * interval_s:.3g} s {fault}")
+        kept = {name: nodes for name, nodes in now.nodes_m.items() if nodes_of is None or name in nodes_of}
+        samples.append(now._replace(nodes_m=kept))
+        last = now
+        if index < count:
+            _advance(simulation, paths, index, interval_s)
+    states = np.stack([sample.states for sample in samples])
+    return Rollout(
         scene=scene,
-        times_s=SAMPLE_INTERVAL_S * np.arange(count + 1, dtype=np.float64),
-        states={name: states[:, index] for index, name in enumerate(names)},
-        nodes_m={name: np.array(rows) for name, rows in nodes.items()},
+        times_s=interval_s * np.arange(count + 1, dtype=np.float64),
+        states={body.name: states[:, index] for index, body in enumerate(scene.bodies)},
+        nodes_m={name: np.stack([sample.nodes_m[name] for sample in samples]) for name in samples[0].nodes_m},
+        markers_m=np.stack([sample.markers_m for sample in samples]),
     )
-    _check_finite(course)
-    return course
 
 
 def states_now(simulation: Simulation, names: Sequence[str]) -> NDArray[np.float64]:
-    """Copy of the states of bodies now, shape [len(names), 13]."""
+    """Return a copy of the current states of bodies, shape [len(names), 13]."""
     return np.array(simulation.body_states(names), dtype=np.float64)
 
 
-def _check_finite(course: Course) -> None:
-    for name, values in (course.states | course.nodes_m).items():
-        finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
-        if not finite.all():
-            raise DivergedError(f"{name!r} is not finite from {course.times_s[int(finite.argmin())]:.3g} s on")
+class _Sample(NamedTuple):
+    """All bodies at one time.
+
+    Attributes:
+        states: States of the rigid bodies in the scene's order, shape [body_count, 13].
+        nodes_m: Nodes of the deformable bodies by name [m], shape [node_count, 3].
+        markers_m: The scene's markers [m], shape [marker_count, 3].
+    """
+
+    states: NDArray[np.float64]
+    nodes_m: dict[str, NDArray[np.float64]]
+    markers_m: NDArray[np.float64]
+
+
+def _marker_observer(simulation: Simulation, scene: Scene) -> ObserverMarkers | None:
+    if scene.markers is None:
+        return None
+    return ObserverMarkers(scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL)
+
+
+def _read(simulation: Simulation, scene: Scene, observer: ObserverMarkers | None) -> _Sample:
+    if observer is not None:
+        observer.now(simulation)
+    return _Sample(
+        states=states_now(simulation, [body.name for body in scene.bodies]),
+        nodes_m={body.name: np.array(simulation.nodes(body.name), dtype=np.float64) for body in scene.deformables},
+        markers_m=np.zeros((0, 3)) if observer is None else observer.markers_m,
+    )
+
+
+def _advance(simulation: Simulation, paths: DriverPaths, index: int, interval_s: float) -> None:
+    try:
+        paths.advance(simulation, index)
+    # Engines raise exceptions of any kind, such as MuJoCo when a diverged scene has more contacts than fit in memory.
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise DivergedError(
+            f"after {index * interval_s:.3g} s the engine raises {type(error).__name__}: {reason}"
+        ) from error
+
+
+def _fault(scene: Scene, last: _Sample, now: _Sample, *, interval_s: float, speed_limit_m_per_s: float) -> str:
+    """Return why a sample cannot follow another one in the scene; empty when it can.
+
+    The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
+    """
+    rigid = {body.name: state for body, state in zip(scene.bodies, now.states, strict=True)}
+    for name, values in (rigid | now.nodes_m).items():
+        if not np.isfinite(values).all():
+            return f"{name!r} is not finite"
+    for name, speed in _speeds_m_per_s(scene, last, now, interval_s):
+        if speed > speed_limit_m_per_s:
+            return f"{name!r} moves at {speed:.3g} m/s; the scene allows {speed_limit_m_per_s:.3g} m/s at most"
+    return ""
+
+
+def _speeds_m_per_s(scene: Scene, last: _Sample, now: _Sample, interval_s: float) -> Iterator[tuple[str, float]]:
+    """Yield the largest speed along an axis of each dynamic or deformable body, reported or from displacements."""
+    reported = np.abs(now.states[:, 7:10]).max(axis=1)
+    between = np.abs(now.states[:, :3] - last.states[:, :3]).max(axis=1) / interval_s
+    for body, speed in zip(scene.bodies, np.maximum(reported, between), strict=True):
+        if body.motion is Motion.DYNAMIC:
+            yield body.name, float(speed)
+    for name, nodes in now.nodes_m.items():
+        yield name, float(np.abs(nodes - last.nodes_m[name]).max(initial=0.0)) / interval_s

@@ -13,7 +13,7 @@ from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, std
 from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
-    from gauge_envs.analysis.error_budget import Diagnosis
+    from gauge_envs.analysis.diagnosis import Diagnosis
     from gauge_envs.runs.result import Result
 
 
@@ -56,8 +56,8 @@ def compare(
 
     Results that differ in their seed alone are repeats: mean and scatter. Exit code 1 when a damaged file was skipped.
     """
-    from gauge_envs.analysis.comparison import check_metrics
     from gauge_envs.analysis.comparison import compare as compare_results
+    from gauge_envs.analysis.scores import check_metrics
     from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view
 
     check_one_format(json_lines, markdown)

@@ -116,7 +116,7 @@ def run(
         for subject in chosen
     ]
     check_requests(requests)
-    by_name = {request.calibrated_experiment().id for request in requests if request.subject in named}
+    by_name = {request.calibrated_experiment().id for request in requests if request.variant in named}
 
     stderr = stderr_console()
     results: list[Result] = []

@@ -1,15 +1,14 @@
-"""The GAUGE dataset of real trials: download it, import it, and what the import leaves in the user's data folder.
+"""The GAUGE dataset of real trials: download, import and status.
 
-- `layout`: finds the trial files of a dataset folder and the variant that each is of, whatever its folders spell.
-- `trial`: reads and checks one trial file.
-- `observation`: g(t) and the driver's coordinates of a trial, by the observers that simulations are read with.
-- `statistics`: mean, scatter and baselines over trials, one trial in memory at a time.
-- `store`: imported bands and drivers in the user's data folder.
-- `importer`: all of these, one variant after another.
-- `status`: what each variant is scored against and driven by.
-- `download`: fetches the dataset from its host.
+- `download`: download the dataset.
+- `layout`: find the trial files of a dataset folder and the variant of each.
+- `trial`: read and check one trial file.
+- `observation`: compute g(t) and the driver's coordinates of a trial, by the observers of simulations.
+- `statistics`: compute mean, scatter and baselines over trials, with one trial in memory at a time.
+- `importer`: import a dataset folder, one variant after another.
+- `status`: list the reference and the drivers of each variant.
 
-Nothing is imported here, as `gauge_envs.references.bands` reads the store and must stay light.
+`gauge_envs.references.imported` stores and reads the imported bands and drivers.
 """
 
 __all__: list[str] = []

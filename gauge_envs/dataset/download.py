@@ -1,4 +1,4 @@
-"""Fetches the GAUGE dataset from its host; needs the extra `data`, and is the only part that needs a network."""
+"""Download the GAUGE dataset; only this module needs a network and the extra `data`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ DATASET = "InternRobotics/GAUGE-Dataset"
 """The dataset on Hugging Face (MIT licence)."""
 
 PINNED_REVISION = "9e0acb7"
-"""Revision that the bundled facts are from, in its short form: the host resolves it to the full hash."""
+"""Short hash of the revision that the bundled facts are from."""
 
 TRIAL_FILES = "data/*/json/*.json"
-"""All that an import reads; a star also stands for slashes, as in all patterns of the host's client."""
+"""Files that an import reads; a star also matches slashes."""
 
 SHORT_HASH = re.compile(r"[0-9a-f]{4,39}")
 FULL_HASH = re.compile(r"[0-9a-f]{40}")
@@ -35,18 +35,18 @@ FULL_HASH = re.compile(r"[0-9a-f]{40}")
 def download_dataset(
     folder: Path | None = None, *, patterns: Sequence[str] = (TRIAL_FILES,), revision: str = PINNED_REVISION
 ) -> tuple[Path, str]:
-    """Download the dataset, or go on with a download that was cut off: files that are there already are kept.
+    """Download the dataset, or continue an interrupted download.
 
     Args:
-        folder: Where to; below the user's data folder when left out.
+        folder: Folder to download to; by default a folder in the user's data folder.
         patterns: Shell-style patterns of the files in the dataset.
         revision: Commit, short or in full, branch or tag.
 
     Returns:
-        The folder, which notes the revision for the import, and the full hash of the revision.
+        The folder, in which a file states the revision for the import; and the full hash of the revision.
 
     Raises:
-        MissingExtraError: The host's client is not installed.
+        MissingExtraError: The client library is not installed.
         DatasetError: The host cannot be reached, has no such revision, or the folder cannot be written.
     """
     hub = _hub()
@@ -61,21 +61,21 @@ def download_dataset(
             allow_patterns=list(patterns),
         )
         write_revision(folder, commit)
-    except Exception as error:  # The client raises what its HTTP library does, which changes with its version.
+    except Exception as error:  # The client raises the errors of its HTTP library, which differ between versions.
         raise DatasetError(
-            f"{DATASET}: cannot be downloaded to {folder}: {_cause(error)}; the same command goes on where it stopped"
+            f"{DATASET}: cannot be downloaded to {folder}: {_cause(error)}; the same command continues the download"
         ) from error
     return folder, commit
 
 
 def resolved_revision(revision: str) -> str:
-    """Full commit hash of a revision.
+    """Return the full commit hash of a revision.
 
-    The host takes branches, tags and full hashes; a short hash is looked up among the commits of the main branch. The
-    host is asked for full hashes too: without it, its client would take an unfinished folder for the whole download.
+    The host resolves branches, tags and full hashes. A short hash is looked up among the commits of the main branch.
+    Full hashes are resolved too, since without the host the client takes an unfinished folder for a whole download.
 
     Raises:
-        MissingExtraError: The host's client is not installed.
+        MissingExtraError: The client library is not installed.
         DatasetError: The host cannot be reached, or has no such revision.
     """
     api = _hub().HfApi()
@@ -90,7 +90,7 @@ def resolved_revision(revision: str) -> str:
         found = api.dataset_info(DATASET, revision=revision).sha
     except DatasetError:
         raise
-    except Exception as error:  # See above.
+    except Exception as error:  # As in `download_dataset`.
         raise DatasetError(f"{DATASET}: revision {revision!r} cannot be resolved: {_cause(error)}") from error
     if not isinstance(found, str) or not FULL_HASH.fullmatch(found):
         raise DatasetError(f"{DATASET}: revision {revision!r} resolves to {found!r}, which is no commit")

@@ -1,9 +1,9 @@
-"""Imports a dataset folder: one variant after another, one trial in memory at a time, whatever single files hold."""
+"""Import a dataset folder, one variant after another, with one trial in memory at a time."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.references.imported import DriverRecord, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.imported import DriverRecord, ImportFacts, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -33,26 +34,23 @@ __all__ = [
 ]
 
 FLAGGED_DIFFERENCE = 0.05
-"""Own baselines that differ from the published ones by more than this share are flagged."""
+"""Relative difference between own and published baselines above which they are flagged."""
 
 LEAST_TRIALS = 2
-"""Scatter needs two."""
-
-EVENT_FIELDS = {"lsd": "lsd_s", "mte": "mte", "pd": "pd_s", "el": "el"}
-UNITS = {"lsd": "s", "pd": "s", "mte": "1", "el": "1"}
+"""Number of trials that scatter needs."""
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineRow:
-    """One metric of the real trials among themselves, beside the paper's (Table 5).
+    """Baseline of one metric, from the imported trials and from the paper (Table 5).
 
     Attributes:
         metric: `rmse`, `dtw`, `lsd`, `mte`, `pd` or `el`.
-        unit: Its unit.
-        own: From the imported trials; None where they do not determine it.
-        published: From the paper; None where it prints none.
+        unit: Unit of the metric.
+        own: Baseline of the imported trials; None if they do not determine it.
+        published: Baseline of the paper; None if it prints none.
     """
 
     metric: str
@@ -62,18 +60,18 @@ class BaselineRow:
 
     @property
     def difference(self) -> float | None:
-        """Own over published mean, less 1; None where one is missing or the published one is 0."""
+        """Own over published mean, minus 1; None if one is missing or the published one is 0."""
         if self.own is None or self.published is None or not self.published.mean:
             return None
         return self.own.mean / self.published.mean - 1.0
 
     @property
     def is_flagged(self) -> bool:
-        """Whether the two differ by more than 5 %."""
+        """Whether own and published mean differ by more than 5 %."""
         return self.difference is not None and abs(self.difference) > FLAGGED_DIFFERENCE
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
+        """Return a JSON-ready dictionary."""
         return json_ready(
             {
                 "metric": self.metric,
@@ -91,15 +89,15 @@ class BaselineRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedTrials:
-    """What the import of one variant found.
+    """Outcome of the import of one variant.
 
     Attributes:
-        variant: Which one.
-        record: What was stored; None where too few trials could be used.
-        used: Number of trials that its band rests on.
+        variant: The variant.
+        record: Record that was stored; None if too few trials could be used.
+        used: Number of trials that the band rests on.
         left_out: Number of trial files that were left out.
-        rows: Baselines, own beside published.
-        findings: What is wrong with its files.
+        rows: Own and published baselines.
+        findings: Problems of the files.
     """
 
     variant: Variant
@@ -110,7 +108,7 @@ class ImportedTrials:
     findings: tuple[ImportFinding, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary."""
+        """Return a JSON-ready dictionary."""
         record = self.record
         return {
             "id": self.variant.id,
@@ -129,11 +127,11 @@ def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = No
     """Import the trials of a dataset into the user's data folder; each variant is stored before it is yielded.
 
     Args:
-        layout: What `find_trials` found.
-        advance: Called with each file when it is done.
+        layout: Result of `find_trials`.
+        advance: Function that is called with each file after it was read.
 
     Returns:
-        Iterator that imports the next variant when asked for it. A damaged trial is in the findings and left out.
+        Iterator that imports one variant per step. Damaged trials are left out and listed in the findings.
 
     Raises:
         DatasetError: The user's data folder cannot be written.
@@ -150,16 +148,16 @@ def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = No
 
 
 class _VariantImporter:
-    """Collects the trials of one variant.
+    """Importer of the trials of one variant.
 
     Args:
-        variant: Which one.
-        layout: Where its files are.
-        seen: Path of each file content that was read before, by its hash; it grows.
+        variant: The variant.
+        layout: Files of the dataset.
+        seen: Path of each file that was read before, by the hash of its content; `read` adds to it.
     """
 
     def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str]) -> None:
-        # Recorded motion is projected on the task file's motions, whatever was imported before.
+        # Recorded motion is projected on the motions of the task file, not on those of an earlier import.
         self._experiment = load_experiment(variant)
         self._layout = layout
         self._seen = seen
@@ -171,7 +169,7 @@ class _VariantImporter:
         self._findings: list[ImportFinding] = []
 
     def read(self, path: Path) -> None:
-        """Take up one trial file, or say why not."""
+        """Add one trial file, or a finding that says why it is left out."""
         file = self._layout.relative(path)
         try:
             content = _content(path)
@@ -191,7 +189,7 @@ class _VariantImporter:
         self._add_unused_faults(file, trial)
 
     def finish(self) -> ImportedTrials:
-        """Store what was collected."""
+        """Store the variant."""
         used, left_out = self.spool.trial_count, sum(finding.left_out for finding in self._findings)
         statistics = self.spool.statistics() if used else None
         rows = self._rows(statistics)
@@ -212,7 +210,7 @@ class _VariantImporter:
 
     def _add_finding(self, file: str, error: TrialError, *, left_out: bool) -> None:
         self._findings.append(
-            ImportFinding(file=file, key=error.key, what=error.what, right=error.right, left_out=left_out)
+            ImportFinding(file=file, key=error.key, problem=error.problem, expected=error.expected, left_out=left_out)
         )
 
     def _add_events(self, file: str, trajectory: FloatArray) -> None:
@@ -220,17 +218,19 @@ class _VariantImporter:
             return
         if np.isnan(trajectory).any():
             frame = int(np.isnan(trajectory).any(axis=1).argmax())
-            error = TrialError(f"[{frame}]", "a sample is missing", "period and pauses need all; the band does without")
+            error = TrialError(
+                f"[{frame}]", "a sample is missing", "period and pauses need all samples; the band does not"
+            )
             self._add_finding(file, error, left_out=False)
             return
         times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
         score = score_trajectory(self._experiment, None, times_s=times_s, values=trajectory)
         for metric, values in self._events.items():
-            value = getattr(score, EVENT_FIELDS[metric])
+            value = getattr(score, METRICS[metric].score_field)
             values.append(np.nan if value is None else value)
 
     def _add_drivers(self, file: str, trial: Trial) -> None:
-        """A trial whose driver is unknown still shows what it drove."""
+        """Add the driver's motion; a trial without it still counts for the band."""
         try:
             tracks = driver_tracks(trial, self._experiment)
         except TrialError as error:
@@ -240,7 +240,7 @@ class _VariantImporter:
             self._drivers[track.body].add(track)
 
     def _add_unused_faults(self, file: str, trial: Trial) -> None:
-        """What is wrong with assets that the experiment does not ask for, as a board that never moves."""
+        """Add findings for assets that the experiment does not use, as a board that never moves."""
         for name, error in trial.faults.items():
             if name not in self._drivers:
                 self._add_finding(file, error, left_out=False)
@@ -255,7 +255,7 @@ class _VariantImporter:
         return tuple(
             BaselineRow(
                 metric=metric,
-                unit=UNITS.get(metric, unit),
+                unit=METRICS[metric].unit_of(unit),
                 own=own.get(metric),
                 published=published.get(metric),
             )
@@ -276,29 +276,29 @@ class _VariantImporter:
             source="import",
         )
         drivers = {body: mean for body, mean in self._drivers.items() if mean.is_usable}
-        return write_imported(
-            band,
-            {body: mean.coordinates for body, mean in drivers.items()},
+        facts = ImportFacts(
             variant=experiment.name,
             left_out=left_out,
             revision=self._layout.revision,
-            files=self._files,
+            files=tuple(self._files),
+            files_sha256=hashlib.sha256("\n".join(self._files.values()).encode()).hexdigest(),
             task_sha256=experiment.file_sha256,
             metrics=_spread_records(rows),
-            driver_records=tuple(mean.record() for mean in drivers.values()),
+            drivers=tuple(mean.record() for mean in drivers.values()),
         )
+        return write_imported(band, {body: mean.coordinates for body, mean in drivers.items()}, facts)
 
 
 @dataclass
 class _DriverMean:
-    """Mean over trials of one driven body's coordinates, and what they leave out.
+    """Mean over trials of one driven body's coordinates, and the motion that they do not cover.
 
     Attributes:
-        driver: Its bundled driver.
-        sums: Running mean of the coordinates, and of their squares; None before the first trial.
-        offsets_mm: Distance of each trial's start from the calibrated one.
-        squares_mm: Mean square over each trial's frames of the distance that the coordinates leave out.
-        squares_rad: The same of the angle, for trials with orientations.
+        driver: Bundled driver of the body.
+        sums: Running means of the coordinates and of their squares; None before the first trial.
+        offsets_mm: Distance of each trial's start from the calibrated start.
+        squares_mm: Mean square over each trial's frames of the distance that the coordinates do not cover.
+        squares_rad: Mean square of the angle that they do not cover, for trials with orientations.
     """
 
     driver: Driver
@@ -321,18 +321,18 @@ class _DriverMean:
 
     @property
     def coordinates(self) -> FloatArray:
-        """Mean coordinates, shape [frame_count, motion_count]."""
+        """Mean coordinates [m or rad], shape [frame_count, motion_count]."""
         if self.sums is None:
             raise ValueError(f"no trial shows {self.driver.body}")
         return self.sums[0].mean
 
     @property
     def is_usable(self) -> bool:
-        """Whether two frames at least are known, so that there is a motion."""
+        """Whether each motion has at least two known frames."""
         return self.sums is not None and bool((np.isfinite(self.coordinates).sum(axis=0) >= 2).all())
 
     def record(self) -> DriverRecord:
-        """What is stored beside the coordinates."""
+        """Return the record that is stored beside the coordinates."""
         scatter = self._scatter()
         lengths, angles = (
             scatter[[motion.kind == kind for motion in self.driver.motions]] for kind in ("translate", "rotate")
@@ -348,7 +348,7 @@ class _DriverMean:
         )
 
     def _scatter(self) -> FloatArray:
-        """Standard deviation over trials (n - 1), the largest over frames, shape [motion_count]."""
+        """Return the largest standard deviation (n - 1) over frames, shape [motion_count]."""
         if self.sums is None:
             raise ValueError(f"no trial shows {self.driver.body}")
         mean, square = self.sums
@@ -362,10 +362,10 @@ def _largest(values: FloatArray) -> float | None:
 
 
 def _event_metrics(experiment: Experiment) -> tuple[str, ...]:
-    return tuple(metric for metric in experiment.score.metrics if metric in EVENT_FIELDS)
+    return tuple(metric for metric in experiment.score.metrics if metric in EVENT_METRICS)
 
 
-def _spread_records(rows: tuple[BaselineRow, ...]) -> Mapping[str, SpreadRecord]:
+def _spread_records(rows: tuple[BaselineRow, ...]) -> dict[str, SpreadRecord]:
     return {
         row.metric: SpreadRecord(unit=row.unit, mean=row.own.mean, std=row.own.std, trial_count=row.own.count)
         for row in rows

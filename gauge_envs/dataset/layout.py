@@ -1,12 +1,15 @@
-"""Finds the trial files of a dataset folder, and the variant that each is of.
+"""Find the trial files of a dataset folder, and the variant of each.
 
 The published layout is
 
     data/<rigid|rope|textile|deformable>/<task>/json/<material>/[task-N/]<trial>.json
 
-with irregularities, all of which are read: spellings that differ from the metadata's (`foam compression`), materials
-by the metadata's names (`cotton` is our rayon), no material folder where a task has one material (bouncing ball), and
-`task-1`, `-2`, `-3` for the nonsmooth contacts that the metadata calls task-3, 4 and 5: they are subtasks 1, 2 and 3.
+Its irregularities are read too:
+
+- Some task folders differ from the metadata's spelling (`foam compression`).
+- Materials have the metadata's names (`cotton` is the rayon of this package).
+- A task with one material may have no material folder (bouncing ball).
+- The nonsmooth contacts are in `task-1` to `task-3`, which the metadata calls task-3 to task-5: subtasks 1 to 3.
 """
 
 from __future__ import annotations
@@ -34,10 +37,10 @@ __all__ = [
 ]
 
 REVISION_FILE = "gauge-dataset.json"
-"""File at the top of a downloaded dataset that says which revision it is."""
+"""File at the top of a downloaded dataset that states its revision."""
 
 FOLDER_SPELLINGS = {"foam compression": "foam compressing"}
-"""Task folders that are spelled otherwise than in the metadata."""
+"""Task folders whose spelling differs from the metadata's."""
 
 SUBTASK_FOLDER = re.compile(r"task\W*_?(\w+)", re.IGNORECASE)
 
@@ -47,10 +50,10 @@ class Layout:
     """Trial files of a dataset folder.
 
     Attributes:
-        root: The dataset's folder.
-        revision: Revision of the dataset; None where the folder does not say.
-        files: Trial files of each variant that has some, in the order of the variants and of the files' names.
-        findings: Folders and files that are of no known experiment.
+        root: Folder of the dataset.
+        revision: Revision of the dataset; None if the folder does not state it.
+        files: Trial files by variant, in the order of the variants and of the file names.
+        findings: Folders that belong to no known experiment.
     """
 
     root: Path
@@ -64,7 +67,7 @@ class Layout:
         return sum(map(len, self.files.values()))
 
     def relative(self, path: Path) -> str:
-        """Path below the dataset's folder, with forward slashes."""
+        """Return the path below the dataset's folder, with forward slashes."""
         return printable(path.relative_to(self.root).as_posix())
 
 
@@ -72,11 +75,11 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     """Find the trial files of a dataset.
 
     Args:
-        root: Folder of the dataset, which holds `data`; or that `data` folder itself.
-        only: Patterns of the variants that are wanted, as `SlopeSlider-*`, with or without `GAUGE/`.
+        root: Folder of the dataset, which contains `data`; or the folder `data` itself.
+        only: Patterns of variants to find, as `SlopeSlider-*`, with or without `GAUGE/`.
 
     Raises:
-        DatasetError: The folder cannot be read, or holds no trial of any experiment.
+        DatasetError: The folder cannot be read, or contains no trial of these variants.
         UnknownNameError: A pattern matches no variant.
     """
     wanted = _wanted(only)
@@ -86,7 +89,7 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
         data = _data_folder(root)
         for group in _folders(data):
             if not _is_group(group):
-                findings.append(_finding(root, group, "it is no group of experiments", f"one of {', '.join(Group)}"))
+                findings.append(_finding(root, group, "it is not a group of experiments", f"one of {', '.join(Group)}"))
                 continue
             for task in _folders(group):
                 _read_task(root, task, found, findings)
@@ -96,7 +99,9 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     files = {variant: tuple(sorted(found[variant], key=_natural)) for variant in wanted if variant in found}
     if not files:
         of = "" if len(wanted) == len(variants()) else f" of {', '.join(only)}"
-        raise DatasetError(f"{data}: holds no trial{of}; data/<group>/<task>/json/<material>/<trial>.json is expected")
+        raise DatasetError(
+            f"{data}: contains no trial{of}; data/<group>/<task>/json/<material>/<trial>.json is expected"
+        )
     return Layout(
         root=root,
         revision=revision,
@@ -106,12 +111,12 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
 
 
 def write_revision(root: Path, revision: str) -> None:
-    """Note in a dataset's folder which revision it is."""
+    """State the revision in a dataset's folder."""
     (root / REVISION_FILE).write_text(json.dumps({"revision": revision}) + "\n", encoding="utf-8")
 
 
 def _revision(root: Path) -> str | None:
-    """The noted revision; a note that cannot be read is as good as none, since nothing is computed from it."""
+    """Return the stated revision, or None; nothing is computed from it, so a damaged file is no error."""
     for folder in (root, root.parent):
         try:
             revision = json.loads((folder / REVISION_FILE).read_bytes())["revision"]
@@ -132,11 +137,11 @@ def _wanted(patterns: Sequence[str]) -> list[Variant]:
 
 def _data_folder(root: Path) -> Path:
     if not root.is_dir():
-        raise DatasetError(f"{root}: is no folder; the dataset's folder, which holds 'data', is expected")
+        raise DatasetError(f"{root}: is not a folder; the folder of the dataset, which contains 'data', is expected")
     for folder in (root / "data", root):
         if folder.is_dir() and any(map(_is_group, folder.iterdir())):
             return folder
-    raise DatasetError(f"{root}: is no GAUGE dataset; data/{'|'.join(Group)} is expected below it")
+    raise DatasetError(f"{root}: is not a GAUGE dataset; data/{'|'.join(Group)} is expected below it")
 
 
 def _is_group(folder: Path) -> bool:
@@ -153,7 +158,7 @@ def _read_task(root: Path, task: Path, found: dict[Variant, list[Path]], finding
     if family is None:
         near = get_close_matches(_plain(task.name), families, n=1)
         hint = f"did you mean that of {families[near[0]]}?" if near else "see the folders of the published dataset"
-        findings.append(_finding(root, task, "it is no known task", hint))
+        findings.append(_finding(root, task, "it is not a known task", hint))
         return
     sources = [folder for folder in _folders(task) if folder.name.lower() == "json"]
     if not sources:
@@ -175,7 +180,7 @@ def _json_files(folder: Path) -> Iterator[Path]:
 
 
 def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str]:
-    """The variant of the folders between `json` and a trial; else what is wrong with them, and what would be right."""
+    """Return the variant of the folders between `json` and a trial, or what is wrong and what is expected."""
     material, subtask = None, None
     names = {_plain(name): name for name in spec.materials}
     names |= {_plain(theirs): ours for ours, theirs in spec.metadata_materials.items()}
@@ -200,7 +205,7 @@ def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str
 
 @cache
 def _families() -> dict[str, str]:
-    """Family of each task folder, by its spelling without case, blanks and signs."""
+    """Return the family of each task folder, by the folder's letters and digits in lower case."""
     families = {}
     for family in dict.fromkeys(variant.family for variant in variants()):
         metadata = task_spec(family).source.metadata
@@ -216,11 +221,11 @@ def _plain(name: str) -> str:
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """Sorts trial-2 before trial-10."""
+    """Return a sort key that puts trial-2 before trial-10."""
     parts = re.split(r"(\d+)", path.as_posix())
     return [(int(part), "") if part.isdecimal() else (0, part) for part in parts], path.as_posix()
 
 
-def _finding(root: Path, path: Path, what: str, right: str) -> ImportFinding:
+def _finding(root: Path, path: Path, problem: str, expected: str) -> ImportFinding:
     file = printable(path.relative_to(root).as_posix())
-    return ImportFinding(file=file, key="(folder)", what=printable(what), right=right)
+    return ImportFinding(file=file, key="(folder)", problem=printable(problem), expected=expected)

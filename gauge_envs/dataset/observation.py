@@ -1,4 +1,4 @@
-"""What a trial shows of an experiment: g(t) by the same observers as a simulation's, and its driver's coordinates."""
+"""Compute g(t) and the driver's coordinates of a trial, by the same observers as for a simulation."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 START_RANGE_MM = 300.0
-"""A body or marker set that starts further from its calibrated start is in another frame or unit, or is another one."""
+"""Largest distance of a start from the calibrated start; beyond it frame, unit or body is another one."""
 
 SWAPPED_MARKERS_MM = 10.0
-"""Markers count as swapped when they start this far from their places and in half the distance from each other's."""
+"""Distance from their places at which markers may be swapped; exchanged places must be half as far."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,10 +44,10 @@ class DriverTrack:
         body: Name of the body.
         coordinates: Coordinates relative to the trial's own start [m or rad], shape [frame_count, motion_count]; NaN
             where the body was not captured.
-        residual_mm: Distance of the recorded origin from where the coordinates put it [mm], shape [frame_count].
-        residual_rad: Angle of the recorded rotation that the coordinates leave out [rad], shape [frame_count]; NaN
-            where the file has no orientation.
-        start_offset_mm: Distance of the trial's start from the calibrated one [mm].
+        residual_mm: Distance between the recorded origin and that of the coordinates [mm], shape [frame_count].
+        residual_rad: Angle of the recorded rotation that the coordinates do not cover [rad], shape [frame_count]; NaN
+            for a file without orientation.
+        start_offset_mm: Distance of the trial's start from the calibrated start [mm].
     """
 
     body: str
@@ -58,18 +58,18 @@ class DriverTrack:
 
 
 def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
-    """g(t) of a trial over the frames of an experiment.
+    """Return g(t) of a trial over the frames of an experiment.
 
     Args:
         trial: The trial.
-        experiment: The experiment that it is of.
+        experiment: Experiment of the trial.
 
     Returns:
-        In the observable's unit, shape [frame_count, coordinate_count]; NaN where a sample is missing. Frames past
-        the end of a trial are missing where no frame count was published for the variant.
+        g(t) in the observable's unit, shape [frame_count, coordinate_count]; NaN where a sample is missing. A trial may
+        end early if no frame count was published for the variant; its later frames are NaN.
 
     Raises:
-        TrialError: The trial is too short, lacks an asset or marker, or is not of this experiment.
+        TrialError: The trial is too short, lacks an asset or marker, or belongs to another experiment.
     """
     if experiment.score.observable is Observable.POSITION:
         names = experiment.recorded
@@ -93,7 +93,7 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
 
 
 def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ...]:
-    """Recorded motion of the driven bodies, in the order of the scene's drivers.
+    """Return the recorded motion of the driven bodies, in the order of the scene's drivers.
 
     Raises:
         TrialError: A driven body is missing, or its motion does not determine a driver's coordinates.
@@ -117,7 +117,7 @@ def _plain(name: str) -> str:
 
 
 def _check_faults(trial: Trial, names: Container[str]) -> None:
-    """Raise what is wrong with an asset of these names, in plain spelling."""
+    """Raise the fault of an asset of these names, in plain spelling."""
     for key, fault in trial.faults.items():
         if _plain(key) in names:
             raise fault
@@ -166,7 +166,7 @@ def _marker_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
 
 
 def _markers(trial: Trial, bodies: Iterable[str], count: int) -> tuple[list[str], FloatArray]:
-    """Marker ids in the metadata's order, and their positions [mm], shape [frame_count, marker_count, 3]."""
+    """Return marker ids in the metadata's order, and positions [mm], shape [frame_count, marker_count, 3]."""
     names = {_plain(name) for name in (*bodies, "markers")}
     _check_faults(trial, names)
     sets = {key: found for key, found in trial.markers.items() if _plain(key) in names} or trial.markers
@@ -189,7 +189,7 @@ def _markers(trial: Trial, bodies: Iterable[str], count: int) -> tuple[list[str]
 
 
 def _sorted_ids(ids: Iterable[str]) -> list[str]:
-    """As numbers where all are, so that 10 comes after 9; else as text."""
+    """Return ids sorted as numbers if all are numbers, so that 10 comes after 9; else sorted as text."""
     ids = sorted(ids)
     if all(marker.isascii() and marker.isdecimal() and len(marker) < 19 for marker in ids):
         return sorted(ids, key=int)
@@ -197,7 +197,7 @@ def _sorted_ids(ids: Iterable[str]) -> list[str]:
 
 
 def _check_order(ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray) -> None:
-    """Each marker starts nearest its own place, or at least not in a clearly permuted order."""
+    """Raise if the markers start in a clearly permuted order."""
     captured = np.asarray(~np.isnan(positions_mm).any(axis=2))
     seen = np.flatnonzero(captured.any(axis=0))
     if not seen.size:
@@ -220,25 +220,31 @@ def _check_order(ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArr
 
 
 def _driver_track(driver: Driver, track: PoseTrack, start: Pose, frame_count: int) -> DriverTrack:
-    """Coordinates of a driver whose poses are nearest to the recorded ones, frame by frame."""
+    """Return the coordinates whose poses are nearest to the recorded ones, frame by frame."""
     calibrated = np.asarray(start.position_m)
     _check_start(driver.body, track.positions_mm, calibrated)
-    turning = sum(motion.kind == "rotate" for motion in driver.motions)
-    if turning > 1:
-        raise TrialError(driver.body, "its driver has several rotations", "one is as many as can be told apart")
-    if turning and track.quaternions_xyzw is None:
-        raise TrialError(f"{driver.body}.qx", "it is missing", "the angle of a turning driver follows from qx ... qw")
+    rotation_count = sum(motion.kind == "rotate" for motion in driver.motions)
+    if rotation_count > 1:
+        raise TrialError(
+            driver.body,
+            "its driver has several rotations",
+            "one rotation at most is expected, as several cannot be separated",
+        )
+    if rotation_count and track.quaternions_xyzw is None:
+        raise TrialError(f"{driver.body}.qx", "it is missing", "a driver that rotates needs qx, qy, qz and qw")
 
     positions = 1e-3 * track.positions_mm[:frame_count]
     quaternions = np.zeros((0, 4)) if track.quaternions_xyzw is None else track.quaternions_xyzw[:frame_count]
     captured = positions if not len(quaternions) else np.column_stack([positions, quaternions])
     known = np.flatnonzero(~np.isnan(captured).any(axis=1))
     if known[:1].tolist() != [0]:
-        raise TrialError(f"{driver.body}[0]", "frame 0 was not captured", "its driver's motion counts from there")
+        raise TrialError(
+            f"{driver.body}[0]", "frame 0 was not captured", "the motion of a driver is measured from frame 0"
+        )
 
     first = positions[0]
     offset = first - calibrated
-    # A motion's axis through a point belongs to the body: it lies as far off as the trial's start does.
+    # The axis of a motion belongs to the body, so it is shifted by the offset of the trial's start.
     motions = [replace(motion, point_m=tuple((motion.point_m + offset).tolist())) for motion in driver.motions]
     rotations = Rotation.from_quat(quaternions[known]) if len(quaternions) else Rotation.identity(len(known))
     values, missed_m, rest_rad = motion_coordinates(motions, first, positions[known], rotations * rotations[0].inv())

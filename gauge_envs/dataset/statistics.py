@@ -1,7 +1,7 @@
-"""Mean, scatter and baselines over trials, with one trial in memory at a time.
+"""Compute mean, scatter and baselines over trials, with one trial in memory at a time.
 
-The distance of a trial to the mean needs the mean first, hence a second pass over all trials. They are kept between
-the passes in an unnamed temporary file, as plain numbers, which read a hundred times faster than the trial files.
+The distance of a trial to the mean needs the mean first, so there are two passes over all trials. Between the passes
+the trials are plain numbers in a temporary file, which is read a hundred times faster than the trial files.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 
 __all__ = [
     "CoordinateMean",
-    "TrialSpread",
     "TrialSpool",
+    "TrialSpread",
     "TrialStatistics",
 ]
 
@@ -30,12 +30,12 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class TrialSpread:
-    """Mean and sample standard deviation (n - 1) of one number a trial.
+    """Mean and sample standard deviation (n - 1) over trials of one number per trial.
 
     Attributes:
         mean: Mean over trials.
         std: Sample standard deviation; None for a single trial.
-        count: Number of trials that have the number.
+        count: Number of trials with a finite number.
     """
 
     mean: float
@@ -44,7 +44,7 @@ class TrialSpread:
 
     @classmethod
     def of(cls, values: FloatArray) -> TrialSpread | None:
-        """TrialSpread of the values that are numbers; None where there are none."""
+        """Return the spread of the finite values; None without any."""
         finite = values[np.isfinite(values)]
         if not finite.size:
             return None
@@ -54,16 +54,16 @@ class TrialSpread:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialStatistics:
-    """What trials of one variant have in common, and how far each is from that.
+    """Mean of the trials of one variant, their scatter, and the distance of each from the mean.
 
     Attributes:
-        mean: Mean over the trials that have a sample, shape [frame_count, coordinate_count]; NaN where none has.
+        mean: Mean over the trials with a sample, shape [frame_count, coordinate_count]; NaN without a sample.
         sigma: Sample standard deviation (n - 1), same shape; NaN where fewer than half of the trials, or fewer than
             two, have a sample.
-        counts: Trials that have a sample, same shape.
-        measured: Frames at which some coordinate has samples of at least half of the trials, shape [frame_count].
+        counts: Number of trials with a sample, same shape.
+        measured: Whether some coordinate of a frame has samples of at least half of the trials, shape [frame_count].
         rmse: E_RMSE of each trial to the mean, shape [trial_count].
-        dtw: E_DTW of each trial to the mean, shape [trial_count]; NaN where no alignment exists.
+        dtw: E_DTW of each trial to the mean, shape [trial_count]; NaN without an alignment.
     """
 
     mean: FloatArray
@@ -86,22 +86,22 @@ class CoordinateMean:
         self.counts = np.zeros(shape, dtype=np.int64)
 
     def add(self, values: FloatArray) -> None:
-        """Add one trial; NaN is missing."""
+        """Add one trial; NaN is a missing entry."""
         seen = ~np.isnan(values)
         self._sum[seen] += values[seen]
         self.counts += seen
 
     @property
     def mean(self) -> FloatArray:
-        """Mean over the trials that have an entry; NaN where none has."""
+        """Mean over the trials with an entry; NaN without one."""
         return np.divide(self._sum, self.counts, out=np.full(self._sum.shape, np.nan), where=self.counts > 0)
 
 
 class TrialSpool:
-    """Trials of one variant on their way to their statistics; a context manager that frees its temporary file.
+    """Temporary file of the trials of one variant, as a context manager that frees it.
 
     Args:
-        frame_count: Frames of each.
+        frame_count: Frames of each trial.
         coordinate_count: Coordinates of g(t).
     """
 
@@ -120,10 +120,10 @@ class TrialSpool:
         self._file.close()
 
     def add(self, trajectory: FloatArray) -> None:
-        """Add g(t) of one trial, shape [frame_count, coordinate_count]; NaN is missing.
+        """Add g(t) of one trial, shape [frame_count, coordinate_count]; NaN is a missing sample.
 
         Raises:
-            ShapeError: It has another shape.
+            ShapeError: The trial has another shape.
         """
         if trajectory.shape != self._shape:
             raise ShapeError(f"trial has shape {trajectory.shape}; {self._shape} is needed")
@@ -133,17 +133,17 @@ class TrialSpool:
         self.trial_count += 1
 
     def trials(self) -> Iterator[FloatArray]:
-        """The trials, one after another."""
+        """Yield the trials, one after another."""
         size = 8 * self._shape[0] * self._shape[1]
         for number in range(self.trial_count):
             self._file.seek(number * size)
             yield np.frombuffer(self._file.read(size)).reshape(self._shape)
 
     def statistics(self) -> TrialStatistics:
-        """Statistics of the trials that were added.
+        """Return the statistics of the trials that were added.
 
         Raises:
-            ShapeError: There are none.
+            ShapeError: No trial was added.
         """
         if not self.trial_count:
             raise ShapeError("no trial was added")
@@ -170,4 +170,4 @@ def _dtw(trial: FloatArray, mean: FloatArray) -> float:
     try:
         return trajectory_dtw(trial, mean, allow_missing=True)
     except ShapeError:
-        return float("nan")  # frames that share no coordinate cannot be aligned; the spread counts the others
+        return float("nan")  # Frames that share no coordinate cannot be aligned. The spread counts the other trials.

@@ -1,8 +1,7 @@
-"""What each variant is scored against and driven by, and what the real trials score among themselves."""
+"""List the reference, the drivers and the baselines of each variant."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,7 +9,8 @@ from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import data_folder, json_ready
+from gauge_envs.files import json_ready
+from gauge_envs.references.bands import bundled_sidecar
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import published_baselines
 
@@ -20,11 +20,11 @@ __all__ = [
 
 
 def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
-    """One JSON-ready row a variant.
+    """Return one JSON-ready row per variant.
 
-    Keys: `id`, `grade`, `imported`, `trials`, `revision`, `is_current` (whether the task file is still the one that the
-    trials were imported for; None where nothing was), `drivers` (body, provenance, and what an imported one leaves out)
-    and `baselines` (metric, unit, own and published mean and standard deviation).
+    Keys: `id`, `grade`, `imported`, `trials`, `revision`, `is_current` (whether the task file is unchanged since the
+    import; None without an import), `drivers` (body, provenance, and the record of an imported driver) and `baselines`
+    (metric, own and published mean and standard deviation).
 
     Raises:
         ReferenceFileError: A stored or bundled band is damaged.
@@ -70,13 +70,10 @@ def _baselines(variant: Variant) -> list[dict[str, Any]]:
 
 
 def _own(variant: Variant) -> dict[str, tuple[float | None, float | None]]:
-    """Mean and standard deviation of each metric over the trials that the band rests on, imported or bundled."""
+    """Return mean and standard deviation of each metric over the trials of the band, imported or bundled."""
     imported = load_imported(variant.name)
     if imported is not None:
         return {metric: (spread.mean, spread.std) for metric, spread in imported.record.metrics.items()}
-    file = data_folder("scoring") / "bands" / f"{variant.name}.toml"
-    if not file.is_file():
-        return {}
-    facts = tomllib.loads(file.read_text(encoding="utf-8"))
-    tables = {metric: facts.get(metric) for metric in ("rmse", "dtw")}
-    return {metric: (table.get("mean"), table.get("std")) for metric, table in tables.items() if table}
+    sidecar = bundled_sidecar(variant.name)
+    scores = {} if sidecar is None else {"rmse": sidecar.rmse, "dtw": sidecar.dtw}
+    return {metric: (score.mean, score.std) for metric, score in scores.items() if score is not None}

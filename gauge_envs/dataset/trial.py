@@ -1,8 +1,8 @@
-"""Reads one trial file of the GAUGE dataset, and says what is wrong with it: file, key, what, what would be right.
+"""Read and check one trial file of the GAUGE dataset.
 
-A trial is a JSON object with `FPS`, `translation unit` and one object an asset: a rigid body (`x`, `y`, `z`, and
-usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used) or a marker set (marker id to `x`, `y`, `z`). Each list
-has one sample a frame; `null` or NaN stands for a sample that was not captured.
+A trial is a JSON object with `FPS`, `translation unit` and one object per asset. A rigid body has lists `x`, `y`, `z`
+and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has an object with `x`, `y`, `z` per
+marker id. Each list has one sample per frame; `null` or NaN is a sample that was not captured.
 """
 
 from __future__ import annotations
@@ -33,53 +33,53 @@ QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
 UNIT = "mm"
 
 NORM_TOLERANCE = 0.01
-"""Largest error of a unit quaternion's norm: files round to three digits or more."""
+"""Largest error of the norm of a unit quaternion; files round to three digits or more."""
 
 LARGEST_MM = 1e5
-"""The motion-capture volume is a few metres wide; further away is no measurement, and squares must not overflow."""
+"""Largest coordinate; the capture volume is a few metres wide, and squares of larger values may overflow."""
 
 
 def printable(text: str) -> str:
-    """Text with everything escaped that a terminal or a JSON file cannot take, as lone surrogates of a damaged file."""
+    """Return the text with escapes for characters that a terminal or a JSON file cannot hold."""
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImportFinding:
-    """Something about a file or folder of a dataset that a person should know.
+    """Problem of a file or folder of a dataset.
 
     Attributes:
         file: Path below the dataset's folder.
-        key: Place in the file, as `foam.17.x`; `(file)` for the whole of it, `(folder)` for a folder.
-        what: What is wrong.
-        right: What would be right.
-        left_out: Whether it is left out of the statistics because of that.
+        key: Place in the file, as `foam.17.x`; `(file)` for the whole file, `(folder)` for a folder.
+        problem: What is wrong.
+        expected: What is expected.
+        left_out: Whether the file is left out of the statistics.
     """
 
     file: str
     key: str
-    what: str
-    right: str
+    problem: str
+    expected: str
     left_out: bool = True
 
     def __str__(self) -> str:
-        return f"{self.file}: {self.key}: {self.what}; {self.right}"
+        return f"{self.file}: {self.key}: {self.problem}; {self.expected}"
 
 
 class TrialError(Exception):
-    """Why a trial cannot be used; the importer turns it into a `ImportFinding`, so that it never reaches a user.
+    """A trial cannot be used; the importer turns the error into an `ImportFinding`.
 
     Args:
         key: Place in the file.
-        what: What is wrong.
-        right: What would be right.
+        problem: What is wrong.
+        expected: What is expected.
     """
 
-    def __init__(self, key: str, what: str, right: str) -> None:
-        super().__init__(f"{key}: {what}; {right}")
+    def __init__(self, key: str, problem: str, expected: str) -> None:
+        super().__init__(f"{key}: {problem}; {expected}")
         self.key = printable(key)
-        self.what = printable(what)
-        self.right = right
+        self.problem = printable(problem)
+        self.expected = expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +87,8 @@ class PoseTrack:
     """Motion of one rigid body.
 
     Attributes:
-        positions_mm: Positions of its origin in the motion-capture frame [mm], shape [frame_count, 3]; NaN: missing.
-        quaternions_xyzw: Unit quaternions, body to world, shape [frame_count, 4]; None where the file has none.
+        positions_mm: Positions of the origin in the motion-capture frame [mm], shape [frame_count, 3]; NaN is missing.
+        quaternions_xyzw: Unit quaternions, body to world, shape [frame_count, 4]; None for a file without them.
     """
 
     positions_mm: FloatArray
@@ -97,12 +97,12 @@ class PoseTrack:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One trial file, checked. Each asset has a number of frames of its own.
+    """One trial file, checked. Assets may differ in their number of frames.
 
     Attributes:
-        poses: Rigid bodies by their name in the file.
-        markers: Marker sets by their name in the file: marker id to positions [mm], shape [frame_count, 3].
-        faults: Why an asset cannot be used, by its name; whether that matters depends on the experiment.
+        poses: Rigid bodies by name in the file.
+        markers: Marker sets by name in the file: marker id to positions [mm], shape [frame_count, 3].
+        faults: Errors of assets by name; the experiment decides whether an asset is needed.
     """
 
     poses: Mapping[str, PoseTrack]
@@ -117,7 +117,7 @@ def parse_trial(content: bytes) -> Trial:
         content: The file's bytes.
 
     Raises:
-        TrialError: The file is no trial.
+        TrialError: The file is not a trial.
     """
     values = _json_object(content)
     _check_header(values)
@@ -150,7 +150,7 @@ def _json_object(content: bytes) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise TrialError("(file)", f"it is not text: {error.reason}", "JSON in UTF-8 is expected") from None
     except ValueError as error:
-        raise TrialError("(file)", f"it is not JSON: {error}", "a whole JSON object is expected") from None
+        raise TrialError("(file)", f"it is not JSON: {error}", "a complete JSON object is expected") from None
     if not isinstance(values, dict):
         raise TrialError("(file)", f"it is a JSON {type(values).__name__}", "a JSON object is expected")
     return values
@@ -161,7 +161,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(values) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise TrialError(twice, "the key stands there twice", "each asset, marker and list has a name of its own")
+        raise TrialError(twice, "the key occurs twice", "unique names of assets, markers and lists are expected")
     return values
 
 
@@ -174,7 +174,7 @@ def _check_header(values: Mapping[str, Any]) -> None:
 
 
 class _Lengths:
-    """All lists of an asset have as many samples as its first."""
+    """Check that all lists of an asset have as many samples as its first."""
 
     def __init__(self) -> None:
         self.count: int | None = None
@@ -207,13 +207,13 @@ def _marker(key: str, entry: Any, lengths: _Lengths) -> FloatArray:
         raise TrialError(key, f"it is {_shown(entry)}", "a marker is an object with x, y, z")
     positions = _table(key, entry, POSITION_KEYS, lengths)
     _check_range(key, positions)
-    # A marker is seen as a whole or not at all.
+    # A marker is captured in all three coordinates or not at all.
     positions[np.isnan(positions).any(axis=1)] = np.nan
     return positions
 
 
 def _table(name: str, asset: Mapping[str, Any], keys: tuple[str, ...], lengths: _Lengths) -> FloatArray:
-    """Lists of an asset as columns, shape [frame_count, column_count]."""
+    """Return lists of an asset as columns, shape [frame_count, column_count]."""
     missing = [key for key in keys if key not in asset]
     if missing:
         raise TrialError(f"{name}.{missing[0]}", "it is missing", f"an asset has {', '.join(keys)}")
@@ -253,7 +253,7 @@ def _check_range(name: str, positions: FloatArray) -> None:
 
 
 def _shown(value: Any) -> str:
-    """A value for a message: short, whatever it is."""
+    """Return a short text of a value, for a message."""
     text = "missing" if value is None else repr(value) if isinstance(value, str | int | float) else type(value).__name__
     if isinstance(value, list):
         text = "an empty list" if not value else "a list"

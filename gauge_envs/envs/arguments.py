@@ -1,9 +1,9 @@
-"""Checks of the arguments of environments."""
+"""Arguments of environments: their declaration, checks, and plain form for a spec."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from enum import Enum
 from os import PathLike, fspath
 from typing import Any
@@ -13,18 +13,85 @@ from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.registry import backend_for, backend_names
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
+from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.experiments.resolve import resolve_experiment
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.variants import Variant
+from gauge_envs.observables.observer import MarkerProxy, checked_proxy
+from gauge_envs.references.bands import Band
+from gauge_envs.references.imported import DataSource
+from gauge_envs.scene.jitter import Jitter, jittered
 
 __all__ = [
+    "EnvArguments",
     "check_support",
     "jitter_option",
+    "jittered_experiment",
     "plain_spec",
 ]
 
 
+@dataclass(frozen=True)
+class EnvArguments:
+    """Arguments of `gymnasium.make`: which experiment runs, on which engine, and what scores it.
+
+    Attributes:
+        variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of an experiment file, as
+            `crate.toml`.
+        backend: Name of an installed physics engine.
+        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`.
+        settings: Numerical settings of the engine that replace those of the preset.
+        marker_proxy: Marker proxy of deformable bodies. `node` tracks the nearest node, as in the paper; `material`
+            tracks the marker's own material point between the nodes.
+        drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show.
+        reference: `bundled` scores against the package's references, `imported` against the imported trials.
+        use_withheld: Score also against a band that is withheld by default; `gauge show` gives the reason.
+        asset: File that states the scene in place of the task file: a USD layer for any engine, an MJCF file for
+            `mujoco`. It states constants and driven motion; observation and score stay the variant's. With the id
+            `GAUGE/Asset` it is an experiment file.
+
+    Raises:
+        ParameterError: There is no such marker proxy.
+    """
+
+    variant: str | Variant
+    _: KW_ONLY
+    backend: str = "mujoco"
+    parameters: Parameters = "calibrated"
+    settings: Mapping[str, Any] | None = None
+    marker_proxy: MarkerProxy | str = MarkerProxy.NODE
+    drivers: DataSource | str = DataSource.BUNDLED
+    reference: DataSource | str = DataSource.BUNDLED
+    use_withheld: bool = False
+    asset: str | PathLike[str] | None = None
+
+    def __post_init__(self) -> None:
+        checked_proxy(self.marker_proxy)
+
+    @property
+    def proxy(self) -> MarkerProxy:
+        """The marker proxy as an enum."""
+        return MarkerProxy(self.marker_proxy)
+
+    def experiment(self) -> Experiment:
+        """Load the experiment.
+
+        Raises:
+            GaugeError: See `resolve_experiment`.
+        """
+        return resolve_experiment(
+            self.variant, self.parameters, drivers=self.drivers, reference=self.reference, asset=self.asset
+        )
+
+    def band(self, experiment: Experiment) -> Band | None:
+        """Return the band that an experiment is scored against, or None if it has no reference."""
+        return reference_band(experiment, use_withheld=self.use_withheld)
+
+
 def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
-    """A copy of a spec whose arguments are such that `EnvSpec.to_json` takes them.
+    """Return a copy of a spec whose arguments `EnvSpec.to_json` accepts.
 
     Raises:
         ParameterError: An argument has no plain form.
@@ -49,20 +116,20 @@ def _plain(name: str, value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise ParameterError(
-        f"argument {name} = {value!r} has no place in the spec of an environment: "
-        "expected numbers, text, paths, or lists and mappings of them"
+        f"argument {name} = {value!r} cannot be stored in the spec of an environment. "
+        "Give numbers, text, paths, or lists and mappings of them."
     )
 
 
 def jitter_option(options: Mapping[str, Any]) -> Jitter | None:
-    """How far the options of a reset let starts scatter; None where they do not.
+    """Return the jitter that the options of a reset ask for, or None if they ask for none.
 
     Raises:
-        ParameterError: There is no such option, or its value is of another kind.
+        ParameterError: An option is unknown, or its value has the wrong type.
     """
     unknown = [repr(key) for key in options if key != "jitter"]
     if unknown:
-        raise ParameterError(f"reset knows the option 'jitter' alone, got {', '.join(unknown)}")
+        raise ParameterError(f"reset has only the option 'jitter', got {', '.join(unknown)}")
     value = options.get("jitter", False)
     if isinstance(value, bool):
         return Jitter() if value else None
@@ -71,13 +138,33 @@ def jitter_option(options: Mapping[str, Any]) -> Jitter | None:
     return value
 
 
+def jittered_experiment(experiment: Experiment, jitter: Jitter | None, *, seed: int, backend: str) -> Experiment:
+    """Return an experiment with a start that is moved at random.
+
+    Args:
+        experiment: The experiment.
+        jitter: Standard deviations of the start; None keeps the start.
+        seed: Seed of the random numbers.
+        backend: Name of the engine that will build the scene.
+
+    Raises:
+        ParameterError: The scene has no start that can be jittered.
+        UnsupportedSceneError: The engine cannot build the scene from that start.
+    """
+    if jitter is None:
+        return experiment
+    moved = replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed))
+    check_support(moved, backend)
+    return moved
+
+
 def check_support(experiment: Experiment, backend: str) -> None:
-    """Raise when a backend cannot build an experiment.
+    """Raise an error if a backend cannot build an experiment.
 
     Raises:
         UnknownNameError: No such backend.
         MissingExtraError: Its engine is not installed.
-        UnsupportedSceneError: It declines; the message gives its reasons, and a backend that can.
+        UnsupportedSceneError: It does not support the scene; the message names the features, and a backend that does.
     """
     support = backend_for(backend, experiment.model_file).supports(experiment.scene)
     if not support:

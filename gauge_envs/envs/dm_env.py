@@ -1,10 +1,10 @@
-"""The suite as `dm_env` environments, for agents of that interface; needs the extra `dm`.
+"""The experiments as `dm_env` environments; needs the extra `dm`.
 
     from gauge_envs.envs.dm_env import load
 
     env = load("SlopeSlider-2-wood")
 
-It takes nothing from the package `dm_control` but the interface and the name of its loader: the engine is a backend.
+Only the interface is that of `dm_env`: the engine is a backend of this package.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ __all__ = [
 ]
 
 SCORED = "gauge_envs.envs.wrappers:scored_env"
-"""Entry point of the ids that are scored experiments; control tasks have others."""
+"""Entry point of the ids that are experiments; control tasks have others."""
 
 
 def load(name: str, *, seed: int = 0, options: Mapping[str, Any] | None = None, **arguments: Any) -> DmEnvironment:
-    """Make an experiment as a `dm_env.Environment`.
+    """Return an experiment as a `dm_env.Environment`.
 
     Args:
         name: Name of the variant, as `SlopeSlider-2-wood`, or its Gymnasium id.
         seed: Seed of the first episode; each next one has one more.
         options: Options of every reset, as `{"jitter": True}`.
-        **arguments: As of `gymnasium.make`: `backend`, `settings`, `parameters`, ...
+        **arguments: Keywords of `GaugeEnv`: `backend`, `settings`, `parameters`, ...
 
     Raises:
         UnknownNameError: No such variant or backend.
-        GaugeError: As of `GaugeEnv`.
+        GaugeError: See `GaugeEnv`.
 
     Example:
         >>> from gauge_envs.envs.dm_env import load
@@ -67,19 +67,19 @@ def load(name: str, *, seed: int = 0, options: Mapping[str, Any] | None = None, 
 
 
 class DmEnvironment(dm_env.Environment):
-    """An environment of this suite behind dm_env's interface.
+    """An environment of this suite with the interface of dm_env.
 
-    Observations, actions and rewards are those of `GaugeEnv`. The last frame has a discount of 1, since the motion
-    goes on and only the recording ends; a simulation that diverges ends with 0.
+    Observations, actions and rewards are those of `GaugeEnv`. The last frame has a discount of 1, because only the
+    recording ends there. A simulation that diverges ends with a discount of 0.
 
     Args:
-        env: Made by `gymnasium.make`, with wrappers or without; its observation is an array or a dictionary of such.
+        env: Environment from `gymnasium.make`; its observation is an array or a dictionary of arrays.
         seed: Seed of the first episode; each next one has one more.
         options: Options of every reset.
 
     Attributes:
-        score: Score of the last episode that has ended; None before the first, and where a wrapper cut it short.
-        info: What Gymnasium's `info` says of the last step.
+        score: Score of the last episode that ended; None before the first, or if a wrapper cut the episode short.
+        info: Gymnasium's `info` of the last step.
     """
 
     def __init__(self, env: gymnasium.Env, *, seed: int = 0, options: Mapping[str, Any] | None = None) -> None:
@@ -102,7 +102,7 @@ class DmEnvironment(dm_env.Environment):
         return dm_env.restart(observation)
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """Simulate one frame, 1/30 s; after the end of an episode, and at first, start one and ignore the action.
+        """Simulate one frame, 1/30 s; before the first episode and after the end of one, start an episode instead.
 
         Raises:
             ActionError: The action has the wrong shape, is out of range or is not a number.
@@ -119,23 +119,23 @@ class DmEnvironment(dm_env.Environment):
         return end(reward, observation)
 
     def observation_spec(self) -> specs.BoundedArray | dict[str, specs.BoundedArray]:
-        """Shape and bounds of each array of the observation."""
+        """Return shape and bounds of each array of the observation."""
         space = self._env.observation_space
         if isinstance(space, spaces.Dict):
             return {name: _array(name, entry) for name, entry in space.items()}
         return _array("observation", space)
 
     def action_spec(self) -> specs.BoundedArray:
-        """A velocity in [-1, 1] for each driven motion; the choice of 0 alone where nothing is driven."""
+        """Return the spec of a velocity in [-1, 1] for each driven motion, or of the single action 0."""
         space = self._env.action_space
         return specs.DiscreteArray(1, name="action") if isinstance(space, spaces.Discrete) else _array("action", space)
 
     def reward_spec(self) -> specs.BoundedArray:
-        """A number that is not above 0."""
+        """Return the spec of a number of at most 0."""
         return specs.BoundedArray((), np.float64, -np.inf, 0.0, name="reward")
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Picture of the scene now, as `GaugeEnv.render`."""
+        """Return a picture of the scene; see `GaugeEnv.render`."""
         return self._env.render()  # type: ignore[return-value]
 
     def close(self) -> None:

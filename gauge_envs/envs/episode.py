@@ -1,7 +1,8 @@
-"""One episode of one experiment on one world: what is driven, observed, recorded and judged, frame by frame.
+"""One episode of one experiment on one world: it drives, observes, records and judges, frame by frame.
 
-An `Episode` does not step the engine. Whoever does (an environment for a single simulation, a batch for many worlds at
-once) calls `drive`, advances by `SAMPLE_INTERVAL_S`, and calls `observe`, six times a frame.
+A world that is a simulation of its own advances by `Episode.advance`. Worlds that share a simulation advance by
+`advance_together`: six times a frame it calls `drive` of each episode, advances all worlds by `SAMPLE_INTERVAL_S`, and
+calls `observe` of each episode.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.errors import ActionError, EpisodeError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.scene import Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -41,15 +42,16 @@ Observation = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """What an episode recorded so far.
+    """What an episode has recorded so far.
 
     Attributes:
-        times_s: Times of the dense samples, shape [sample_count], 180 a second.
+        times_s: Times of the dense samples [s], 180 a second, shape [sample_count].
         samples: The generalized trajectory g(t) at those times, shape [sample_count, coordinate_count].
         frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
-        bodies: States of the recorded bodies at the frames, shape [frame_count, body_count, 13]; none where markers
-            are recorded.
-        markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; none where bodies are.
+        bodies: States of the recorded bodies at the frames, shape [frame_count, body_count, 13]; `body_count` is 0 if
+            markers are recorded.
+        markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if
+            bodies are recorded.
     """
 
     times_s: NDArray[np.float64]
@@ -60,22 +62,22 @@ class Trajectory:
 
 
 class Episode:
-    """What one episode does to a world and what it records of it.
+    """One episode on one world.
 
     Args:
         experiment: The experiment.
-        world: The world, standing at the start of the experiment's scene.
-        band: What the reward is measured against; None gives a reward of 0.
-        marker_proxy: What stands for a marker on a deformable body.
+        world: The world, at the start of the experiment's scene.
+        band: Band that rewards are relative to; with None they are 0.
+        marker_proxy: Marker proxy of deformable bodies: tracked node or material point.
 
     Attributes:
         experiment: The experiment.
-        band: What the reward is measured against.
-        marker_proxy: What stands for a marker on a deformable body.
+        band: Band that rewards are relative to, or None.
+        marker_proxy: Marker proxy of deformable bodies.
         frame: Number of the current frame; None before `begin`.
         fault: Why the simulation counts as diverged, or None.
-        action_space: As the environment's.
-        observation_space: As the environment's.
+        action_space: Action space of the environment.
+        observation_space: Observation space of the environment.
         rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
 
     Raises:
@@ -95,21 +97,12 @@ class Episode:
         self._driven = tuple(driver.body for driver in scene.drivers)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         rows = [self._dynamic.index(name) for name in experiment.recorded]
-        # A slice reads faster than an index array, and the recorded bodies mostly are all that move.
+        # A slice reads faster than an index array, and most experiments record all dynamic bodies.
         self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
-        self._masses = np.array([body.mass_kg for body in scene.dynamic_bodies]).reshape(-1, 1)
-        self._energy_limit_j = scene.kinetic_energy_limit_j
-        self._limits = np.concatenate(
-            [
-                np.full(3, scene.distance_limit_m),
-                np.full(4, 2.0),
-                np.full(3, scene.speed_limit_m_per_s),
-                np.full(3, np.inf),
-            ]
-        )
-        self._band_rows = _band_rows(band)
+        self._reward_terms = _reward_terms(band)
         self.rest_nodes_m = self.nodes_m()
-        self._deformables = [_DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
+        self._rigid_bounds = RigidBounds(scene)
+        self._deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
         observable = experiment.score.observable
         self._observer: Observer = (
             ObserverPositions(experiment.recorded)
@@ -151,20 +144,25 @@ class Episode:
             entries["driver"] = states(len(self._driven))
         return cast("spaces.Space[Observation]", spaces.Dict(entries))
 
-    # --- course ---
+    # --- rollout ---
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Numerical settings of the engine."""
+        return self._world.settings
 
     @property
     def is_complete(self) -> bool:
-        """Whether the last frame is reached."""
+        """Whether this is the last frame."""
         return self.frame == self.experiment.frame_count - 1
 
     @property
     def is_over(self) -> bool:
-        """Whether it is complete or has diverged."""
+        """Whether the episode is complete or has diverged."""
         return self.fault is not None or self.is_complete
 
     def begin(self) -> None:
-        """Record frame 0; the world stands at the start."""
+        """Record frame 0; the world is at the start."""
         for path in self._drivers:
             path.reset()
         self.frame, self.fault = 0, None
@@ -172,11 +170,11 @@ class Episode:
         self._record()
 
     def drive(self, sample: int, rates: NDArray[np.float64]) -> None:
-        """Prescribe the driven bodies for a sample of the coming frame.
+        """Prescribe the motion of the driven bodies for a sample of the next frame.
 
         Args:
             sample: Number of the sample in the frame, from 0 to 5.
-            rates: What `checked` returned.
+            rates: Residual rates from `checked`, shape [motion_count].
         """
         number = (self.frame or 0) * SAMPLES_PER_FRAME + sample
         offset = 0
@@ -186,11 +184,11 @@ class Episode:
             offset = end
 
     def observe(self, sample: int) -> None:
-        """Keep g(t) after a sample of the coming frame."""
+        """Record g(t) after a sample of the next frame."""
         self._samples[(self.frame or 0) * SAMPLES_PER_FRAME + 1 + sample] = self._observer.now(self._world)
 
     def advance(self, simulation: Simulation, rates: NDArray[np.float64]) -> None:
-        """Drive, advance and observe the coming frame, where the world is a simulation of its own."""
+        """Drive, advance and observe the next frame of a world that is a simulation of its own."""
         first = (self.frame or 0) * SAMPLES_PER_FRAME + 1
         rows = self._samples[first : first + SAMPLES_PER_FRAME]
         if not self._drivers:
@@ -201,13 +199,13 @@ class Episode:
             row[:] = self._observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
 
     def end_frame(self) -> str | None:
-        """Record the frame; why the simulation counts as diverged, or None."""
+        """Record the frame, and return why the simulation counts as diverged, or None."""
         self.frame = (self.frame or 0) + 1
         self.fault = self._fault(self._record())
         return self.fault
 
     def state(self) -> dict[str, Any]:
-        """Everything that `restore` needs to go on from here; the world has a state of its own."""
+        """Return what `restore` needs to continue from here; the world has a state of its own."""
         return {
             "frame": self.frame,
             "fault": self.fault,
@@ -216,7 +214,7 @@ class Episode:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go back to a state that `state` returned, of this episode or of another one of the same experiment."""
+        """Restore what `state` returned, from this episode or another one of the same experiment."""
         self.frame, self.fault = state["frame"], state["fault"]
         for path, offsets in zip(self._drivers, state["offsets"], strict=True):
             path.offsets = offsets.copy()
@@ -227,7 +225,7 @@ class Episode:
         return self._samples, self._bodies, self._markers_m
 
     def trajectory(self) -> Trajectory:
-        """What the current episode recorded so far.
+        """Return what the episode has recorded so far.
 
         Raises:
             EpisodeError: The environment was not reset.
@@ -244,10 +242,10 @@ class Episode:
         )
 
     def score(self) -> Score:
-        """Score of the episode, which is over; one that diverged has a grade and nothing else.
+        """Return the score of the episode; if it diverged, the score has a grade and no metric.
 
         Raises:
-            EpisodeError: It is not over.
+            EpisodeError: The episode is not over.
         """
         if not self.is_over:
             raise EpisodeError(f"{self.experiment.id}: no score before the episode is over")
@@ -259,16 +257,16 @@ class Episode:
     # --- reading ---
 
     def poses(self) -> dict[str, NDArray[np.float64]]:
-        """Poses of the rigid bodies that move now: position [m] and quaternion w x y z, each of shape [7]."""
+        """Return the pose of each rigid body that moves: position [m] and quaternion w x y z, shape [7]."""
         moving = (*self._dynamic, *self._driven)
         return dict(zip(moving, self._world.body_states(moving)[:, :7], strict=True))
 
     def nodes_m(self) -> dict[str, NDArray[np.float64]]:
-        """Nodes of the deformable bodies now [m], each of shape [node_count, 3]."""
+        """Return the nodes of each deformable body [m], shape [node_count, 3]."""
         return {body.name: self._world.nodes(body.name).copy() for body in self.experiment.scene.deformables}
 
     def _record(self) -> NDArray[np.float64]:
-        """Keep bodies and markers of this frame; states of the dynamic bodies, shape [body_count, 13]."""
+        """Record bodies and markers of the frame; return the states of the dynamic bodies, shape [body_count, 13]."""
         states = self._world.body_states(self._dynamic)
         frame = self.frame or 0
         self._bodies[frame] = states[self._recorded_rows]
@@ -277,7 +275,7 @@ class Episode:
         return states
 
     def checked(self, action: Any) -> NDArray[np.float64]:
-        """Residual rates of an action, shape [motion_count].
+        """Return the residual rates of an action, shape [motion_count].
 
         Raises:
             ActionError: The action has the wrong shape, is out of range or is not a number.
@@ -288,19 +286,21 @@ class Episode:
                 return NO_RATES
             if isinstance(action, np.ndarray) and space.contains(action):
                 return NO_RATES
-            raise ActionError(f"action {action!r}: nothing is driven here, the only action is 0")
+            raise ActionError(f"action {action!r}: this experiment has no driven body, so the only action is 0")
         try:
             rates = np.asarray(action, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ActionError(f"action {action!r} is not an array of numbers") from error
         if rates.shape != space.shape:
-            raise ActionError(f"action has shape {rates.shape}, expected {space.shape}: one entry a driven motion")
+            raise ActionError(
+                f"action has shape {rates.shape}, expected {space.shape}: one entry for each driven motion"
+            )
         if not np.isfinite(rates).all() or np.abs(rates).max() > 1.0:
             raise ActionError(f"action {rates.tolist()} must hold numbers from -1 to 1")
         return rates
 
     def observation(self) -> Observation:
-        """Observation of the current frame."""
+        """Return the observation of the current frame."""
         frame = self.frame or 0
         observation = {
             "observable": self._samples[frame * SAMPLES_PER_FRAME].copy(),
@@ -315,7 +315,7 @@ class Episode:
         return observation
 
     def info(self) -> dict[str, Any]:
-        """Frame, time, grade of the reference, and where reference and driven motion are from."""
+        """Return frame, time, grade of the reference, and the sources of reference and driven motion."""
         frame = self.frame or 0
         info = {
             "frame": frame,
@@ -327,48 +327,32 @@ class Episode:
         return info | {"edited": True} if self.experiment.edited else info
 
     def reward(self) -> float:
-        """Minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a band."""
-        if self._band_rows is None:
+        """Return minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a band."""
+        if self._reward_terms is None:
             return 0.0
-        projection, mean, weight = self._band_rows
+        projection, mean, weight = self._reward_terms
         frame = self.frame or 0
         deviation = projection.dot(self._samples[frame * SAMPLES_PER_FRAME]) - mean[frame]
         return -float(np.abs(deviation).dot(weight[frame]))
 
     def _fault(self, states: NDArray[np.float64]) -> str | None:
-        """Why the simulation counts as diverged, judged by physics: it may be wrong and still finite."""
-        velocity = states[:, 7:10]
-        energy = 0.5 * float(np.vdot(velocity, self._masses * velocity))
-        for bounds in self._deformables:
+        """Return why the simulation counts as diverged, or None."""
+        for bounds in self._deformable_bounds:
             fault = bounds.fault(self._world.nodes(bounds.name))
             if fault:
                 return fault
-        # A comparison with NaN is false, so that each bound also catches what is not a number. Counting is five times
-        # faster than `all` on so few.
-        within = np.count_nonzero(np.abs(states) <= self._limits) == states.size
-        if within and energy <= self._energy_limit_j:
-            return None
-        if not np.isfinite(states).all():
-            return "the state is not finite"
-        over = np.abs(states) > self._limits
-        name = self._dynamic[int(over.any(axis=1).argmax())]
-        if over[:, 7:10].any():
-            speed, limit = np.abs(velocity).max(), self._limits[7]
-            return f"{name} moves at {speed:.3g} m/s, more than the scene can give ({limit:.3g} m/s)"
-        if over[:, :3].any():
-            return f"{name} is further from the origin than it can get ({self._limits[0]:.3g} m)"
-        return f"kinetic energy is {energy:.3g} J, more than was there ({self._energy_limit_j:.3g} J)"
+        return self._rigid_bounds.fault(states)
 
 
 def advance_together(episodes: Mapping[int, Episode], worlds: Worlds, rates: Mapping[int, NDArray[np.float64]]) -> None:
-    """Drive, advance and observe the coming frame of episodes whose worlds run together.
+    """Drive, advance and observe the next frame of episodes whose worlds run together.
 
-    Worlds that are simulations of their own advance as in an environment of one, with the same bits.
+    Worlds that are simulations of their own give the same bits as in an environment of one world.
 
     Args:
-        episodes: Those that go on, by the number of their world.
+        episodes: Running episodes, by the number of their world.
         worlds: All worlds.
-        rates: For each of the episodes what `Episode.checked` returned.
+        rates: Residual rates of each episode from `Episode.checked`, by the number of its world.
     """
     simulations = [world for world in worlds.worlds if isinstance(world, Simulation)]
     if len(simulations) == len(worlds.worlds):
@@ -383,36 +367,11 @@ def advance_together(episodes: Mapping[int, Episode], worlds: Worlds, rates: Map
             episode.observe(sample)
 
 
-def _band_rows(band: Band | None) -> tuple[NDArray, NDArray, NDArray] | None:
-    """Projection, mean and weights such that |deviation| @ weight is the mean of |z| over measured coordinates."""
+def _reward_terms(band: Band | None) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates."""
     if band is None:
         return None
     usable = band.measured[:, None] & (band.sigma > 0.0) & np.isfinite(band.mean)
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     weight = np.where(usable, 1.0, 0.0) / np.where(usable, band.sigma, 1.0) / count
     return band.projection, np.nan_to_num(band.mean), weight
-
-
-def _extent_m(nodes: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(np.ptp(nodes, axis=0)))
-
-
-class _DeformableBounds:
-    """Judges by its nodes whether a deformable body has blown up."""
-
-    STRETCH = 3.0
-    """A body as many times longer than at rest has torn, not stretched; the paper's largest strains are 0.3."""
-
-    def __init__(self, name: str, scene: Scene, rest_m: NDArray[np.float64]) -> None:
-        self.name = name
-        self._distance_m = scene.distance_limit_m
-        self._extent_m = _extent_m(rest_m)
-
-    def fault(self, nodes: NDArray[np.float64]) -> str | None:
-        """Why the body counts as blown up, from its nodes now [m], shape [node_count, 3]."""
-        extent_m = _extent_m(nodes)
-        if extent_m <= self.STRETCH * self._extent_m and np.abs(nodes).max() <= self._distance_m:
-            return None
-        if not np.isfinite(nodes).all():
-            return f"a node of {self.name} is not finite"
-        return f"{self.name} spans {extent_m:.3g} m, at rest {self._extent_m:.3g} m; or is further away than it can get"

@@ -1,4 +1,4 @@
-"""Vector environments: many worlds of one experiment at once, and scores of whatever vector environment holds them.
+"""The vector environment of many worlds of one experiment, and the wrapper that scores any vector environment.
 
 `gymnasium.make_vec(id, num_envs=6)` makes a `GaugeVectorEnv` within `ScoreEpisodes`.
 """
@@ -6,29 +6,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from os import PathLike
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
-from gauge_envs.backends.registry import backend_for
-from gauge_envs.envs.arguments import check_support, jitter_option, plain_spec
-from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.arguments import EnvArguments, jitter_option, jittered_experiment
+from gauge_envs.envs.base import EngineEnvironment
 from gauge_envs.envs.episode import Episode, Observation, advance_together
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
-from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import resolve_experiment
-from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.observables.observer import checked_proxy
-from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.experiments.variants import Variant
+from gauge_envs.scene.jitter import Jitter
 
 __all__ = [
     "GaugeVectorEnv",
@@ -39,38 +32,38 @@ __all__ = [
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
 
-class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
+class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]]):
     """Worlds of one experiment in lockstep on one backend, which may simulate them at once.
 
-    Each world is what `GaugeEnv` is, frame by frame; spaces, rewards and `infos` are those of
-    `gymnasium.vector.SyncVectorEnv`. Worlds differ in their starts, where a reset lets these scatter, and in their
-    actions.
+    Each world behaves as a `GaugeEnv`. Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`.
+    Worlds differ in their actions and, after a reset with jitter, in their starts.
 
-    Worlds are reset together, and without divergence all end in the same frame; the step after that starts the next
-    episode of all (`AutoresetMode.NEXT_STEP`) and ignores its actions. A world that diverges is terminated in that
-    frame, with the reason in `infos["diverged"]`, and waits for the others: until they have ended its observation
-    stands still, its reward is 0, `terminations` stays true and `infos` say nothing more of it. So what follows a
-    termination is no part of an episode, as in every vector environment of that mode; it may last for more than one
-    step.
+    Worlds are reset together, and without divergence all end in the same frame. The step after that ignores its actions
+    and starts the next episode of all worlds (`AutoresetMode.NEXT_STEP`).
+
+    A world that diverges is terminated in that frame, with the reason in `infos["diverged"]`. It then waits until the
+    others have ended: its observation stays the same, its reward is 0, `terminations` stays true, and `infos` has no
+    entry for it. These steps belong to no episode.
 
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
         num_envs: Number of worlds, 1 or more.
-        backend: As of `GaugeEnv`, as all that follow.
-        parameters: As of `GaugeEnv`.
-        settings: As of `GaugeEnv`.
-        marker_proxy: As of `GaugeEnv`.
-        use_withheld: As of `GaugeEnv`.
-        drivers: As of `GaugeEnv`.
-        reference: As of `GaugeEnv`.
-        asset: As of `GaugeEnv`.
-        render_mode: As of `GaugeEnv`.
-        width: As of `GaugeEnv`.
-        height: As of `GaugeEnv`.
+        render_mode: None or `rgb_array`.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
+        **arguments: Keywords of `GaugeEnv`: `backend`, `parameters`, `settings`, ...
+
+    Attributes:
+        arguments: Variant and keywords.
+        band: Band that rewards and scores are relative to, or None.
+        worlds: The worlds.
+        episodes: The current episode of each world.
+        seeds_used: Seeds of the last reset; empty before the first.
+        jitter: Jitter of the last reset, or None.
 
     Raises:
-        GaugeError: As of `GaugeEnv`.
-        ParameterError: There are no worlds.
+        GaugeError: See `GaugeEnv`.
+        ParameterError: `num_envs` is below 1.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -87,68 +80,45 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
-        **GaugeEnv.metadata,
+        **EngineEnvironment.metadata,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    _spec: EnvSpec | None = None
 
     def __init__(
         self,
-        variant: str,
+        variant: str | Variant,
         num_envs: int = 1,
         *,
-        backend: str = "mujoco",
-        parameters: Parameters = "calibrated",
-        settings: Mapping[str, Any] | None = None,
-        marker_proxy: str = "node",
-        use_withheld: bool = False,
-        drivers: str = "bundled",
-        reference: str = "bundled",
-        asset: str | PathLike[str] | None = None,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        **arguments: Any,
     ) -> None:
         if num_envs < 1:
             raise ParameterError(f"num_envs is {num_envs}, expected 1 or more")
-        self._pictures = Pictures(render_mode, width=width, height=height)
+        pictures = Pictures(render_mode, width=width, height=height)
+        self.arguments = EnvArguments(variant, **arguments)
+        experiment = self.arguments.experiment()
+        super().__init__(experiment, pictures, backend=self.arguments.backend, settings=self.arguments.settings)
         self.num_envs = num_envs
-        self.experiment = resolve_experiment(variant, parameters, drivers=drivers, reference=reference, asset=asset)
-        self.backend_name = backend
-        self.render_mode = render_mode
-        self.band = reference_band(self.experiment, use_withheld=use_withheld)
+        self.band = self.arguments.band(experiment)
         self.seeds_used: tuple[int, ...] = ()
         self.jitter: Jitter | None = None
-        self._settings = settings
-        self._marker_proxy = checked_proxy(marker_proxy)
-        check_support(self.experiment, backend)
-        self._build([self.experiment] * num_envs)
+        self._build([experiment] * num_envs)
         first = self.episodes[0]
         self.single_action_space = first.action_space
         self.single_observation_space = first.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
-    def _build(self, experiment: Sequence[Experiment]) -> None:
-        scenes = [one.scene for one in experiment]
-        self.worlds = backend_for(self.backend_name, self.experiment.model_file).build_worlds(scenes, self._settings)
+    def _build(self, experiments: Sequence[Experiment]) -> None:
+        self.worlds = self._engine.build_worlds([one.scene for one in experiments], self._settings)
         self.episodes = [
-            Episode(one, world, band=self.band, marker_proxy=self._marker_proxy)
-            for one, world in zip(experiment, self.worlds.worlds, strict=True)
+            Episode(one, world, band=self.band, marker_proxy=self.arguments.proxy)
+            for one, world in zip(experiments, self.worlds.worlds, strict=True)
         ]
         self._running: dict[int, Episode] = {}
         self._observations: list[Observation] = []
-
-    @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # gymnasium declares a variable, and assigns to it
-        """How `gymnasium.make_vec` makes this environment again; its arguments are plain enough for JSON."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = plain_spec(spec)
-
-    # --- episodes ---
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -156,12 +126,13 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """Start a new episode in every world.
 
         Args:
-            seed: Seed of the engine and of the first world's jitter, each next world having one more; or the seed of
-                each world, of which the engine takes the first. None is 0.
-            options: As of `GaugeEnv.reset`: `{"jitter": True}`, after which each world starts elsewhere.
+            seed: Seed of the engine and of the first world's jitter; each next world has one more. Or the seed of each
+                world; the engine takes the first. None is 0.
+            options: See `GaugeEnv.reset`. With `{"jitter": True}` each world has a start of its own.
 
         Raises:
-            ParameterError: There is no such option, nothing can be jittered, or the number of seeds is wrong.
+            ParameterError: There is no such option, the scene has no start that can be jittered, or the number of seeds
+                is wrong.
             UnsupportedSceneError: The backend cannot build the scene from one of the starts.
         """
         seeds = self._seeds(seed)
@@ -169,7 +140,11 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         self.seeds_used = seeds
         jitter = jitter_option(options or {})
         if jitter is not None or self.jitter is not None:
-            self._rebuild(jitter)
+            experiments = [
+                jittered_experiment(self.experiment, jitter, seed=one, backend=self.backend_name) for one in seeds
+            ]
+            self.close_extras()
+            self._build(experiments)
         self.jitter = jitter
         self.worlds.reset(seeds[0])
         for episode in self.episodes:
@@ -183,32 +158,23 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
             first = 0 if seed is None else int(seed)
             return tuple(range(first, first + self.num_envs))
         if len(seed) != self.num_envs:
-            raise ParameterError(f"{len(seed)} seeds for {self.num_envs} worlds: expected one a world, or a number")
+            raise ParameterError(
+                f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
+            )
         return tuple(seed)
 
-    def _rebuild(self, jitter: Jitter | None) -> None:
-        scene = self.experiment.scene
-        scenes = [scene if jitter is None else jittered(scene, jitter, seed=seed) for seed in self.seeds_used]
-        experiment = [replace(self.experiment, scene=one) for one in scenes]
-        for one in experiment:
-            check_support(one, self.backend_name)
-        self._pictures.close()
-        self.worlds.close()
-        self._build(experiment)
-
     def step(self, actions: Any) -> Step:
-        """Simulate one frame, 1/30 s, in every world; where all have ended, start the next episode of all instead.
+        """Simulate one frame, 1/30 s, in every world; if all have ended, start the next episode of all instead.
 
         Args:
-            actions: One action a world.
+            actions: One action for each world.
 
         Raises:
             ActionError: An action has the wrong shape, is out of range or is not a number, or their number is wrong.
             EpisodeError: The environment was not reset.
         """
+        self._check_started("step", started=bool(self._observations))
         rewards = np.zeros(self.num_envs)
-        if not self._observations:
-            raise EpisodeError(f"{self.experiment.id}: call reset before step")
         if not self._running:
             observations, infos = self.reset()
             return observations, rewards, *self._flags(), infos
@@ -222,7 +188,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         return self._batched(), rewards, *self._flags(), infos
 
     def _rates(self, actions: Any) -> dict[int, NDArray[np.float64]]:
-        """Residual rates of the worlds that go on; what is asked of the others is not looked at."""
+        """Return the residual rates of the running worlds; actions of the others are not read."""
         try:
             count = len(actions)
         except TypeError as error:
@@ -237,12 +203,12 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         return cast("Observation", concatenate(space, self._observations, empty))
 
     def _flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Terminations and truncations, shape [num_envs] each."""
+        """Return terminations and truncations, shape [num_envs] each."""
         diverged = np.array([episode.fault is not None for episode in self.episodes])
         return diverged, ~diverged & [episode.is_complete for episode in self.episodes]
 
     def _infos(self) -> dict[str, Any]:
-        """Infos of the worlds that were going on until now."""
+        """Return the infos of the worlds that ran in this step."""
         infos: dict[str, Any] = {}
         for number, episode in self._running.items():
             diverged = {} if episode.fault is None else {"diverged": episode.fault}
@@ -250,11 +216,11 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         return infos
 
     def scores(self) -> tuple[Score | None, ...]:
-        """Score of each world's episode; None until it is over, as of `GaugeEnv.score`."""
+        """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
         return tuple(episode.score() if episode.is_over else None for episode in self.episodes)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Pictures of the worlds now, each of shape [height, width, 3]; None without `render_mode="rgb_array"`.
+        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`.
 
         Raises:
             RenderError: The machine has no OpenGL library.
@@ -262,8 +228,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
         """
         if self.render_mode is None:
             return None
-        if not self._observations:
-            raise EpisodeError(f"{self.experiment.id}: call reset before render")
+        self._check_started("render", started=bool(self._observations))
         first = self.episodes[0]
         return tuple(
             self._pictures.draw(
@@ -279,11 +244,11 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
 
 
 class ScoreEpisodes(VectorWrapper):
-    """Scores the episodes of a vector environment as they end, each once.
+    """Score each episode of a vector environment once, when it ends.
 
-    Adds to `infos` at the step that ends an episode: `score`, an array of `gauge_envs.Score` of shape [num_envs] with
-    None where no episode ended, and its mask `_score`; so it is in every autoreset mode. Sub-environments of
-    `gymnasium.make` bring their scores themselves, which this finds and leaves.
+    Adds to `infos` at the step that ends an episode, in every autoreset mode: `score`, an array of `gauge_envs.Score`
+    of shape [num_envs], None for a world whose episode did not end; and its mask `_score`. Scores that sub-environments
+    of `gymnasium.make` have already added are kept.
 
     Args:
         env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
@@ -310,14 +275,14 @@ class ScoreEpisodes(VectorWrapper):
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes."""
         self._over[:] = False
-        # Gymnasium's own vector environments take a seed for each world too, though their base class does not say so.
+        # Gymnasium's vector environments take one seed for each world too; the annotation of their base class does not.
         return self.env.reset(seed=cast("int | None", seed), options=options)
 
     def step(self, actions: Any) -> Step:
-        """Step, and score what ends.
+        """Step, and score the episodes that end.
 
         Raises:
-            EpisodeError: A sub-environment has restarted in the step that ended its episode, and has not scored it.
+            EpisodeError: A sub-environment restarted in the step that ended its episode, and its score is lost.
         """
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         over = terminations | truncations
@@ -338,19 +303,19 @@ class ScoreEpisodes(VectorWrapper):
             return cast("SyncVectorEnv | AsyncVectorEnv", env).call("score")
         if "score" not in infos["final_info"]:
             raise EpisodeError(
-                "the sub-environments restart in the step that ends an episode, and it can no longer be scored: make "
-                "them with gymnasium.make, which scores each, or choose another autoreset mode"
+                "the sub-environments restart in the step that ends an episode, so its score is lost. Make them with "
+                "gymnasium.make, which scores each, or choose another autoreset mode."
             )
-        return infos["final_info"]["score"]
+        return cast("Sequence[Score | None]", infos["final_info"]["score"])
 
 
 def scored_vector_env(**arguments: Any) -> ScoreEpisodes:
-    """What `gymnasium.make_vec` calls for every id: a `GaugeVectorEnv` that is scored.
+    """Return a `GaugeVectorEnv` that is scored; `gymnasium.make_vec` calls this for every id.
 
     Args:
-        **arguments: As of `GaugeVectorEnv`.
+        **arguments: Arguments of `GaugeVectorEnv`.
 
     Raises:
-        GaugeError: As of `GaugeVectorEnv`.
+        GaugeError: See `GaugeVectorEnv`.
     """
     return ScoreEpisodes(GaugeVectorEnv(**arguments))

@@ -1,4 +1,4 @@
-"""Wrappers. `gymnasium.make` applies `ScoreEpisode` to every id of this suite, innermost."""
+"""The wrapper that scores episodes. `gymnasium.make` applies it to every id of this suite, innermost."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ __all__ = [
 
 
 class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
-    """Scores each episode against reality when it ends.
+    """Score each episode against reality when it ends.
 
-    Adds to `info` at the last step: `score`, a `gauge_envs.Score`. A simulation that diverged has no score: its
-    `score` holds the grade and nothing else, and `info["diverged"]` says why. An episode that another wrapper cuts
-    short has none. Other wrappers may come before or after it.
+    Adds to `info` at the last step: `score`, a `gauge_envs.Score`. If the simulation diverged, the score has a grade
+    and no metric, and `info["diverged"]` gives the reason. An episode that another wrapper cuts short has no score.
+    Other wrappers may come before or after this one.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -38,7 +38,7 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
         gymnasium.Wrapper.__init__(self, env)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and score at the end."""
+        """Step, and score the episode if it ends."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
             env = self.unwrapped
@@ -50,18 +50,19 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
 
 
 def scored_env(**arguments: Any) -> ScoreEpisode:
-    """What `gymnasium.make` calls for every id: a `GaugeEnv` that is scored.
+    """Return a `GaugeEnv` that is scored; `gymnasium.make` calls this for every id.
 
-    Wrappers that an id is registered with would rule out a vector environment of its own: `make_vec` refuses both.
+    The wrapper is not part of the registration, because `make_vec` refuses an id that has both wrappers and a vector
+    environment of its own.
 
     Args:
-        **arguments: As of `GaugeEnv`.
+        **arguments: Arguments of `GaugeEnv`.
 
     Raises:
-        GaugeError: As of `GaugeEnv`.
+        GaugeError: See `GaugeEnv`.
     """
     return ScoreEpisode(GaugeEnv(**arguments))
 
 
-# Read by `gymnasium.make`, which adapts other render modes to those that it finds here.
+# `gymnasium.make` reads the render modes from here.
 scored_env.metadata = GaugeEnv.metadata  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""The reference of an experiment: the one place that decides which band counts."""
+"""Choose the band that an experiment is scored against."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ __all__ = [
 
 
 def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
-    """The best reference there is for an experiment: real trials, else a recording, else a law, else none.
+    """Return the band that an experiment is scored against: its measured band, or else that of a law.
 
-    An experiment with `reference_source` imported is scored against the imported trials alone.
+    `reference_source` of the experiment selects the bundled band or that of the imported trials.
 
     Args:
         experiment: The experiment.
-        use_withheld: Take a band too that is withheld by default, as it may be of another material or covers too
-            little; `Band.withheld` gives the reason.
+        use_withheld: Use a band that is withheld by default; `Band.withheld` gives the reason.
+
+    Returns:
+        The band; None if the experiment has neither.
     """
     if experiment.reference is not None:
         return experiment.reference.band
@@ -38,7 +40,7 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
     law = law_for(experiment.name)
     if law is None:
         return None
-    # An asset changes what is simulated, not what it is held against.
+    # An asset changes the simulated scene. The law holds for the calibrated one.
     scene = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene
     return carried_band(
         variant=experiment.name,
@@ -47,7 +49,7 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
 
 
 def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:
-    """Positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
+    """Return the positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
     start = scene.body(carrier).pose
     place = start.to_body(np.asarray(scene.body(body).pose.position_m))
     driver = next((d for d in scene.drivers if d.body == carrier), None)
@@ -56,11 +58,11 @@ def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: in
 
 
 def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | None:
-    """The band of a variant; None where the source has none.
+    """Return the band of a variant, or None.
 
     Args:
         variant: Name of the variant.
-        source: Bundled band, or that of the imported trials.
+        source: `bundled`, or `imported` for the band of the imported trials.
 
     Raises:
         ReferenceFileError: A file of the band is damaged.
@@ -72,7 +74,7 @@ def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | N
 
 
 def band_grade(variant: str, source: DataSource = DataSource.BUNDLED) -> BandGrade:
-    """The grade of what a variant is scored on; a band that is withheld does not count."""
+    """Return the grade of the band that a variant is scored against; a withheld band does not count."""
     band = load_band(variant, source)
     if band is not None and band.withheld is None:
         return band.grade

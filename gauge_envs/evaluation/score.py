@@ -1,4 +1,4 @@
-"""One trajectory against reality: every number that is reported of an episode."""
+"""Score one trajectory against reality: every number that is reported for an episode."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from gauge_envs.evaluation.metrics import (
 )
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.metrics import EVENT_METRICS, METRICS
+from gauge_envs.references.published import Baseline
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -33,10 +35,12 @@ __all__ = [
     "score_trajectory",
 ]
 
+FloatArray = NDArray[np.float64]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How far an episode is from reality. None where a metric does not apply or has no reference.
+    """Distance of an episode from reality. None is a metric that does not apply or has no reference.
 
     Attributes:
         grade: Grade of the band: `trials`, `recording`, `law` or `none`.
@@ -46,22 +50,22 @@ class Score:
         rmse_normalized: `rmse` over the published baseline mean; below 1 is closer than a typical real trial.
         dtw: E_DTW of the paper.
         dtw_normalized: `dtw` over the published baseline mean.
-        release_offset_s: Constant time shift that minimises the RMSE [s]; positive: reality is released later.
-        rmse_aligned: RMSE left after that shift.
+        release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
+        rmse_aligned: RMSE after that shift.
         rmse_aligned_normalized: `rmse_aligned` over the published baseline mean.
         mean_abs_z: Mean |deviation| in units of sigma(t), over measured frames.
         inside_1sigma: Share of measured values within 1 sigma.
         inside_2sigma: Share within 2 sigma.
         signed_error: Mean signed deviation of each scored coordinate.
         lsd_s: Longest stationary duration of the last ball [s].
-        lsd_normalized: Over the published mean; 1 is ideal.
+        lsd_normalized: `lsd_s` over the published mean; 1 is ideal.
         mte: Momentum transfer efficiency, ratio.
-        mte_normalized: Over the published mean; 1 is ideal.
+        mte_normalized: `mte` over the published mean; 1 is ideal.
         pd_s: Period [s].
-        pd_normalized: Over the published mean; 1 is ideal.
+        pd_normalized: `pd_s` over the published mean; 1 is ideal.
         el: Energy loss, ratio; 0 is ideal.
-        withheld: Why nothing is scored on this band unless it is asked for; None where it is scored on.
-        edited: Whether the scene was that of an asset which differs from the calibrated one.
+        withheld: Why the band is not used by default; None for a band that is.
+        edited: Whether the scene is that of an asset which differs from the calibrated scene.
     """
 
     grade: str
@@ -89,12 +93,12 @@ class Score:
     edited: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary, every field present."""
+        """Return a JSON-ready dictionary of all fields."""
         return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Score:
-        """Inverse of `to_dict`; keys of later versions are ignored."""
+        """Build a score from `to_dict`; keys of later versions are ignored."""
         known = {f.name for f in fields(cls)}
         given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known}
         return cls(**given)
@@ -104,16 +108,16 @@ def score_trajectory(
     experiment: Experiment,
     band: Band | None,
     *,
-    times_s: NDArray[np.float64],
-    values: NDArray[np.float64],
+    times_s: FloatArray,
+    values: FloatArray,
 ) -> Score:
     """Score a generalized trajectory.
 
     Args:
-        experiment: The experiment that it is of.
-        band: Reference to score it against; None scores only what needs no band.
-        times_s: Times of the samples from the first frame on [s], strictly increasing, shape [sample_count]; they must
-            contain the 30 Hz frames, and more samples make the release alignment sharper.
+        experiment: Experiment that was simulated.
+        band: Reference to score against; None leaves the metrics that need no band.
+        times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count]. They contain
+            the 30 Hz frames; more samples make the release offset more precise.
         values: g(t) at those times, shape [sample_count, coordinate_count].
 
     Raises:
@@ -124,21 +128,19 @@ def score_trajectory(
     scores: dict[str, Any] = {}
     if band is not None:
         scores |= _band_scores(band, baselines, times_s, values, frames)
-    scores |= _event_scores(experiment, baselines, frames)
-    # An event that never happens, or a scale that nothing was measured on, is NaN: no number, and so none reported.
+    scores |= _metric_fields(_event_scores(experiment, frames), baselines)
+    # NaN is an event that never happens, or a mean over no measured value. It is reported as None.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
-    grade = band.grade if band is not None else BandGrade.NONE
-    withheld = None if band is None else band.withheld
     return Score(
-        grade=grade.value,
+        grade=(BandGrade.NONE if band is None else band.grade).value,
         unit=experiment.score.observable.unit,
-        withheld=withheld,
+        withheld=None if band is None else band.withheld,
         edited=experiment.edited,
         **scores,
     )
 
 
-def _frames(experiment: Experiment, times_s: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _frames(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> FloatArray:
     wanted = np.arange(experiment.frame_count) / FRAME_RATE_HZ
     index = np.clip(np.searchsorted(times_s, wanted - 1e-6), 0, len(times_s) - 1)
     missing = np.abs(times_s[index] - wanted) > 1e-4
@@ -151,36 +153,41 @@ def _frames(experiment: Experiment, times_s: NDArray[np.float64], values: NDArra
     return values[index]
 
 
-def _over(value: float, baselines: Mapping[str, Any], metric: str) -> float | None:
+def _over(value: float, baselines: Mapping[str, Baseline], metric: str) -> float | None:
     baseline = baselines.get(metric)
     return value / baseline.mean if baseline is not None and baseline.mean else None
 
 
+def _metric_fields(raw: Mapping[str, float], baselines: Mapping[str, Baseline]) -> dict[str, float | None]:
+    """Return the fields of `Score` for raw scores by metric, each with its normalized one."""
+    scores: dict[str, float | None] = {}
+    for key, value in raw.items():
+        metric = METRICS[key]
+        scores[metric.score_field] = value
+        if metric.normalized_field is not None:
+            scores[metric.normalized_field] = _over(value, baselines, key)
+    return scores
+
+
 def _band_scores(
-    band: Band,
-    baselines: Mapping[str, Any],
-    times_s: NDArray[np.float64],
-    values: NDArray[np.float64],
-    frames: NDArray[np.float64],
+    band: Band, baselines: Mapping[str, Baseline], times_s: FloatArray, values: FloatArray, frames: FloatArray
 ) -> dict[str, Any]:
     simulated = band.project(frames)
-    rmse = trajectory_rmse(simulated, band.mean)
-    # Warping would else hold what comes after the end of a recording against the recording's last frame.
+    # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
     known = np.isfinite(band.mean).any(axis=1)
-    dtw = trajectory_dtw(simulated[known], band.mean[known])
-    # A law has no release: its mean is exact from frame 0 on, and a shift would only hide a drift.
+    distances = {
+        "rmse": trajectory_rmse(simulated, band.mean),
+        "dtw": trajectory_dtw(simulated[known], band.mean[known]),
+    }
+    # The mean of a law is exact from frame 0 on. A shift of time would only hide a drift.
     offset_s, aligned = None, None
     if band.grade is not BandGrade.LAW:
         offset_s, aligned = release_offset(times_s, band.project(values), band.mean, frame_rate_hz=FRAME_RATE_HZ)
-    # Frames before the first measurement are extrapolated: good enough for a mean, but their scatter is not data.
+    # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
-    return {
+    return _metric_fields(distances, baselines) | {
         "coordinates": band.coordinates,
-        "rmse": rmse,
-        "rmse_normalized": _over(rmse, baselines, "rmse"),
-        "dtw": dtw,
-        "dtw_normalized": _over(dtw, baselines, "dtw"),
         "release_offset_s": offset_s,
         "rmse_aligned": aligned,
         "rmse_aligned_normalized": None if aligned is None else _over(aligned, baselines, "rmse"),
@@ -191,33 +198,29 @@ def _band_scores(
     }
 
 
-def _event_scores(
-    experiment: Experiment, baselines: Mapping[str, Any], frames: NDArray[np.float64]
-) -> dict[str, float | None]:
-    """LSD and MTE of a cradle's last ball, period and energy loss of a pendulum, where the task file asks for them."""
-    wanted = experiment.score.metrics
-    scores: dict[str, float | None] = {}
-    if not {"lsd", "mte", "pd", "el"} & set(wanted):
-        return scores
+def _event_scores(experiment: Experiment, frames: FloatArray) -> dict[str, float]:
+    """Return the raw scores of the first recorded body's swing, by metric, as the task file asks for them."""
+    wanted = set(experiment.score.metrics)
+    if wanted.isdisjoint(EVENT_METRICS):
+        return {}
     body = experiment.recorded[0]
     hinge = next(j for j in experiment.scene.joints if isinstance(j, Hinge) and j.body == body)
     arm_m = float(np.linalg.norm(np.subtract(experiment.scene.body(body).pose.position_m, hinge.anchor_m)))
     rest_height_mm = 1e3 * (hinge.anchor_m[2] - arm_m)
     height_mm = frames[:, 2]
+    scores: dict[str, float] = {}
     if "lsd" in wanted:
-        lsd_s = longest_stationary_duration(height_mm, frame_rate_hz=FRAME_RATE_HZ)
-        scores |= {"lsd_s": lsd_s, "lsd_normalized": _over(lsd_s, baselines, "lsd")}
+        scores["lsd"] = longest_stationary_duration(height_mm, frame_rate_hz=FRAME_RATE_HZ)
     if "mte" in wanted:
         highest = max(experiment.scene.body(j.body).pose.position_m[2] for j in experiment.scene.joints)
-        mte = momentum_transfer_efficiency(
+        scores["mte"] = momentum_transfer_efficiency(
             height_mm, drop_height_mm=1e3 * highest - rest_height_mm, rest_height_mm=rest_height_mm
         )
-        scores |= {"mte": mte, "mte_normalized": _over(mte, baselines, "mte")}
     if "pd" in wanted:
         axis = "xyz".index(experiment.score.period_axis or "x")
+        baselines = experiment.baselines
         count = baselines["pd"].frames if "pd" in baselines else len(frames)
-        pd_s = oscillation_period(frames[:count, axis], frame_rate_hz=FRAME_RATE_HZ)
-        scores |= {"pd_s": pd_s, "pd_normalized": _over(pd_s, baselines, "pd")}
+        scores["pd"] = oscillation_period(frames[:count, axis], frame_rate_hz=FRAME_RATE_HZ)
     if "el" in wanted:
         scores["el"] = energy_loss(height_mm, rest_height_mm=rest_height_mm)
     return scores

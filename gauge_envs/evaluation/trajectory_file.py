@@ -1,16 +1,16 @@
-"""Trajectories that users bring from their own simulator: CSV, NPZ or JSON -> g(t), checked, with its 30 Hz frames.
+"""Read trajectories of other simulators: CSV, NPZ or JSON files with g(t).
 
 No physics engine is needed. Values are in the unit of the observable: mm for positions, rad for curvatures, mm^2 for
 face areas. Columns are the coordinates of g(t) in the order of `coordinate_names`.
 
-- CSV: one row a sample; an optional header; a column `time_s` where the header names one; `#` starts a comment.
+- CSV: one row per sample, an optional header, an optional column `time_s` that the header names. `#` starts a comment.
 - NPZ: arrays `g`, shape [T, C], and optionally `time_s`, shape [T].
-- JSON: an object with `g`, a list of rows, optionally `time_s` and `id`; or a result file that this package wrote.
+- JSON: an object with `g`, a list of rows, and optionally `time_s` and `id`; or a result file of this package.
 
-A CSV header that names coordinates (`cube.x`, also `cube.x [mm]`) may list them in any order; other headers only say
-that the first row is not data. Without times, rows are the 30 Hz frames. With times, the first is 0; a sample within
-0.5 ms (and a tenth of the sample spacing) of a frame counts as that frame, and frames between two samples are
-interpolated linearly, which `interpolated_frames` counts. What comes after the last published frame is not used.
+A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is skipped.
+Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is within 0.5 ms
+and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames` counts them.
+Samples after the last published frame are not used.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ __all__ = [
 ]
 
 FRAME_TOLERANCE_S = 5e-4
-"""Samples this close to a frame count as the frame: times printed with three digits are off by that much [s]."""
+"""Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
 
 LARGEST = 10**12
-"""Larger values are a mistake, and their squares would overflow."""
+"""Larger values are mistakes, and their squares overflow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ class UserTrajectory:
         times_s: Strictly increasing times from 0 to the last frame [s], the 30 Hz frames among them, shape
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
-        interpolated_frames: Frames that no sample of the file falls on.
+        interpolated_frames: Number of frames without a sample in the file.
     """
 
     times_s: NDArray[np.float64]
@@ -61,10 +61,10 @@ class UserTrajectory:
 
 
 def recorded_id(file: Path) -> tuple[str | None, Any, bool]:
-    """Id and parameters that a trajectory file states; None where it states none, as CSV and NPZ never do.
+    """Return the id and the parameters that a trajectory file states; only JSON files state them.
 
     Returns:
-        Id, parameters, and whether it is a result whose scene was that of an asset.
+        Id or None; parameters or None; and whether the file is a result whose scene was that of an asset.
 
     Raises:
         TrajectoryFileError: The file cannot be read, or its `id` is not text.
@@ -82,11 +82,11 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     """Read the trajectory of an experiment from a CSV, NPZ or JSON file (formats: see the module).
 
     Args:
-        file: Its suffix says the format.
-        experiment: The experiment that it is of.
+        file: The file; its suffix selects the format.
+        experiment: Experiment that was simulated.
 
     Raises:
-        TrajectoryFileError: The file cannot be read or used; the message names file, place and what was expected.
+        TrajectoryFileError: The file cannot be read or used.
     """
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
     reader = readers.get(file.suffix.lower())
@@ -101,7 +101,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
 
 @dataclass(frozen=True)
 class _FileLayout:
-    """What a file must hold, for the messages."""
+    """Required content of a file, for checks and messages."""
 
     file: Path
     names: tuple[str, ...]
@@ -118,7 +118,7 @@ class _FileLayout:
         return f"expected {len(self.names)} columns: {', '.join(shown)}"
 
     def number(self, place: str, column: str, value: Any) -> float:
-        """A finite number, whatever the file holds at that place."""
+        """Return the finite number at a place of the file."""
         unit = "s" if column == "time_s" else self.unit
         try:
             if isinstance(value, bool):
@@ -133,7 +133,7 @@ class _FileLayout:
         return number
 
     def table(self, rows: Sequence[Any], places: Sequence[str]) -> NDArray[np.float64]:
-        """Rows of numbers as an array, shape [len(rows), coordinate_count]."""
+        """Return rows of numbers as an array, shape [len(rows), coordinate_count]."""
         values = np.empty((len(rows), len(self.names)))
         for index, (row, place) in enumerate(zip(rows, places, strict=True)):
             if not isinstance(row, list):
@@ -154,7 +154,7 @@ def _short(value: Any) -> str:
 # --- formats ---------------------------------------------------------------------------------------------------------
 
 Columns = tuple[NDArray[np.float64] | None, NDArray[np.float64]]
-"""Times [s], shape [T], or None where the file has none; g(t), shape [T, C]."""
+"""Times [s], shape [T], or None; g(t), shape [T, C]."""
 
 
 def _bytes(file: Path) -> bytes:
@@ -167,26 +167,31 @@ def _bytes(file: Path) -> bytes:
     return content
 
 
-def _read_csv(layout: _FileLayout) -> Columns:
-    lines: list[tuple[str, list[str]]] = []
-    comment: list[str] | None = None
+def _csv_rows(layout: _FileLayout) -> tuple[list[tuple[str, list[str]]], list[str] | None]:
+    """Return place and fields of each row that is no comment; and the comment that is a header, or None."""
+    rows: list[tuple[str, list[str]]] = []
+    header: list[str] | None = None
     try:
         reader = csv.reader(io.StringIO(_bytes(layout.file).decode("utf-8-sig"), newline=""))
         for fields in reader:
             if not any(field.strip() for field in fields):
                 continue
             if not fields[0].lstrip().startswith("#"):
-                lines.append((f"line {reader.line_num}", [field.strip() for field in fields]))
-            elif not lines and "time_s" in (names := [field.strip(" #\t") for field in fields]):
-                comment = names  # numpy.savetxt writes its header as a comment.
+                rows.append((f"line {reader.line_num}", [field.strip() for field in fields]))
+            elif not rows and "time_s" in (names := [field.strip(" #\t") for field in fields]):
+                header = names  # numpy.savetxt writes its header as a comment.
     except (UnicodeDecodeError, csv.Error) as error:
         raise layout.error("", f"not a CSV file: {error}") from error
-    if not lines:
+    if not rows:
         raise layout.error("", "no rows")
+    return rows, header
+
+
+def _read_csv(layout: _FileLayout) -> Columns:
+    lines, header = _csv_rows(layout)
     place, first = lines[0]
     if len(first) == 1 < len(layout.names) and len(first[0].replace(";", " ").split()) > 1:
         raise layout.error(place, f"one column, expected columns separated by commas; {layout.expected}")
-    header = comment
     if not any(_is_number(field) for field in first) and "" not in first:
         header = lines.pop(0)[1]
     places, rows = [place for place, _ in lines], [fields for _, fields in lines]
@@ -214,7 +219,7 @@ def _is_number(text: str) -> bool:
 
 
 def _csv_columns(layout: _FileLayout, header: list[str] | None) -> tuple[list[int], int | None]:
-    """Column of each coordinate, and of the time where there is one."""
+    """Return the column of each coordinate, and the column of the time or None."""
     if header is None:
         return list(range(len(layout.names))), None
     named = []
@@ -247,7 +252,7 @@ def _read_npz(layout: _FileLayout) -> Columns:
     try:
         archive = np.load(io.BytesIO(content), allow_pickle=False)
         members = {name: archive[name] for name in archive.files} if isinstance(archive, np.lib.npyio.NpzFile) else {}
-    except Exception as error:  # A damaged archive makes zipfile, zlib and numpy raise whatever they meet first.
+    except Exception as error:  # zipfile, zlib and numpy raise many types for a damaged archive.
         raise layout.error("", f"not an NPZ file: {error}") from error
     arrays = {name: member for name, member in members.items() if isinstance(member, np.ndarray)}
     if "g" not in arrays:
@@ -305,7 +310,7 @@ def _read_json(layout: _FileLayout) -> Columns:
 def _on_frames(
     file: Path, times_s: NDArray[np.float64], values: NDArray[np.float64], frame_count: int
 ) -> UserTrajectory:
-    """Check the times, put every frame among them, and cut after the last one."""
+    """Check the times, insert every frame, and cut after the last one."""
     frames = np.arange(frame_count) / FRAME_RATE_HZ
     needed = f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
     if len(times_s) < 2:
@@ -321,7 +326,7 @@ def _on_frames(
         raise TrajectoryFileError(f"{file}: row 0: time_s is {times_s[0]:g}, expected 0: the episode starts there")
     if times_s[-1] < frames[-1] - tolerance:
         raise TrajectoryFileError(f"{file}: {len(times_s)} rows end at {times_s[-1]:.4f} s; {needed}")
-    # A sample counts for a frame when it is the nearest one and near enough; that keeps the times increasing.
+    # A frame takes the nearest sample, if that is near enough. The times stay increasing.
     right = np.clip(np.searchsorted(times_s, frames), 1, len(times_s) - 1)
     nearest = np.where(frames - times_s[right - 1] <= times_s[right] - frames, right - 1, right)
     hit = np.abs(times_s[nearest] - frames) <= tolerance

@@ -26,26 +26,26 @@ __all__ = [
 
 
 class AssetKind(StrEnum):
-    """What an asset is."""
+    """Kind of asset."""
 
     USD = "usd"
     """A USD layer, for any engine."""
     MODEL = "model"
-    """A model file in an engine's own format, for that engine alone."""
+    """A model file in the format of one engine, for that engine alone."""
     EXPERIMENT = "experiment"
     """An experiment file, which names a USD layer."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asset:
-    """File that a scene is from.
+    """File that states a scene.
 
     Attributes:
-        path: Where it is, as it was given.
-        kind: What it is.
-        sha256: Hash of its bytes; where it names other files, as layers that it refers to, of theirs too.
-        edited: Whether it differs from the calibrated variant in what moves it. An experiment file is its own measure.
-        changes: How, a line each: `contact cube/board: friction 0.273673 -> 0.136837`.
+        path: Path as it was given.
+        kind: Kind of file.
+        sha256: Hash of the file, and of the files that it refers to.
+        edited: Whether its physics differ from the calibrated variant; an experiment file is never edited.
+        changes: Differences, one line each, as `contact cube/board: friction 0.273673 -> 0.136837`.
     """
 
     path: Path
@@ -55,7 +55,7 @@ class Asset:
     changes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary, without the folder that the file is in."""
+        """Return a JSON-ready dictionary without the folder of the file."""
         return {
             "file": self.path.name,
             "kind": self.kind.value,
@@ -66,7 +66,7 @@ class Asset:
 
 
 ASSET_NAME = "Asset"
-"""Name, and after `GAUGE/` the Gymnasium id, under which experiment files run."""
+"""Name of experiment files; their Gymnasium id is `GAUGE/Asset`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,20 +74,20 @@ class Experiment:
     """One experiment: its scene, and how it is observed and scored.
 
     Attributes:
-        name: `SlopeSlider-2-wood`; `Asset-crate` where a user's experiment file states it.
-        title: What it is called.
-        score: How it is observed and scored.
-        scene: What a backend builds.
+        name: Name, as `SlopeSlider-2-wood`, or `Asset-crate` for an experiment file.
+        title: Title for reports.
+        score: Observable and metrics.
+        scene: Scene that a backend builds.
         recorded: Names of the bodies whose positions are observed.
         frame_count: Frames of an episode, the first included.
         parameters: Name of the parameter set, or `custom`.
-        overrides: What differs from the calibrated constants, keyed `body.constant`.
-        driver_provenance: Where the driven motion is from; None where nothing is driven.
-        drivers: Whether any driven motion is that of imported trials, or all are bundled.
-        reference_source: Whether it is scored against imported trials, or against what the package has.
-        file_sha256: Hash of the task file; of the experiment file and what it names, where a user brought it.
-        asset: File that the scene is from; None where the task file states it.
-        reference: What it is scored against; None where the package has that under its name.
+        overrides: Differences from the calibrated constants, keyed `body.constant`.
+        driver_provenance: Origin of the driven motion; None without driven bodies.
+        drivers: `imported` if any driven motion is that of imported trials.
+        reference_source: `imported` if scores refer to the imported trials.
+        file_sha256: Hash of the task file, or of an experiment file and the files that it names.
+        asset: File that states the scene; None if the task file states it.
+        reference: Reference of an experiment file; None for a variant of the package.
     """
 
     name: str
@@ -107,12 +107,12 @@ class Experiment:
 
     @property
     def id(self) -> str:
-        """`GAUGE/SlopeSlider-2-wood`: the Gymnasium id, and what results are filed under."""
+        """Gymnasium id and id of results, as `GAUGE/SlopeSlider-2-wood`."""
         return f"GAUGE/{self.name}"
 
     @property
     def baselines(self) -> Mapping[str, Baseline]:
-        """Scores of real trials by metric, and of three engines where they were published."""
+        """Baselines by metric: scores of real trials, and published scores of three engines."""
         return published_baselines(self.name) if self.reference is None else self.reference.baselines
 
     @property
@@ -122,12 +122,12 @@ class Experiment:
 
     @property
     def edited(self) -> bool:
-        """Whether the scene is that of an asset which differs from the calibrated one."""
+        """Whether the scene is that of an asset which differs from the calibrated scene."""
         return self.asset is not None and self.asset.edited
 
     @property
     def model_file(self) -> Path | None:
-        """File in an engine's own format that stands for the scene; None where there is none."""
+        """Model file of an engine that replaces the scene, or None."""
         return self.asset.path if self.asset is not None and self.asset.kind is AssetKind.MODEL else None
 
 
@@ -136,8 +136,8 @@ class TaskExperiment(Experiment):
     """The experiment of one variant of a task file.
 
     Attributes:
-        variant: Which one.
-        spec: Its task file.
+        variant: The variant.
+        spec: Content of the task file.
     """
 
     variant: Variant
@@ -145,5 +145,5 @@ class TaskExperiment(Experiment):
 
 
 def driver_provenance(scene: Scene) -> str | None:
-    """Where the driven motion of a scene is from; None where nothing is driven."""
+    """Return the origin of the driven motion of a scene; None without driven bodies."""
     return ", ".join(sorted({driver.provenance for driver in scene.drivers})) or None

@@ -1,4 +1,4 @@
-"""The calibrated fabrics of the benchmark, read from a task file."""
+"""Read the calibrated fabrics of the benchmark from a task file."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ __all__ = [
 
 
 FABRICS_FROM = "TextileFlinging"
-"""Family whose task file names the six calibrated fabrics; the other families repeat its constants."""
+"""Family whose task file names the six calibrated fabrics; other families repeat its constants."""
 
 
 def fabrics(family: str = FABRICS_FROM) -> dict[str, Fabric]:
-    """Calibrated fabrics of a family, by name, read from its task file.
+    """Return the calibrated fabrics of a family, by name.
 
-    The default holds the six of the benchmark. The nylon of `TableclothPulling` is another cloth of the same name.
+    The default family has the six fabrics of the benchmark. The nylon of `TableclothPulling` is another cloth.
 
     Raises:
         UnknownNameError: No such family.

@@ -1,4 +1,4 @@
-"""The doors to an experiment: a variant of the package, a variant with the scene of a file, or a user's own file."""
+"""Load an experiment: a variant of the package, a variant with the scene of a file, or an experiment file."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def load_experiment(
         variant: Variant, its name, or its Gymnasium id.
         parameters: `calibrated`, another parameter set of the task file, or overrides keyed `body.constant`, where a
             constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`.
-        drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show.
-        reference: `bundled` scores against what the package has, `imported` against the imported trials.
+        drivers: `bundled` takes driven motion from the task file, `imported` from the imported trials.
+        reference: `bundled` scores against the band or law of the package, `imported` against the imported trials.
 
     Returns:
         The experiment. Its `drivers` are `imported` only where the imported trials show a driven body.
 
     Raises:
-        UnknownNameError: No such variant.
-        ParameterError: No such parameter set, body, constant or data source; a value out of range; or `imported` was
-            asked for, and no trials of the variant were imported.
+        UnknownNameError: There is no such variant.
+        ParameterError: There is no such parameter set, body, constant or data source, a value is out of range, or
+            `imported` is given and no trials of the variant were imported.
         TaskFileError: The task file is wrong.
         ReferenceFileError: The imported trials are damaged.
 
@@ -89,11 +89,11 @@ def load_experiment_from_asset(
     Args:
         variant: Variant, its name, or its Gymnasium id: what is observed, and what it is scored against.
         asset: USD layer for any engine, or model file of one engine, as MJCF for MuJoCo.
-        reference: As of `load_experiment`.
+        reference: As for `load_experiment`.
 
     Raises:
-        UnknownNameError: No such variant.
-        ParameterError: No such data source, or no trials of the variant were imported.
+        UnknownNameError: There is no such variant.
+        ParameterError: There is no such data source, or no trials of the variant were imported.
         AssetError: The file cannot be read, or does not fit the variant.
     """
     return with_asset(load_experiment(variant, reference=reference), Path(asset))
@@ -107,33 +107,33 @@ def resolve_experiment(
     reference: DataSource | str = DataSource.BUNDLED,
     asset: str | PathLike[str] | None = None,
 ) -> Experiment:
-    """Find the experiment that the arguments of `gymnasium.make` and of the command line name.
+    """Load the experiment that arguments of `gymnasium.make` or of the command line name.
 
     Args:
         subject: Variant, name or id; `GAUGE/Asset`; or the path of an experiment file, as `crate.toml`.
-        parameters: As of `load_experiment`.
-        drivers: As of `load_experiment`.
-        reference: As of `load_experiment`.
-        asset: None; the file of `load_experiment_from_asset`; or, for `GAUGE/Asset`, an experiment file.
+        parameters: As for `load_experiment`.
+        drivers: As for `load_experiment`.
+        reference: As for `load_experiment`.
+        asset: File of `load_experiment_from_asset`; or, for `GAUGE/Asset`, an experiment file.
 
     Raises:
-        UnknownNameError: No such variant.
-        ParameterError: As of `load_experiment`; or an argument is given that the asset states itself.
+        UnknownNameError: There is no such variant.
+        ParameterError: As for `load_experiment`; or an argument contradicts the asset.
         TaskFileError: The task file or the experiment file is wrong.
-        ReferenceFileError: Imported trials, or the band of an experiment file, are damaged.
+        ReferenceFileError: The imported trials, or the band of an experiment file, are damaged.
         AssetError: The asset cannot be read, or does not fit the variant.
     """
     path = None if asset is None else Path(asset)
     if isinstance(subject, str) and subject.removeprefix("GAUGE/") == ASSET_NAME:
         if path is None:
-            raise ParameterError(f"GAUGE/{ASSET_NAME} is what an experiment file states: asset='crate.toml'")
+            raise ParameterError(f"GAUGE/{ASSET_NAME} needs an experiment file, as asset='crate.toml'")
         subject, path = str(path), None
     if isinstance(subject, str) and is_experiment_file(Path(subject)):
         if path is not None:
-            raise ParameterError(f"{subject} names its own USD layer; it goes without asset={str(asset)!r}")
+            raise ParameterError(f"{subject} names its own USD layer; remove asset={str(asset)!r}")
         _check_stated(Path(subject), parameters, drivers)
         if DataSource.of(reference, "reference") is not DataSource.BUNDLED:
-            raise ParameterError(f"reference {str(reference)!r} with {subject}: it states its own band")
+            raise ParameterError(f"reference {str(reference)!r} with {subject}: the file states its own band")
         return load_experiment_file(subject)
     if path is None:
         return load_experiment(subject, parameters, drivers=drivers, reference=reference)
@@ -142,11 +142,13 @@ def resolve_experiment(
 
 
 def _check_stated(path: Path, parameters: Parameters, drivers: DataSource | str) -> None:
-    """Refuse what an asset states itself."""
+    """Raise an error for arguments about content that an asset states."""
     if parameters and parameters != "calibrated":
-        raise ParameterError(f"parameters {parameters!r} with {path.name}: it states the constants; edit them there")
+        raise ParameterError(
+            f"parameters {parameters!r} with {path.name}: the file states the constants; edit them there"
+        )
     if DataSource.of(drivers, "drivers") is not DataSource.BUNDLED:
-        raise ParameterError(f"drivers {str(drivers)!r} with {path.name}: the motion of driven bodies is the file's")
+        raise ParameterError(f"drivers {str(drivers)!r} with {path.name}: the file states the motion of driven bodies")
 
 
 def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:
@@ -154,6 +156,6 @@ def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSo
     if source is DataSource.IMPORTED and load_imported(variant.name) is None:
         raise ParameterError(
             f"{variant.name}: {name}='imported', but no trials of it were imported; "
-            f"`gauge data import DIR` imports them, {name}='bundled' does without"
+            f"run `gauge data import DIR`, or use {name}='bundled'"
         )
     return source

@@ -1,4 +1,4 @@
-"""Builds the scene of one variant from its task file."""
+"""Build the scene of one variant from its task file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gauge_envs.errors import ParameterError, TaskFileError
+from gauge_envs.errors import ParameterError, TaskFileError, first_fault
 from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
@@ -34,14 +34,21 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
     "Parameters",
+    "SceneBuilder",
+    "parameter_overrides",
 ]
 
 
 Parameters = str | Mapping[str, Any]
-"""`calibrated`, the name of another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
+"""`calibrated`, another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
 
 
 def parameter_overrides(spec: TaskSpec, variant: Variant, parameters: Parameters) -> tuple[str, dict[str, Any]]:
+    """Return the name of the parameters, `custom` for overrides, and the overrides that they are.
+
+    Raises:
+        ParameterError: The task file has no such parameter set.
+    """
     if isinstance(parameters, Mapping):
         return ("custom" if parameters else "calibrated"), dict(parameters)
     if parameters == "calibrated":
@@ -54,7 +61,18 @@ def parameter_overrides(spec: TaskSpec, variant: Variant, parameters: Parameters
 
 
 class SceneBuilder:
-    """Puts one variant's scene together from its task file."""
+    """Builder of the scene of one variant.
+
+    Args:
+        path: Task file, for messages.
+        spec: Content of the task file.
+        variant: The variant.
+        overrides: Values that replace calibrated ones, keyed `body.constant`.
+
+    Raises:
+        ParameterError: An override names an unknown body or constant, or has an impossible value.
+        TaskFileError: The task file lacks a start or a frame count.
+    """
 
     def __init__(self, path: Path, spec: TaskSpec, variant: Variant, overrides: Mapping[str, Any]) -> None:
         self.path = path
@@ -103,14 +121,18 @@ class SceneBuilder:
                 known = ", ".join([*self.constants.get(name, {}), *Placement.model_fields])
                 raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; it has: {known}")
         except ValidationError as error:
-            reason = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
-            raise ParameterError(f"{self.variant.name}: override {key!r} = {value!r}: {reason}") from error
+            raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error
 
     def spec_name(self, body: str) -> str:
-        """Name in the task file of a scene body: counted bodies share one entry."""
+        """Return the name in the task file of a scene body; counted bodies share one entry."""
         return body if body in self.spec.bodies else body.rpartition("-")[0]
 
     def build(self) -> Scene:
+        """Return the scene.
+
+        Raises:
+            TaskFileError: Parts of the task file contradict each other.
+        """
         bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))
         poses = {body.name: body.pose for body in bodies}
         names = [*poses, *(n for n in self.present if n not in self.spec.bodies)]
@@ -154,7 +176,7 @@ class SceneBuilder:
         for index, pose in enumerate(poses):
             yield RigidBody(
                 name=f"{name}-{index + 1}" if body.count else name,
-                shape=body.shape.build(),
+                shape=body.shape,
                 motion=motion,
                 pose=pose,
                 mass_kg=mass,

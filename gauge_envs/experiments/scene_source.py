@@ -1,7 +1,7 @@
-"""Assets as the source of a scene: a USD layer, or a model file of an engine, in the place of a variant's task file.
+"""Take the scene of a variant from an asset: a USD layer, or a model file of an engine.
 
-From the file come bodies, constants and driven motion; what is observed, for how long, and what it is scored against
-stay those of the variant. So the file must fit it: the recorded bodies move, and what carries markers is there.
+The file states bodies, constants and driven motion. Observation, duration and reference stay those of the variant. The
+file must fit the variant: it has the recorded bodies, which move under forces, and the bodies that carry markers.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.experiment import Asset, AssetKind
+from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Hinge, Motion
 from gauge_envs.scene.diff import scene_changes
 
@@ -38,15 +39,15 @@ EXPERIMENT_SUFFIX = ".toml"
 
 
 def is_experiment_file(path: Path) -> bool:
-    """Whether a path is that of an experiment file, judged by its suffix."""
+    """Return whether the suffix of a path is that of an experiment file."""
     return path.suffix == EXPERIMENT_SUFFIX
 
 
 def read_bytes(path: Path) -> bytes:
-    """Content of an asset.
+    """Return the content of an asset.
 
     Raises:
-        AssetError: It cannot be read.
+        AssetError: The file cannot be read.
     """
     try:
         return path.read_bytes()
@@ -55,7 +56,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def contents_sha256(contents: Sequence[bytes]) -> str:
-    """Hash of the contents of files in a given order; of a single one the usual hash of its bytes."""
+    """Return the hash of one file, or of the hashes of several files in the given order."""
     if len(contents) == 1:
         return hashlib.sha256(contents[0]).hexdigest()
     return hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in contents)).hexdigest()
@@ -65,14 +66,14 @@ def contents_sha256(contents: Sequence[bytes]) -> str:
 
 
 def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
-    """An experiment with the scene of a file.
+    """Return an experiment with the scene of a file.
 
     Args:
-        experiment: The experiment with its calibrated scene and bundled drivers.
+        experiment: Experiment with its calibrated scene and bundled drivers.
         path: USD layer, or model file of an installed engine.
 
     Raises:
-        AssetError: The file cannot be read, is of another variant, or does not fit this one.
+        AssetError: The file cannot be read, belongs to another variant, or does not fit this one.
     """
     from gauge_envs.backends.registry import backend_of_suffix
     from gauge_envs.experiments.experiment import driver_provenance
@@ -109,26 +110,26 @@ def _usd_scene(experiment: TaskExperiment, path: Path) -> UsdScene:
         raise AssetError(
             path,
             "customLayerData",
-            f"it is the scene of {of}, and {experiment.name} was asked for; if that is meant, delete 'variant' there",
+            f"it is the scene of {of}, not of {experiment.name}; to use it anyway, delete 'variant' there",
         )
     if not math.isclose(found.scene.duration_s, duration_s, rel_tol=1e-9):
         raise AssetError(
             path,
             "gauge:duration_s",
-            f"it lasts {found.scene.duration_s:.10g} s, but an episode of {experiment.name} {duration_s:.10g} s",
+            f"it lasts {found.scene.duration_s:.10g} s, but an episode of {experiment.name} lasts {duration_s:.10g} s",
         )
     return found
 
 
 def check_fit(found: Experiment, wanted: Experiment) -> None:
-    """Raise when what an experiment observes is not in its scene.
+    """Raise an error if the scene of an asset lacks what the experiment observes.
 
     Args:
-        found: The experiment with the scene of its asset.
-        wanted: The same with the scene that says what is observed.
+        found: Experiment with the scene of its asset.
+        wanted: Experiment with the scene that states what is observed.
 
     Raises:
-        AssetError: A recorded body is missing or does not move, or markers are others, or on a rigid body.
+        AssetError: A recorded body is missing or does not move, or the markers differ or are on a rigid body.
     """
     assert found.asset is not None
     path, scene = found.asset.path, found.scene
@@ -156,11 +157,8 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
         if len(found.coordinates) != count:
             raise AssetError(path, "markers", f"{len(found.coordinates)} coordinates, {found.name} has {count}")
     hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
-    if {"lsd", "mte", "pd", "el"} & set(found.score.metrics) and found.recorded[0] not in hinged:
+    if not set(EVENT_METRICS).isdisjoint(found.score.metrics) and found.recorded[0] not in hinged:
         raise AssetError(path, found.recorded[0], f"no hinge, which {', '.join(found.score.metrics)} are measured from")
-
-
-# --- what differs ----------------------------------------------------------------------------------------------------
 
 
 def _listed(names: Sequence[str]) -> str:

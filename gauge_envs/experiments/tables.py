@@ -1,23 +1,35 @@
-"""Tables that task files and experiment files share: shapes, drivers and kinds of numbers."""
+"""Tables that task files and experiment files share: shapes and drivers.
+
+A shape is read as the scene's own class. A profile has a class here, as files state angles in degrees.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
+from pydantic_core import CoreSchema
 
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Shape, Sphere, Vector
+from gauge_envs.references.tables import Table
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
 from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
 __all__ = [
+    "PROVENANCES",
     "DriverSpec",
     "Fraction",
-    "NonNegative",
-    "PlaneSpec",
-    "Positive",
-    "Table",
+    "ShapeTable",
+    "UnitVector",
 ]
+
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"]
+
+PROVENANCES: tuple[str, ...] = get_args(Provenance)
+"""Possible origins of a number; the README explains each."""
 
 
 def _unit(vector: Vector) -> Vector:
@@ -26,103 +38,27 @@ def _unit(vector: Vector) -> Vector:
     return vector
 
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+UnitVector = Annotated[Vector, AfterValidator(_unit)]
 
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-
-
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-
-
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-
-
-Vector3 = tuple[Finite, Finite, Finite]
-
-
-UnitVector = Annotated[Vector3, AfterValidator(_unit)]
-
-
-class Table(BaseModel):
-    """One TOML table: frozen, and without unknown keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
-
-
-class BoxSpec(Table):
-    """`kind = "box"`."""
-
-    kind: Literal["box"]
-    size_m: tuple[Positive, Positive, Positive]
-
-    def build(self) -> Shape:
-        """The shape."""
-        return Box(size_m=self.size_m)
-
-
-class SphereSpec(Table):
-    """`kind = "sphere"`."""
-
-    kind: Literal["sphere"]
-    radius_m: Positive
-
-    def build(self) -> Shape:
-        """The shape."""
-        return Sphere(radius_m=self.radius_m)
-
-
-class CylinderSpec(Table):
-    """`kind = "cylinder"`, axis along body z."""
-
-    kind: Literal["cylinder"]
-    radius_m: Positive
-    length_m: Positive
-
-    def build(self) -> Shape:
-        """The shape."""
-        return Cylinder(radius_m=self.radius_m, length_m=self.length_m)
-
-
-class PlaneSpec(Table):
-    """`kind = "plane"`: the half-space below the body."""
-
-    kind: Literal["plane"]
-
-    def build(self) -> Shape:
-        """The shape."""
-        return Plane()
-
-
-class ConvexUnionSpec(Table):
-    """`kind = "convex_union"`: polyhedron given as convex pieces, each by its vertices."""
-
-    kind: Literal["convex_union"]
-    pieces_m: tuple[tuple[Vector3, ...], ...] = Field(min_length=1)
-
-    def build(self) -> Shape:
-        """The shape."""
-        return ConvexUnion(pieces_m=self.pieces_m)
-
-    @model_validator(mode="after")
-    def _solid(self) -> ConvexUnionSpec:
-        for index, piece in enumerate(self.pieces_m):
-            points = np.asarray(piece)
-            if len(piece) < 4 or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
-                raise ValueError(f"piece {index} is flat or has fewer than four vertices: it encloses no volume")
-        return self
+def _solid(union: ConvexUnion) -> ConvexUnion:
+    for index, piece in enumerate(union.pieces_m):
+        points = np.asarray(piece)
+        if len(piece) < 4 or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
+            raise ValueError(f"piece {index} is flat or has fewer than four vertices: it encloses no volume")
+    return union
 
 
 class PlateWithHoleSpec(Table):
-    """`kind = "plate_with_hole"`: plate with a round hole along z, cut into wedge-shaped convex pieces."""
+    """`kind = "plate_with_hole"`: plate with a round hole along z, made of wedge-shaped convex pieces."""
 
     kind: Literal["plate_with_hole"]
     size_m: tuple[Positive, Positive, Positive]
     hole_radius_m: Positive
     hole_segments: Annotated[int, Field(ge=8, multiple_of=4)]
 
-    def build(self) -> Shape:
-        """Pieces between the hole's polygon (circumscribed: the hole is never too narrow) and the plate's outline."""
+    def build(self) -> ConvexUnion:
+        """Return the pieces between the plate's outline and the polygon of the hole, which circumscribes the circle."""
         half_x, half_y, half_z = (0.5 * edge for edge in self.size_m)
         # Angles of the polygon and of the plate's four corners, so that each piece is convex.
         corner = float(np.arctan2(half_y, half_x))
@@ -147,20 +83,44 @@ class PlateWithHoleSpec(Table):
         return ConvexUnion(pieces_m=tuple(pieces))
 
 
-ShapeSpec = Annotated[
-    BoxSpec | SphereSpec | CylinderSpec | PlaneSpec | ConvexUnionSpec | PlateWithHoleSpec, Field(discriminator="kind")
+def _plate_schema(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    return handler.generate_schema(Annotated[PlateWithHoleSpec, AfterValidator(PlateWithHoleSpec.build)])
+
+
+ShapeTable = Annotated[
+    Box
+    | Sphere
+    | Cylinder
+    | Plane
+    | Annotated[ConvexUnion, AfterValidator(_solid)]
+    | Annotated[ConvexUnion, GetPydanticSchema(_plate_schema)],
+    Field(discriminator="kind"),
 ]
+"""Table of a shape, read as the shape itself."""
 
 
-DriverProvenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"]
+class _ProfileSpec(Table):
+    """Table of a profile; the table of its motion checks the units."""
+
+    @model_validator(mode="after")
+    def _builds(self) -> Self:
+        self.build()
+        return self
+
+    def build(self) -> Profile:
+        """Return the profile in m or rad."""
+        raise NotImplementedError
 
 
-class _MoveSpec(Table):
-    amount_m: Finite | None = None
-    amount_deg: Finite | None = None
+class _MoveSpec(_ProfileSpec):
+    start_s: NonNegative
+    duration_s: Positive
+    amount_m: float | None = None
+    amount_deg: float | None = None
 
-    def _amount(self) -> float:
-        """The amount in m or rad; that the right one is given, the motion has checked."""
+    @property
+    def amount(self) -> float:
+        """Amount [m or rad]."""
         return self.amount_m if self.amount_m is not None else float(np.radians(self.amount_deg or 0.0))
 
 
@@ -168,25 +128,17 @@ class TrapezoidSpec(_MoveSpec):
     """`kind = "trapezoid"`: constant acceleration, cruise, braking."""
 
     kind: Literal["trapezoid"]
-    start_s: NonNegative
-    duration_s: Positive
     accelerate_s: NonNegative
     brake_s: NonNegative
 
-    @model_validator(mode="after")
-    def _fits(self) -> TrapezoidSpec:
-        if self.accelerate_s + self.brake_s > self.duration_s:
-            raise ValueError("accelerate_s and brake_s together are longer than duration_s")
-        return self
-
     def build(self) -> Profile:
-        """The profile."""
+        """Return the profile in m or rad."""
         return TrapezoidProfile(
             start_s=self.start_s,
             duration_s=self.duration_s,
             accelerate_s=self.accelerate_s,
             brake_s=self.brake_s,
-            amount=self._amount(),
+            amount=self.amount,
         )
 
 
@@ -194,37 +146,22 @@ class CosineSpec(_MoveSpec):
     """`kind = "cosine"`: half a cosine from rest to rest."""
 
     kind: Literal["cosine"]
-    start_s: NonNegative
-    duration_s: Positive
 
     def build(self) -> Profile:
-        """The profile."""
-        return CosineProfile(start_s=self.start_s, duration_s=self.duration_s, amount=self._amount())
+        """Return the profile in m or rad."""
+        return CosineProfile(start_s=self.start_s, duration_s=self.duration_s, amount=self.amount)
 
 
-class SampledSpec(Table):
-    """`kind = "sampled"`: measured at times."""
+class SampledSpec(_ProfileSpec):
+    """`kind = "sampled"`: values measured at times."""
 
     kind: Literal["sampled"]
-    times_s: tuple[Finite, ...] = Field(min_length=2)
-    values_m: tuple[Finite, ...] | None = None
-    values_deg: tuple[Finite, ...] | None = None
-
-    @model_validator(mode="after")
-    def _increasing(self) -> SampledSpec:
-        values = self.values_m if self.values_m is not None else self.values_deg
-        if values is not None and len(values) != len(self.times_s):
-            raise ValueError(f"{len(self.times_s)} times but {len(values)} values")
-        late = [i for i in range(1, len(self.times_s)) if self.times_s[i] <= self.times_s[i - 1]]
-        if late:
-            i = late[0]
-            raise ValueError(
-                f"driver time is not increasing: times_s[{i}] = {self.times_s[i]} after {self.times_s[i - 1]}"
-            )
-        return self
+    times_s: tuple[float, ...]
+    values_m: tuple[float, ...] | None = None
+    values_deg: tuple[float, ...] | None = None
 
     def build(self) -> Profile:
-        """The profile."""
+        """Return the profile in m or rad."""
         values = self.values_m if self.values_m is not None else tuple(np.radians(self.values_deg or ()).tolist())
         return SampledProfile(times_s=self.times_s, values=values)
 
@@ -233,11 +170,20 @@ ProfileSpec = Annotated[TrapezoidSpec | CosineSpec | SampledSpec, Field(discrimi
 
 
 class MotionSpec(Table):
-    """One coordinate of a driver; `point_in_body_m` is a point of the rotation axis in the body's start frame."""
+    """One coordinate of a driver.
+
+    Attributes:
+        kind: Translation or rotation.
+        axis: Unit vector in the world.
+        point_in_body_m: Point of the rotation axis in the body's start frame.
+        profile: Profiles whose sum is the coordinate over time.
+        residual_rate_m_per_s: Rate that an action of 1 adds to a translation.
+        residual_rate_deg_per_s: Rate that an action of 1 adds to a rotation.
+    """
 
     kind: Literal["translate", "rotate"]
     axis: UnitVector
-    point_in_body_m: Vector3 = (0.0, 0.0, 0.0)
+    point_in_body_m: Vector = (0.0, 0.0, 0.0)
     profile: tuple[ProfileSpec, ...] = ()
     residual_rate_m_per_s: NonNegative = 0.0
     residual_rate_deg_per_s: NonNegative = 0.0
@@ -254,7 +200,7 @@ class MotionSpec(Table):
         return self
 
     def build(self, start: Pose) -> DriverMotion:
-        """The motion of a body that starts at a pose."""
+        """Return the motion of a body that starts at a pose."""
         x, y, z = start.to_world(np.asarray(self.point_in_body_m)).tolist()
         rate = self.residual_rate_m_per_s or float(np.radians(self.residual_rate_deg_per_s))
         return DriverMotion(
@@ -267,9 +213,16 @@ class MotionSpec(Table):
 
 
 class DriverSpec(Table):
-    """Prescribed motion of a kinematic body, and where it is from, per material where that differs."""
+    """Prescribed motion of a kinematic body.
+
+    Attributes:
+        body: Name of the body.
+        provenance: Where the motion is from; by material where materials differ.
+        note: How it was measured or chosen.
+        motions: Motions in the order in which they apply.
+    """
 
     body: str
-    provenance: DriverProvenance | dict[str, DriverProvenance]
+    provenance: Provenance | dict[str, Provenance]
     note: str
     motions: tuple[MotionSpec, ...] = Field(min_length=1)

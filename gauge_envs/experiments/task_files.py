@@ -1,6 +1,6 @@
-"""Task files: reads and validates them.
+"""Read and validate task files.
 
-Everything that differs between variants is data in `tasks/*.toml`; no Python file holds a number of any experiment.
+Everything that differs between variants is data in `tasks/*.toml`. No Python file holds a number of an experiment.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gauge_envs.errors import TaskFileError, UnknownNameError
-from gauge_envs.experiments.tables import PlaneSpec
-from gauge_envs.experiments.task_format import PROVENANCES, TaskSpec
+from gauge_envs.errors import TaskFileError, UnknownNameError, first_fault
+from gauge_envs.experiments.tables import PROVENANCES
+from gauge_envs.experiments.task_format import SubtaskSpec, TaskSpec
 from gauge_envs.experiments.variants import task_path
+from gauge_envs.scene import Plane
 
 __all__ = ["load_task", "task_file_error", "task_sha256", "task_spec"]
 
@@ -27,8 +28,8 @@ def load_task(path: Path) -> TaskSpec:
     """Read and validate one task file.
 
     Raises:
-        TaskFileError: The file does not parse, has an unknown key, a value out of range, a name that nothing
-            defines, or a number without provenance; the message names file, key and reason.
+        TaskFileError: The file is not TOML, or has an unknown key, a value out of range, an undefined name, or a number
+            without provenance.
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -45,96 +46,94 @@ def load_task(path: Path) -> TaskSpec:
 
 
 def task_file_error(path: Path, error: ValidationError, prefix: str = "") -> TaskFileError:
-    first = error.errors(include_url=False)[0]
-    key = ".".join([*([prefix] if prefix else []), *(str(part) for part in first["loc"])])
-    if first["type"] == "extra_forbidden":
-        return TaskFileError(path, key, "unknown key")
-    if first["type"] == "missing":
-        return TaskFileError(path, key, "missing key")
-    reason = first["msg"].removeprefix("Value error, ")
-    given = first["input"]
-    shown = f" (given: {given!r})" if isinstance(given, int | float | str) else ""
-    return TaskFileError(path, key, reason + shown)
+    """Return the error of a task file for what pydantic found below a key."""
+    key, reason = first_fault(error)
+    return TaskFileError(path, ".".join(filter(None, (prefix, key))), reason)
 
 
 def _check_names(path: Path, spec: TaskSpec) -> None:
-    """Every name that the file uses is one that it defines."""
-
-    def check(key: str, name: str, known: Sequence[str]) -> None:
+    """Check that the file defines every name that it uses."""
+    for key, name, known in (*_names_of_tables(spec), *_names_of_parts(spec)):
         if not any(fnmatchcase(candidate, name) for candidate in known):
             raise TaskFileError(path, key, f"{name!r} is not defined; known: {', '.join(known)}")
-
-    counted = [f"{n}-{i + 1}" for n, b in spec.bodies.items() if b.count for i in range(b.count)]
-    names = [*spec.names, *counted]
-    everywhere = ["all", *spec.materials]
-    for key, table in [("frames", spec.frames)] + [
-        (f"subtasks.{k}.frames", s.frames) for k, s in spec.subtasks.items()
-    ]:
-        for material in table:
-            check(key, material, everywhere)
-    for key, initial in [("initial", spec.initial)] + [
-        (f"subtasks.{k}.initial", s.initial) for k, s in spec.subtasks.items()
-    ]:
-        for material, placements in initial.items():
-            check(key, material, everywhere)
-            for name in placements:
-                check(f"{key}.{material}", name, spec.names)
-    for k, subtask in spec.subtasks.items():
-        for name in [*subtask.bodies, *subtask.motion]:
-            check(f"subtasks.{k}", name, spec.names)
-    for i, joint in enumerate(spec.joints):
-        check(f"joints.{i}.body", joint.body, names)
-    for i, attachment in enumerate(spec.attachments):
-        check(f"attachments.{i}.deformable", attachment.deformable, names)
-        check(f"attachments.{i}.to", attachment.to, names)
-    contact_lists = [("contacts", spec.contacts)]
-    driver_lists = [("drivers", spec.drivers)]
-    for k, subtask in spec.subtasks.items():
-        contact_lists.append((f"subtasks.{k}.contacts", subtask.contacts or ()))
-        driver_lists.append((f"subtasks.{k}.drivers", subtask.drivers or ()))
-    for key, contacts in contact_lists:
-        for i, contact in enumerate(contacts):
-            for name in [*contact.bodies, *([contact.constants_of] if contact.constants_of else [])]:
-                check(f"{key}.{i}", name, names)
-            given = contact.friction is not None and contact.restitution is not None
-            if contact.constants_of is None and not given:
-                raise TaskFileError(path, f"{key}.{i}", "give constants_of, or both friction and restitution")
-    for key, drivers in driver_lists:
-        for i, driver in enumerate(drivers):
-            check(f"{key}.{i}.body", driver.body, list(spec.bodies))
+    for prefix, table in _tables(spec):
+        for i, driver in enumerate(table.drivers or ()):
             if isinstance(driver.provenance, dict) and set(driver.provenance) != set(spec.materials):
-                raise TaskFileError(path, f"{key}.{i}.provenance", f"name each of {', '.join(spec.materials)} once")
+                raise TaskFileError(
+                    path, f"{prefix}drivers.{i}.provenance", f"name each of {', '.join(spec.materials)} once"
+                )
+
+
+def _tables(spec: TaskSpec) -> list[tuple[str, TaskSpec | SubtaskSpec]]:
+    """Return the file's own table and those of its subtasks, each with the prefix of its keys."""
+    return [("", spec), *((f"subtasks.{name}.", subtask) for name, subtask in spec.subtasks.items())]
+
+
+UsedName = tuple[str, str, Sequence[str]]
+"""Key that holds a name, the name, and the names that are defined for it."""
+
+
+def _scene_names(spec: TaskSpec) -> list[str]:
+    counted = [f"{n}-{i + 1}" for n, b in spec.bodies.items() if b.count for i in range(b.count)]
+    return [*spec.names, *counted]
+
+
+def _names_of_tables(spec: TaskSpec) -> Iterator[UsedName]:
+    """Yield the names that the file and its subtasks use in tables of the same form."""
+    names, materials = _scene_names(spec), ["all", *spec.materials]
+    for prefix, table in _tables(spec):
+        yield from ((f"{prefix}frames", material, materials) for material in table.frames)
+        for material, placements in table.initial.items():
+            yield f"{prefix}initial", material, materials
+            yield from ((f"{prefix}initial.{material}", name, spec.names) for name in placements)
+        for i, contact in enumerate(table.contacts or ()):
+            used = [*contact.bodies, *filter(None, [contact.constants_of])]
+            yield from ((f"{prefix}contacts.{i}", name, names) for name in used)
+        for i, driver in enumerate(table.drivers or ()):
+            yield f"{prefix}drivers.{i}.body", driver.body, list(spec.bodies)
+
+
+def _names_of_parts(spec: TaskSpec) -> Iterator[UsedName]:
+    """Yield the names that subtasks, joints, attachments and markers use."""
+    names = _scene_names(spec)
+    for key, subtask in spec.subtasks.items():
+        yield from ((f"subtasks.{key}", name, spec.names) for name in (*subtask.bodies, *subtask.motion))
+    for i, joint in enumerate(spec.joints):
+        yield f"joints.{i}.body", joint.body, names
+    for i, attachment in enumerate(spec.attachments):
+        yield f"attachments.{i}.deformable", attachment.deformable, names
+        yield f"attachments.{i}.to", attachment.to, names
     if spec.markers is not None:
-        for name in spec.markers.bodies:
-            check("markers.bodies", name, names)
+        yield from (("markers.bodies", name, names) for name in spec.markers.bodies)
 
 
 def _check_constants(path: Path, spec: TaskSpec) -> None:
-    """Every body has the constants of every material that a variant may ask for, each in range."""
+    """Check that every body has the constants of every material that a variant may ask for, each in range."""
     for name in spec.constants:
         if name not in spec.names:
             raise TaskFileError(path, f"constants.{name}", f"no body of that name; known: {', '.join(spec.names)}")
     for name in spec.names:
-        if name in spec.bodies and isinstance(spec.bodies[name].shape, PlaneSpec):
+        if name in spec.bodies and isinstance(spec.bodies[name].shape, Plane):
             continue
-        owner = spec.owner(name)
-        needed = [owner.material] if owner.material else list(spec.materials)
+        own_material = spec.owner(name).material
         tables = spec.constants.get(name, {})
-        for material in needed:
+        for material in [own_material] if own_material else spec.materials:
             if material not in tables:
                 raise TaskFileError(path, f"constants.{name}.{material}", f"missing material {material!r}")
-        for material, table in tables.items():
-            for subtask in spec.subtasks or [None]:
-                values = spec.constants_of(name, material, subtask)
-                try:
-                    spec.constants_model(name).model_validate(values)
-                except ValidationError as error:
-                    raise task_file_error(path, error, f"constants.{name}.{material}") from error
-            for key, value in table.items():
-                if isinstance(value, dict):
-                    for subtask in value:
-                        if subtask not in spec.subtasks:
-                            raise TaskFileError(path, f"constants.{name}.{material}.{key}", f"no subtask {subtask!r}")
+        for material in tables:
+            _check_constants_of(path, spec, name, material)
+
+
+def _check_constants_of(path: Path, spec: TaskSpec, name: str, material: str) -> None:
+    for subtask in spec.subtasks or [None]:
+        try:
+            spec.constants_model(name).model_validate(spec.constants_of(name, material, subtask))
+        except ValidationError as error:
+            raise task_file_error(path, error, f"constants.{name}.{material}") from error
+    for key, value in spec.constants[name][material].items():
+        unknown = [subtask for subtask in value if subtask not in spec.subtasks] if isinstance(value, dict) else []
+        if unknown:
+            raise TaskFileError(path, f"constants.{name}.{material}.{key}", f"no subtask {unknown[0]!r}")
 
 
 def _number_keys(value: Any, key: str = "") -> Iterator[str]:
@@ -152,7 +151,7 @@ def _number_keys(value: Any, key: str = "") -> Iterator[str]:
 
 
 def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
-    """Every number of the file is covered by a provenance entry of a known kind."""
+    """Check that a provenance entry of a known kind covers every number of the file."""
     for key, provenance in spec.provenance.items():
         if provenance.split(":")[0] not in PROVENANCES:
             raise TaskFileError(
@@ -167,7 +166,7 @@ def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
 
 @cache
 def task_sha256(family: str) -> str:
-    """Hash of the task file of a family.
+    """Return the hash of the task file of a family.
 
     Raises:
         UnknownNameError: No such family.
@@ -177,7 +176,7 @@ def task_sha256(family: str) -> str:
 
 @cache
 def task_spec(family: str) -> TaskSpec:
-    """The validated task file of a family.
+    """Return the validated task file of a family.
 
     Raises:
         UnknownNameError: No such family.

@@ -1,4 +1,4 @@
-"""The format of a task file: one pydantic table for each TOML table, in SI units; unknown keys are errors."""
+"""Format of a task file: one pydantic model per TOML table, in SI units."""
 
 from __future__ import annotations
 
@@ -10,23 +10,15 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.experiments.tables import (
-    DriverSpec,
-    Finite,
-    Fraction,
-    NonNegative,
-    Positive,
-    ShapeSpec,
-    Table,
-    UnitVector,
-    Vector3,
-)
+from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable, UnitVector
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.metrics import MetricKey
+from gauge_envs.references.tables import Table
 from gauge_envs.scene import ContactMode, Motion, Pose
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
 __all__ = [
-    "PROVENANCES",
     "ClothConstants",
     "ContactSpec",
     "Group",
@@ -38,10 +30,6 @@ __all__ = [
     "SolidConstants",
     "TaskSpec",
 ]
-
-
-PROVENANCES = ("metadata", "paper", "video", "mocap", "derived", "nominal")
-"""Where a number can be from; each is explained in the README."""
 
 
 class Group(StrEnum):
@@ -65,7 +53,7 @@ PoissonRatio = Annotated[float, AfterValidator(_admissible_poisson)]
 class BodySpec(Table):
     """A rigid body, or `count` equal ones named `<name>-1`, `<name>-2`, ..."""
 
-    shape: ShapeSpec
+    shape: ShapeTable
     motion: Motion
     recorded: bool = False
     material: str | None = None
@@ -95,15 +83,15 @@ class LineSpec(Table):
 
 
 class Substituted(Table):
-    """A calibrated constant that no simulation can use as it stands, and what is used in its place."""
+    """A calibrated constant that no simulation can use, and its substitute."""
 
-    calibrated: Finite
-    used: Finite
+    calibrated: float
+    used: float
     reason: str
 
 
 class RigidConstants(Table):
-    """Calibrated constants of a rigid body; friction and restitution are those of its contact in this experiment."""
+    """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment."""
 
     mass_kg: Positive
     density_kg_per_m3: Positive | None = None
@@ -136,17 +124,21 @@ class SolidConstants(Table):
 
 
 class Placement(Table):
-    """Where a body starts.
+    """Start of a body, in one of three forms.
 
-    Give `position_m`; or `positions_m` for counted bodies; or `hangs_from_m` and `length_m` for a body on a string or
-    light rod, whose hanging position is then turned about the anchor by `euler_deg`.
+    Attributes:
+        position_m: Position of one body.
+        positions_m: Positions of counted bodies.
+        hangs_from_m: Anchor of a body on a string or light rod, whose hanging position `euler_deg` rotates.
+        length_m: Length of that string or rod.
+        euler_deg: Rotations about the fixed x, then y, then z axis.
     """
 
-    position_m: Vector3 | None = None
-    positions_m: tuple[Vector3, ...] | None = None
-    hangs_from_m: Vector3 | None = None
+    position_m: Vector | None = None
+    positions_m: tuple[Vector, ...] | None = None
+    hangs_from_m: Vector | None = None
     length_m: Positive | None = None
-    euler_deg: Vector3 = (0.0, 0.0, 0.0)
+    euler_deg: Vector = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _one_way(self) -> Placement:
@@ -158,11 +150,11 @@ class Placement(Table):
         return self
 
     def poses(self) -> list[Pose]:
-        """World poses of the body or bodies."""
+        """Return the world poses of the body or bodies."""
         if self.hangs_from_m is not None and self.length_m is not None:
-            turned = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
-            x, y, z = (self.hangs_from_m + turned.to_world(np.array([0.0, 0.0, -self.length_m]))).tolist()
-            return [Pose(position_m=(x, y, z), quaternion=turned.quaternion)]
+            rotated = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
+            x, y, z = (self.hangs_from_m + rotated.to_world(np.array([0.0, 0.0, -self.length_m]))).tolist()
+            return [Pose(position_m=(x, y, z), quaternion=rotated.quaternion)]
         positions = self.positions_m if self.positions_m is not None else (self.position_m,)
         return [Pose.from_euler_deg(position, self.euler_deg) for position in positions if position is not None]
 
@@ -190,7 +182,7 @@ class RegionSpec(Table):
 
 
 class AttachmentSpec(Table):
-    """Glues a region of a deformable body to another body."""
+    """Attachment of a region of a deformable body to another body."""
 
     deformable: str
     region: RegionSpec
@@ -198,7 +190,7 @@ class AttachmentSpec(Table):
 
 
 class ContactSpec(Table):
-    """Which bodies collide, and whose calibrated constants hold for the pair."""
+    """Two groups of bodies that collide, and the body whose calibrated constants hold for the pair."""
 
     bodies: tuple[str, str]
     constants_of: str | None = None
@@ -206,12 +198,18 @@ class ContactSpec(Table):
     restitution: Fraction | None = None
     mode: ContactMode = ContactMode.SUSTAINED
 
+    @model_validator(mode="after")
+    def _complete(self) -> ContactSpec:
+        if self.constants_of is None and (self.friction is None or self.restitution is None):
+            raise ValueError("give constants_of, or both friction and restitution")
+        return self
+
 
 class MarkersSpec(Table):
     """Motion-capture markers; `positions_m` in the published order."""
 
     bodies: tuple[str, ...] = Field(min_length=1)
-    positions_m: tuple[Vector3, ...] = Field(min_length=1)
+    positions_m: tuple[Vector, ...] = Field(min_length=1)
     faces: tuple[tuple[int, int, int], ...] = ()
     lines: tuple[tuple[int, int], ...] = ()
     corner: tuple[int, ...] = ()
@@ -232,19 +230,19 @@ class ScoreSpec(Table):
     """How the experiment is observed and scored."""
 
     observable: Observable
-    metrics: tuple[Literal["rmse", "dtw", "lsd", "mte", "pd", "el"], ...] = ()
+    metrics: tuple[MetricKey, ...] = ()
     period_axis: Literal["x", "y", "z"] | None = None
 
 
 class ParameterSetSpec(Table):
-    """Named alternative values, keyed `body.constant`; per material where they differ."""
+    """Named alternative values, keyed `body.constant`; by material where they differ."""
 
     summary: str
     values: dict[str, Any] = Field(min_length=1)
 
 
 class SourceSpec(Table):
-    """What the file was transcribed from."""
+    """Sources that the file was transcribed from."""
 
     metadata: str
     paper: str
@@ -252,19 +250,19 @@ class SourceSpec(Table):
 
 
 class SubtaskSpec(Table):
-    """What a subtask adds to, or replaces in, the family."""
+    """Values that a subtask adds to the family, or replaces."""
 
     title: str
     frames: dict[str, Annotated[int, Field(ge=2)]]
     bodies: tuple[str, ...] = ()
-    motion: dict[str, Motion] = {}
-    initial: dict[str, dict[str, Placement]] = {}
+    motion: dict[str, Motion] = Field(default_factory=dict)
+    initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
     contacts: tuple[ContactSpec, ...] | None = None
     drivers: tuple[DriverSpec, ...] | None = None
 
 
 class TaskSpec(Table):
-    """One task file; its keys stand in this order."""
+    """One task file; its keys are in this order."""
 
     family: str
     title: str
@@ -272,25 +270,25 @@ class TaskSpec(Table):
     summary: str
     evaluates: tuple[str, ...]
     materials: tuple[str, ...] = Field(min_length=1)
-    metadata_materials: dict[str, str] = {}
+    metadata_materials: dict[str, str] = Field(default_factory=dict)
     decisions: tuple[str, ...] = ()
     source: SourceSpec
-    bodies: dict[str, BodySpec] = {}
-    cloths: dict[str, ClothSpec] = {}
-    soft_bodies: dict[str, SoftBodySpec] = {}
-    ropes: dict[str, LineSpec] = {}
-    rods: dict[str, LineSpec] = {}
+    bodies: dict[str, BodySpec] = Field(default_factory=dict)
+    cloths: dict[str, ClothSpec] = Field(default_factory=dict)
+    soft_bodies: dict[str, SoftBodySpec] = Field(default_factory=dict)
+    ropes: dict[str, LineSpec] = Field(default_factory=dict)
+    rods: dict[str, LineSpec] = Field(default_factory=dict)
     constants: dict[str, dict[str, dict[str, float | Substituted | dict[str, float]]]]
-    initial: dict[str, dict[str, Placement]] = {}
+    initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...] = ()
     attachments: tuple[AttachmentSpec, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec
-    frames: dict[str, Annotated[int, Field(ge=2)]] = {}
+    frames: dict[str, Annotated[int, Field(ge=2)]] = Field(default_factory=dict)
     drivers: tuple[DriverSpec, ...] = ()
     markers: MarkersSpec | None = None
-    parameters: dict[str, ParameterSetSpec] = {}
-    subtasks: dict[str, SubtaskSpec] = {}
+    parameters: dict[str, ParameterSetSpec] = Field(default_factory=dict)
+    subtasks: dict[str, SubtaskSpec] = Field(default_factory=dict)
     provenance: dict[str, str]
 
     @property
@@ -299,20 +297,20 @@ class TaskSpec(Table):
         return (*self.bodies, *self.cloths, *self.soft_bodies, *self.ropes, *self.rods)
 
     def owner(self, name: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec:
-        """The table that defines a body; KeyError where there is none."""
+        """Return the table that defines a body; KeyError for an unknown body."""
         for table in (self.bodies, self.cloths, self.soft_bodies, self.ropes, self.rods):
             if name in table:
                 return table[name]
         raise KeyError(name)
 
     def constants_model(self, name: str) -> type[RigidConstants | ClothConstants | SolidConstants]:
-        """What constants a body has."""
+        """Return the model of a body's constants."""
         if name in self.bodies:
             return RigidConstants
         return ClothConstants if name in self.cloths else SolidConstants
 
     def constants_of(self, name: str, material: str, subtask: str | None) -> dict[str, float | None]:
-        """Constants of one body in one variant: per-subtask values picked, substitutes put in."""
+        """Return the constants of one body in one variant, with substitutes and the values of the subtask."""
         values: dict[str, float | None] = {}
         for key, value in self.constants[name][material].items():
             if isinstance(value, Substituted):
@@ -322,7 +320,7 @@ class TaskSpec(Table):
         return values
 
     def variants(self) -> tuple[Variant, ...]:
-        """Variants of the family: subtasks first, then materials, in the file's order."""
+        """Return the variants of the family, by subtask, then by material, in the file's order."""
         return tuple(
             Variant(self.family, subtask, material)
             for subtask in (self.subtasks or [None])
@@ -330,9 +328,9 @@ class TaskSpec(Table):
         )
 
     def provenance_of(self, key: str) -> str:
-        """Where the number under a dotted key is from.
+        """Return the origin of the number under a dotted key.
 
-        The entry with the longest matching prefix counts; of several as long, the one with the fewest wildcards.
+        The entry with the longest matching prefix counts; of equally long ones, that with the fewest wildcards.
 
         Raises:
             UnknownNameError: No entry covers the key.

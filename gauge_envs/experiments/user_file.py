@@ -1,7 +1,7 @@
-"""Experiment files: what USD does not say of a scene, so that it can be run and scored. Format: docs/assets.md.
+"""Read experiment files: a user's own experiment on a USD layer (format: docs/assets.md).
 
-A USD layer by whoever, and a short TOML file beside it: how long it lasts, what is observed, what it is scored against
-and where that is from. The file is validated by pydantic; unknown keys are errors.
+The USD layer states the scene. A short TOML file beside it states the duration, the observable, the reference and where
+the numbers are from.
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from pydantic import Field, ValidationError, model_validator
 from gauge_envs.errors import AssetError, TaskFileError
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
-from gauge_envs.experiments.tables import DriverSpec, Fraction, NonNegative, Positive, Table, Vector3
+from gauge_envs.experiments.tables import DriverSpec, Fraction
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band, read_band
+from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
+from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import ENGINES, Baseline, Reference
+from gauge_envs.references.tables import Table
 from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
@@ -38,7 +41,7 @@ __all__ = [
 
 
 class PairSpec(Table):
-    """What holds for the contact of two bodies instead of what the USD layer says, which has no contact modes."""
+    """Constants of the contact of two bodies that replace those of the USD layer."""
 
     bodies: tuple[str, str]
     friction: NonNegative | None = None
@@ -50,37 +53,32 @@ class FileMarkersSpec(MarkersSpec):
     """Markers on deformable bodies: listed here, or the points of a prim of the layer.
 
     Attributes:
-        prim: Path of a Points or Mesh prim, in the place of `positions_m`.
+        prim: Path of a Points or Mesh prim, in place of `positions_m`.
     """
 
-    positions_m: tuple[Vector3, ...] = ()
+    positions_m: tuple[Vector, ...] = ()
     prim: str | None = None
 
     @model_validator(mode="after")
     def _indices(self) -> FileMarkersSpec:
         if bool(self.positions_m) == (self.prim is not None):
             raise ValueError("one of prim and positions_m is expected")
-        # Indices are checked where the layer is read, since only then it is known how many points a prim has.
+        # The number of points of a prim is known when the layer is read. Indices are checked there.
         return self
 
 
-class BandSpec(Table):
-    """Table of mean and scatter, and what is to be said of it; keys as in scoring/README.md."""
+class FileBandSpec(BandSpec):
+    """Statements about the band (scoring/README.md).
+
+    Attributes:
+        file: Table of the band, relative to the experiment file.
+    """
 
     file: str
-    grade: Literal["trials", "recording", "law"]
-    sigma_source: Literal["trials", "baseline", "measurement"]
-    coordinates: tuple[str, ...] = Field(min_length=1)
-    projection: tuple[tuple[float, ...], ...] | None = None
-    indices: tuple[int, ...] | None = None
-    width: Annotated[int, Field(ge=1)] | None = None
-    sigma: Positive | None = None
-    trial_count: Annotated[int, Field(ge=1)] | None = None
-    source: str
 
 
 class BaselineSpec(Table):
-    """Score of real trials against their own mean, in the unit of the metric: scores are divided by it."""
+    """Score of real trials against their own mean, in the unit of the metric; scores are divided by the mean."""
 
     mean: Positive
     std: NonNegative | None = None
@@ -90,21 +88,21 @@ class ExperimentFile(Table):
     """One experiment file.
 
     Attributes:
-        name: Short name; results are filed under `Asset-<name>`.
-        title: What it is called.
-        summary: What happens, one sentence.
+        name: Short name; the id of results is `GAUGE/Asset-<name>`.
+        title: Title for reports.
+        summary: One sentence about the motion.
         evaluates: Physical effects that it tests.
-        usd: The USD layer, relative to the file.
-        frames: Length at 30 Hz, the first frame included.
-        friction: Which of USD's two coefficients counts where they differ; None makes that an error.
-        score: As in a task file: observable, metrics, period_axis.
-        recorded: Bodies whose positions are observed, by prim path or name; empty where markers are.
-        markers: Markers on deformable bodies, where the layer has none of its own, or others are to be read.
-        contacts: What holds for single pairs.
+        usd: USD layer, relative to the file.
+        frames: Number of 30 Hz frames, the first included.
+        friction: The coefficient of USD that counts if its two differ; None makes a difference an error.
+        score: Observable, metrics and period_axis, as in a task file.
+        recorded: Bodies whose positions are observed, by prim path or name; empty if markers are observed.
+        markers: Markers on deformable bodies that replace those of the layer.
+        contacts: Constants of single pairs.
         drivers: Motion of kinematic bodies that the layer does not animate.
-        band: What it is scored against; None gives no score.
+        band: Mean and scatter to score against; without a band there is no distance to reality.
         baseline: Scores of real trials, by metric.
-        provenance: Where numbers are from, by what they are of.
+        provenance: Origin of the numbers, by topic.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
@@ -119,8 +117,8 @@ class ExperimentFile(Table):
     markers: FileMarkersSpec | None = None
     contacts: tuple[PairSpec, ...] = ()
     drivers: tuple[DriverSpec, ...] = ()
-    band: BandSpec | None = None
-    baseline: dict[Literal["rmse", "dtw", "lsd", "mte", "pd"], BaselineSpec] = Field(default_factory=dict)
+    band: FileBandSpec | None = None
+    baseline: dict[BaselineMetric, BaselineSpec] = Field(default_factory=dict)
     provenance: dict[str, str] = Field(min_length=1)
 
 
@@ -129,7 +127,7 @@ class FileExperiment(Experiment):
     """The experiment of an experiment file.
 
     Attributes:
-        definition: The file.
+        definition: Content of the file.
     """
 
     definition: ExperimentFile
@@ -139,9 +137,9 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     """Read an experiment file, and the USD layer and the band that it names.
 
     Raises:
-        TaskFileError: The file does not parse, has an unknown key or a value out of range; names file, key and reason.
+        TaskFileError: The file is not TOML, or has an unknown key or a value out of range.
         AssetError: The USD layer cannot be read, or lacks a prim that the file names.
-        ReferenceFileError: The band is wrong.
+        ReferenceFileError: The band is damaged.
     """
     path = Path(path)
     content = read_bytes(path)
@@ -157,7 +155,7 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     band = None
     if definition.band is not None:
         table = path.parent / definition.band.file
-        band = read_band(table, _band_facts(definition), path)
+        band = read_band(table, _band_sidecar(definition, definition.band), path)
         contents.append(read_bytes(table))
     experiment = _file_experiment(
         definition.model_copy(update={"recorded": recorded}),
@@ -181,7 +179,7 @@ def _file_experiment(
             variant=name,
             metric=metric,
             frames=definition.frames,
-            unit={"mte": "1", "lsd": "s", "pd": "s"}.get(metric, unit),
+            unit=METRICS[metric].unit_of(unit),
             mean=stated.mean,
             std=stated.std,
             engines=dict.fromkeys(ENGINES),
@@ -209,7 +207,7 @@ def _file_experiment(
 
 
 def experiment_record(experiment: FileExperiment) -> dict[str, Any]:
-    """What a result keeps of an experiment file beside the scene, JSON-ready: the file, and its band."""
+    """Return the content and the band of an experiment file for a result, JSON-ready."""
     band = experiment.reference.band if experiment.reference is not None else None
     return {
         "definition": experiment.definition.model_dump(mode="json"),
@@ -220,7 +218,7 @@ def experiment_record(experiment: FileExperiment) -> dict[str, Any]:
 def recorded_experiment_file(
     record: Mapping[str, Any], scene: Scene, *, asset: Asset, file_sha256: str
 ) -> FileExperiment:
-    """Inverse of `experiment_record`.
+    """Build an experiment from `experiment_record` and its scene.
 
     Raises:
         ValueError: The record is damaged.
@@ -234,7 +232,7 @@ def recorded_experiment_file(
 
 
 def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, tuple[str, ...], tuple[Path, ...]]:
-    """The scene of the layer with what the file adds to it, the names of the recorded bodies, and the layer's files."""
+    """Return the layer's scene with the additions of the file, the recorded bodies, and the layer's files."""
     from gauge_envs.scene.usd.reader import read_usd
 
     duration_s = (definition.frames - 1) / FRAME_RATE_HZ
@@ -262,10 +260,10 @@ class _Names:
         self._names = {name: name for name in paths} | {prim: name for name, prim in paths.items()}
 
     def body(self, key: str, stated: str) -> str:
-        """Name of the body.
+        """Return the name of a body.
 
         Raises:
-            AssetError: There is none.
+            AssetError: There is no such body.
         """
         if stated not in self._names:
             prims = ", ".join(name for name in self._names if name.startswith("/")) or "none"
@@ -291,7 +289,7 @@ def _markers(path: Path, layer: Path, names: _Names, spec: FileMarkersSpec) -> M
 
 
 def _with_pair(path: Path, key: str, scene: Scene, names: _Names, pair: PairSpec) -> Scene:
-    """The scene with what holds for one pair of bodies; its contact is split where it is one of several pairs."""
+    """Return the scene with the constants of one pair; a contact of several pairs is split."""
     wanted = frozenset(names.body(f"{key}.bodies", name) for name in pair.bodies)
     changes = pair.model_dump(exclude={"bodies"}, exclude_none=True)
     contacts: list[Contact] = []
@@ -329,16 +327,11 @@ def _drivers(path: Path, names: _Names, scene: Scene, specs: Sequence[DriverSpec
 # --- band ------------------------------------------------------------------------------------------------------------
 
 
-def _band_facts(definition: ExperimentFile) -> dict[str, Any]:
-    """What `read_band` needs of the table, as a sidecar would state it."""
-    assert definition.band is not None
-    stated = definition.band.model_dump(mode="json", exclude={"file"}, exclude_none=True)
-    unit, frames = definition.score.observable.unit, definition.frames
-    given = {"unit": unit, "frames": frames}
-    if definition.band.projection is None and definition.band.indices is None:
-        count = len(definition.band.coordinates)
-        return stated | given | {"indices": list(range(count)), "width": count}
-    return stated | given
+def _band_sidecar(definition: ExperimentFile, band: FileBandSpec) -> BandSidecar:
+    """Return the statements about the band in the form of a sidecar."""
+    return BandSidecar(
+        **band.model_dump(exclude={"file"}), unit=definition.score.observable.unit, frames=definition.frames
+    )
 
 
 def _check_band(path: Path, experiment: FileExperiment) -> None:

@@ -1,6 +1,6 @@
-"""The variants of the package by name: a family, a subtask where the family has several, and a material.
+"""List the variants of the package: family, subtask and material.
 
-Reads names alone and imports no table model, so that importing the package stays quick.
+This module reads names alone and imports no pydantic model, so that importing the package is quick.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["Variant", "find_variant", "task_files", "task_path", "variants"]
 
 @dataclass(frozen=True, order=True)
 class Variant:
-    """Family, subtask (None where the family has one experiment) and material."""
+    """Family, subtask and material; the subtask is None for a family with one experiment."""
 
     family: str
     subtask: str | None
@@ -27,23 +27,23 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """`SlopeSlider-2-wood`."""
+        """Name, as `SlopeSlider-2-wood`."""
         return "-".join(part for part in (self.family, self.subtask, self.material) if part)
 
     @property
     def id(self) -> str:
-        """Gymnasium id, `GAUGE/SlopeSlider-2-wood`."""
+        """Gymnasium id, as `GAUGE/SlopeSlider-2-wood`."""
         return f"GAUGE/{self.name}"
 
 
 def task_files() -> tuple[Path, ...]:
-    """All task files, sorted by name."""
+    """Return all task files, sorted by name."""
     return tuple(sorted(data_folder("tasks").glob("*.toml")))
 
 
 @cache
 def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
-    """Path and raw content of every task file, by family; read once, validated only when a family is used."""
+    """Return path and raw content of every task file, by family, without validation."""
     headers = {}
     for path in task_files():
         try:
@@ -55,7 +55,7 @@ def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
 
 
 def task_path(family: str) -> Path:
-    """Path of a family's task file.
+    """Return the path of a family's task file.
 
     Raises:
         UnknownNameError: No such family.
@@ -68,10 +68,7 @@ def task_path(family: str) -> Path:
 
 @cache
 def variants() -> tuple[Variant, ...]:
-    """All variants, in the order of the task files.
-
-    Reads only names, so that importing the package stays light; a file is validated when one of its variants is used.
-    """
+    """Return all variants, in the order of the task files; a file is validated when one of its variants is loaded."""
     return tuple(
         Variant(family, subtask, material)
         for family, (_, raw) in _headers().items()
@@ -81,10 +78,10 @@ def variants() -> tuple[Variant, ...]:
 
 
 def find_variant(name: str) -> Variant:
-    """Variant by its name or Gymnasium id.
+    """Return the variant of a name or Gymnasium id.
 
     Raises:
-        UnknownNameError: There is none; the message offers the nearest.
+        UnknownNameError: There is no such variant.
     """
     by_name = {variant.name: variant for variant in variants()}
     try:

@@ -1,1 +1,1 @@
-"""The generalized trajectory g(t): its kinds, its formulas, and how it is read from a simulation."""
+"""The generalized trajectory g(t): kinds, formulas, and observers of a simulation."""

@@ -1,7 +1,7 @@
-"""Generalized trajectories g(t) from poses and markers: positions, angle-deficit curvature, face areas.
+"""Compute generalized trajectories g(t) from positions and markers: positions, curvature, face areas.
 
-All functions are pure and vectorized over frames. Positions come in metres, a missing marker is NaN; what goes out is
-in the units of the published scores: mm, rad and mm^2.
+All functions are pure and vectorized over frames. Input is in metres, with NaN for a missing marker. Output is in the
+units of the published scores: mm, rad and mm^2.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 
 
 def positions_mm(positions_m: ArrayLike) -> FloatArray:
-    """Positions of rigid bodies, or of single markers, as one row of coordinates a frame (paper, g(t) = P).
+    """Return positions of rigid bodies or markers as one row of coordinates per frame (paper, g(t) = P).
 
     Args:
         positions_m: Positions, shape [frame_count, body_count, 3], m.
@@ -45,17 +45,17 @@ def positions_mm(positions_m: ArrayLike) -> FloatArray:
 def angle_deficit_curvature(
     markers_m: ArrayLike, faces: ArrayLike, *, corner: Collection[int], edge: Collection[int]
 ) -> FloatArray:
-    """Discrete Gaussian curvature at each marker of a textile (paper, appendix on physics-engine metrics, K).
+    """Return the discrete Gaussian curvature at each marker of a textile (paper, appendix on metrics, K).
 
-    k_i is the full angle of a flat sheet at the marker (2 pi inside, pi on an edge, pi/2 in a corner) less the sum of
-    the interior angles that its faces have there. Angles of faces with a missing or a coincident vertex are left out
-    of the sum, as in the paper, although that raises k_i by the angle that is missing.
+    k_i is the full angle of a flat sheet at the marker minus the sum of the angles of its faces there. The full angle
+    is 2 pi inside, pi on an edge and pi/2 in a corner. As in the paper, the sum leaves out faces with a missing or a
+    coincident vertex, which raises k_i by their angles.
 
     Args:
         markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
         faces: Marker indices of the triangles, shape [face_count, 3].
         corner: Indices of the markers in a corner of the sheet.
-        edge: Indices of the markers on a straight edge; all others lie inside.
+        edge: Indices of the markers on a straight edge; all others are inside.
 
     Returns:
         Curvature, shape [frame_count, marker_count], rad; NaN where the marker itself is missing.
@@ -78,9 +78,9 @@ def angle_deficit_curvature(
     vertices = markers_m[:, faces]  # [frame, face, vertex, xyz]
     to_next = np.roll(vertices, -1, axis=2) - vertices
     to_previous = np.roll(vertices, 1, axis=2) - vertices
-    angles = _angle_between(to_next, to_previous)  # 0 with coincident vertices, so these drop out by themselves
+    angles = _angle_between(to_next, to_previous)  # 0 for coincident vertices, which leaves them out of the sum
     angles = np.where(np.isnan(angles), 0.0, angles)
-    # A matrix product with the incidence of corners and markers adds the angles up, for all frames at once.
+    # One matrix product with the incidence of corners and markers sums the angles of all frames.
     incidence = np.zeros((faces.size, marker_count))
     incidence[np.arange(faces.size), faces.ravel()] = 1.0
     curvature = full_angle - angles.reshape(len(angles), -1) @ incidence
@@ -88,18 +88,18 @@ def angle_deficit_curvature(
 
 
 def line_turning_angle(markers_m: ArrayLike, lines: ArrayLike) -> FloatArray:
-    """Turning angle at the inner markers of polylines: the curvature of a textile that is marked along lines only.
+    """Return the turning angle at the inner markers of polylines, for a textile with lines of markers and no faces.
 
-    Textile bending publishes `lines`, pairs of consecutive markers along two rows, and no faces. The angle between
-    the segments that meet at a marker is 0 where the row is straight. Markers at the end of a row have none.
+    Textile bending publishes `lines`, pairs of consecutive markers along two rows. The turning angle is the angle
+    between the two segments that meet at a marker; it is 0 for a straight row. Markers at the end of a row have none.
 
     Args:
         markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
         lines: Marker indices of consecutive segments, from and to, shape [line_count, 2].
 
     Returns:
-        Angles in [0, pi] at the markers where one segment ends and another starts, in order of the marker's index,
-        shape [frame_count, inner_count], rad; NaN where a neighbour is missing or coincides.
+        Angles in [0, pi] at the markers where one segment ends and another starts, in order of the marker indices,
+        shape [frame_count, inner_count], rad; NaN where a neighbour is missing or coincident.
 
     Raises:
         ShapeError: Markers or lines have another shape, an index names no marker, a marker starts or ends more than
@@ -121,7 +121,7 @@ def line_turning_angle(markers_m: ArrayLike, lines: ArrayLike) -> FloatArray:
 
 
 def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
-    """Areas of the triangles between neighbouring markers of a deformable body (paper, g(t) = A).
+    """Return the areas of the triangles between neighbouring markers of a deformable body (paper, g(t) = A).
 
     Args:
         markers_m: Marker positions, shape [frame_count, marker_count, 3], m; NaN where missing.
@@ -140,26 +140,28 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
 
 
 def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01) -> NDArray[np.intp]:
-    """Node of a simulated mesh that stands for each real marker: unique nodes, least summed distance (Hungarian).
+    """Return the node of a simulated mesh that is the proxy of each marker.
+
+    Each node is used once, and the summed distance is the least (Hungarian algorithm).
 
     Args:
         markers_m: Initial marker positions, shape [marker_count, 3], m.
         nodes_m: Initial node positions of the mesh, shape [node_count, 3], m.
-        max_distance_m: Largest distance at which a node can stand for a marker, m.
+        max_distance_m: Largest distance between a marker and its node, m.
 
     Returns:
         Node index of each marker, shape [marker_count].
 
     Raises:
-        ShapeError: Other shapes, positions that are not finite, fewer nodes than markers, or a marker whose node is
-            further away than allowed.
+        ShapeError: The arrays have other shapes or values that are not finite, there are fewer nodes than markers, or a
+            marker is too far from its node.
     """
     markers_m, nodes_m = _points("markers_m", markers_m, dimension=2), _points("nodes_m", nodes_m, dimension=2)
     for name, points in (("markers_m", markers_m), ("nodes_m", nodes_m)):
         if not np.isfinite(points).all():
             raise ShapeError(f"{name}: point {np.argwhere(~np.isfinite(points))[0, 0]} is not finite")
     if len(nodes_m) < len(markers_m):
-        raise ShapeError(f"{len(nodes_m)} nodes cannot stand for {len(markers_m)} markers; refine the mesh")
+        raise ShapeError(f"{len(nodes_m)} nodes are too few for {len(markers_m)} markers; refine the mesh")
     distances = cdist(markers_m, nodes_m)
     _, nodes = linear_sum_assignment(distances)
     assigned = distances[np.arange(len(nodes)), nodes]
@@ -183,7 +185,7 @@ def _points(name: str, values: ArrayLike, *, dimension: int) -> FloatArray:
 def _indices(
     name: str, values: ArrayLike | Sequence[int], *, marker_count: int, width: int | None = None
 ) -> NDArray[np.intp]:
-    """Marker indices as a checked array: shape [count, width], or [count] without a width."""
+    """Return marker indices as a checked array, shape [count, width], or [count] without a width."""
     indices = np.asarray(values)
     if indices.size == 0 and width is None:
         return np.zeros(0, dtype=np.intp)
@@ -198,5 +200,5 @@ def _indices(
 
 
 def _angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Angle in [0, pi] between vectors of the last axis; atan2 is precise near 0 and pi, arccos is not."""
+    """Return the angle in [0, pi] between vectors of the last axis; atan2 is precise near 0 and pi, arccos is not."""
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))

@@ -14,7 +14,7 @@ __all__ = [
 
 
 class Observable(StrEnum):
-    """The generalized trajectory g(t) that is scored."""
+    """Kind of generalized trajectory g(t)."""
 
     POSITION = "position"
     """Positions of the recorded bodies [mm]."""
@@ -36,12 +36,12 @@ class Observable(StrEnum):
 
 
 def coordinate_names(observable: Observable, *, recorded: Sequence[str], markers: Markers | None) -> tuple[str, ...]:
-    """Names of the coordinates of g(t): `cube.x`, `marker-3.x`, `marker-3` (curvature) or `face-3` (area).
+    """Return the names of the coordinates of g(t): `cube.x`, `marker-3.x`, `marker-3` (curvature) or `face-3` (area).
 
     Args:
         observable: Kind of generalized trajectory.
         recorded: Bodies whose positions are observed.
-        markers: Markers of the scene; None where it has none.
+        markers: Markers of the scene, or None.
     """
     if observable is Observable.POSITION:
         return tuple(f"{body}.{axis}" for body in recorded for axis in "xyz")

@@ -1,7 +1,7 @@
-"""Reads the generalized trajectory g(t) from a running simulation: body positions, or what the markers do.
+"""Observe the generalized trajectory g(t) of a running simulation, from body positions or markers.
 
-Simulated nodes are not where the markers are glued. The paper takes the nearest node as a marker's proxy; tracking the
-marker's own material point, by its barycentric coordinates between nodes, is the more faithful alternative.
+Nodes of a simulated body do not coincide with its markers. The paper uses the nearest node as marker proxy. The
+material point of the marker, interpolated between nodes, is the more faithful alternative.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ __all__ = [
 ]
 
 MARKER_REACH_M = 0.01
-"""A marker further than this from its proxy is refused (paper, simulation and track: below 1 cm)."""
+"""Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
 
 
 class MarkerProxy(StrEnum):
-    """What stands for a marker in a simulation."""
+    """Marker proxy: the tracked point of the simulation that is compared with a marker."""
 
     NODE = "node"
-    """The nearest node, each taken once (Hungarian assignment): what the paper does."""
+    """The nearest node, each used once (Hungarian algorithm), as in the paper."""
     MATERIAL = "material"
-    """The marker's own material point, interpolated between the nodes of the element that holds it."""
+    """The material point of the marker, interpolated between the nodes of its element."""
 
 
 def checked_proxy(name: str) -> MarkerProxy:
-    """The proxy of that name.
+    """Return the marker proxy of a name.
 
     Raises:
-        ParameterError: There is none.
+        ParameterError: There is no such proxy.
     """
     if name not in list(MarkerProxy):
         known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
@@ -54,25 +54,25 @@ def checked_proxy(name: str) -> MarkerProxy:
 
 
 class Observer(Protocol):
-    """Reads one kind of observable.
+    """Observer of one kind of generalized trajectory.
 
     Attributes:
         width: Number of coordinates of g(t).
-        markers_m: Marker positions at the last observation [m], shape [marker_count, 3]; none where bodies are read.
+        markers_m: Marker positions at the last observation [m], shape [marker_count, 3]; empty for rigid bodies.
     """
 
     width: int
     markers_m: NDArray[np.float64]
 
     def now(self, world: World) -> NDArray[np.float64]:
-        """g(t) now, shape [width]."""
+        """Return g(t) now, shape [width]."""
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
-        """Advance `count` intervals and observe after each, shape [count, width]."""
+        """Advance `count` intervals and return g(t) after each, shape [count, width]."""
 
 
 class ObserverPositions:
-    """Positions of rigid bodies [mm].
+    """Observer of the positions of rigid bodies [mm].
 
     Args:
         names: Names of the bodies.
@@ -84,30 +84,30 @@ class ObserverPositions:
         self.markers_m = np.zeros((0, 3))
 
     def now(self, world: World) -> NDArray[np.float64]:
-        """Positions now, shape [width]."""
+        """Return the positions now, shape [width]."""
         return 1e3 * world.body_states(self._names)[:, :3].ravel()
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
-        """Advance and observe, shape [count, width]."""
+        """Advance `count` intervals and return g(t) after each, shape [count, width]."""
         positions = simulation.sample_positions(self._names, count, interval_s)
         return 1e3 * positions.reshape(count, self.width)
 
 
 class ObserverMarkers:
-    """What markers on deformable bodies do: their positions, curvature or triangle areas.
+    """Observer of markers on deformable bodies: their positions, curvature or triangle areas.
 
     Args:
-        scene: The scene; its markers say where the markers are at rest.
-        observable: What to make of their positions.
-        world: The world at the start, for its nodes.
-        proxy: What stands for a marker.
+        scene: Scene with the positions of the markers at rest.
+        observable: Kind of generalized trajectory.
+        world: World at the start, which gives the nodes.
+        proxy: Marker proxy.
 
     Attributes:
         markers_m: Marker positions at the last observation [m], shape [marker_count, 3].
         largest_distance_m: Distance of the worst marker from its proxy at rest.
 
     Raises:
-        ShapeError: A marker lies more than 1 cm from every free node, or outside the material.
+        ShapeError: A marker is more than 1 cm from every free node, or outside the material.
     """
 
     def __init__(self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy) -> None:
@@ -130,12 +130,12 @@ class ObserverMarkers:
         self.width = len(self._observed(self.markers_m[None])[0])
 
     def now(self, world: World) -> NDArray[np.float64]:
-        """g(t) now, shape [width]."""
+        """Return g(t) now, shape [width]."""
         self.markers_m = self._marker_positions(world)
         return self._observed(self.markers_m[None])[0]
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
-        """Advance and observe, shape [count, width]."""
+        """Advance `count` intervals and return g(t) after each, shape [count, width]."""
         markers = np.empty((count, *self.markers_m.shape))
         for row in markers:
             simulation.advance(interval_s)
@@ -150,14 +150,14 @@ class ObserverMarkers:
         return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
 
     def _observed(self, markers_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """g(t) of marker positions, shape [sample_count, width]."""
+        """Return g(t) of marker positions, shape [sample_count, width]."""
         return observe_markers(markers_m, self._markers, self._observable)
 
 
 def _tracker(
     world: World, names: Sequence[str], targets_m: NDArray[np.float64]
 ) -> Callable[[], NDArray[np.float64]] | None:
-    """The engine's own reader of the markers, if one of the bodies answers for all of them."""
+    """Return the engine's tracker of all markers, or None if the engine has none."""
     refusal = None
     for name in names:
         try:
@@ -168,15 +168,15 @@ def _tracker(
 
 
 def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable: Observable) -> NDArray[np.float64]:
-    """g(t) of marker positions.
+    """Return g(t) of marker positions.
 
     Args:
-        markers_m: Marker positions [m], shape [sample_count, marker_count, 3]; NaN where a marker was not seen.
+        markers_m: Marker positions [m], shape [sample_count, marker_count, 3]; NaN for a missing marker.
         markers: Faces, lines, corners and edges of the marker set.
-        observable: What to compute.
+        observable: Kind of generalized trajectory.
 
     Returns:
-        In the observable's unit, shape [sample_count, coordinate_count]; NaN where it cannot be known.
+        g(t) in the observable's unit, shape [sample_count, coordinate_count]; NaN where a marker is missing.
 
     Raises:
         ShapeError: Positions and marker set disagree.
@@ -193,7 +193,7 @@ def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable
 def _material_points(
     targets_m: NDArray[np.float64], rest: dict[str, NDArray[np.float64]], deformables: dict[str, Deformable]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Nodes and barycentric weights of each marker, shape [marker_count, 4]; cloth uses three of the four."""
+    """Return nodes and barycentric weights of each marker, shape [marker_count, 4]; cloth uses three of the four."""
     indices = np.zeros((len(targets_m), 4), dtype=np.intp)
     weights = np.zeros((len(targets_m), 4))
     best = np.full(len(targets_m), np.inf)
@@ -215,7 +215,7 @@ def _material_points(
     if best.max() > MARKER_REACH_M:
         worst = int(best.argmax())
         raise ShapeError(
-            f"marker {worst} lies {1e3 * best[worst]:.1f} mm from the material, more than {1e3 * MARKER_REACH_M:.0f} mm"
+            f"marker {worst} is {1e3 * best[worst]:.1f} mm from the material, more than {1e3 * MARKER_REACH_M:.0f} mm"
         )
     return indices, weights
 
@@ -229,7 +229,7 @@ def _sheet_coordinates(
 def _barycentric(
     name: str, points: NDArray[np.float64], queries: NDArray[np.float64]
 ) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
-    """Simplex and weights of each query; one just outside is taken to the surface of the nearest simplex."""
+    """Return simplex and weights of each query; a query outside is moved to the surface of the nearest simplex."""
     try:
         mesh = Delaunay(points)
     except QhullError as error:

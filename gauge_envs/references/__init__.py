@@ -1,1 +1,1 @@
-"""What simulations are held against: bands over real trials, published baselines, laws, imported trials."""
+"""References for scores: bands of real trials, published baselines, laws, imported trials."""

@@ -1,49 +1,47 @@
-"""What a variant is scored against: published baselines, bands of real trials, and laws that stand in for them.
+"""Bands: mean and scatter of reality per frame, which trajectories are scored against.
 
-All of it is data in `scoring/`; its README defines every quantity and says where each number is from. A variant is
-named `<Family>[-<subtask>]-<material>`, as in `SlopeSlider-2-wood`. Whether such a variant exists is the task files'
-business: a name that nothing was published for simply has no baselines, no band and no law.
+The bundled bands are data in `scoring/bands`. `scoring/README.md` defines every quantity and names its sources. A
+variant is named `<Family>[-<subtask>]-<material>`, as in `SlopeSlider-2-wood`; an unknown name has no band.
 """
 
 from __future__ import annotations
 
-import csv
-import math
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.files import data_folder
+from gauge_envs.references.tables import Table, csv_header, read_rows, read_toml, scoring_folder
+from gauge_envs.scene.geometry import NonNegative, Positive
 
 __all__ = [
     "Band",
     "BandGrade",
+    "BandSidecar",
+    "BandSpec",
     "SigmaSource",
     "bundled_band",
+    "bundled_sidecar",
     "read_band",
 ]
 
-Value = TypeVar("Value")
-
-
-_BAND_COLUMNS = ("time_s", "measured", "measured_trials")
+FloatArray = NDArray[np.float64]
 
 
 class BandGrade(StrEnum):
-    """How good the real reference of a variant is, best first."""
+    """Quality of the real reference of a variant, best first."""
 
     TRIALS = "trials"
     """Mean and sigma per frame over real trials."""
     RECORDING = "recording"
-    """Mean from the published recording of one trial, sigma from the published baseline where there is one."""
+    """Mean from the published recording of one trial, sigma from the published baseline or the measurement."""
     LAW = "law"
     """Mean from a closed form that holds under a stated condition, sigma from the published baseline."""
     NONE = "none"
@@ -51,39 +49,39 @@ class BandGrade(StrEnum):
 
 
 class SigmaSource(StrEnum):
-    """What the sigma of a band is."""
+    """Origin of the sigma of a band."""
 
     TRIALS = "trials"
     """Standard deviation over real trials, per frame."""
     BASELINE = "baseline"
-    """From the published baseline, which gives its time average alone: constant, the same for each coordinate."""
+    """Published baseline, which gives a time average alone: sigma is constant and the same for each coordinate."""
     MEASUREMENT = "measurement"
-    """Uncertainty of the measurement, where no scatter of real trials is published: it is not scatter of reality."""
+    """Uncertainty of the measurement, as no scatter of real trials is published."""
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Mean and scatter of reality per frame, in coordinates that a linear map takes from a generalized trajectory.
+    """Mean and scatter of reality per frame, in coordinates that are a linear map of the generalized trajectory.
 
     All arrays are read-only copies.
 
     Attributes:
-        grade: Where mean and sigma are from.
+        grade: Origin of the mean.
         unit: Unit of mean, sigma and of the trajectories that `project` takes.
         coordinates: Names of the C band coordinates.
-        projection: Linear map from g(t) of width D to the band coordinates, shape [C, D]. It is needed where only some
-            directions were measured.
-        mean: Mean of the real trajectories at frames 0, 1, ..., shape [T, C]; NaN where it is unknown.
+        projection: Linear map from g(t) of width D to the band coordinates, shape [C, D]. It picks the directions that
+            were measured.
+        mean: Mean of the real trajectories at frames 0, 1, ..., shape [T, C]; NaN is unknown.
         sigma: Standard deviation over real trials, shape [T, C].
-        measured: Frames where mean and sigma rest on what the grade names, shape [T]: samples of at least half of the
-            trials (trials), a picture (recording), the law, which states every frame (law). The others are
-            extrapolated: the published baselines cover them, |z| and coverage should not.
-        trial_count: Number of real trials; None where it is not known.
+        measured: Whether a frame was measured, shape [T]. Grade `trials` needs samples of at least half of the trials,
+            grade `recording` a picture; a law states every frame. Frames that were not measured are extrapolated. RMSE
+            and DTW include them, as the published baselines do; |z| and coverage leave them out.
+        trial_count: Number of real trials; None is unknown.
         source: Where the numbers are from, one sentence.
-        sigma_source: What sigma is.
-        uncertainty: 1-sigma uncertainty of the measurement of the mean, shape [T, C]; NaN where the mean is. None where
-            it is not stated. It says how well one trial was measured, sigma how far trials are apart.
-        withheld: Why nothing is scored on the band unless it is asked for; None where it is scored on.
+        sigma_source: Origin of sigma.
+        uncertainty: 1-sigma uncertainty of the measurement of the mean, shape [T, C]; NaN where the mean is unknown,
+            None if it is not stated. It is the error of one measured trial; sigma is the spread between trials.
+        withheld: Why the band is not used by default; None for a band that is.
 
     Raises:
         ShapeError: The arrays do not agree in shape, or a sigma is negative.
@@ -125,7 +123,7 @@ class Band:
             raise ShapeError("sigma: a standard deviation is never negative")
 
     def project(self, g: ArrayLike) -> NDArray[np.float64]:
-        """A generalized trajectory in the band's coordinates.
+        """Map a generalized trajectory to the band's coordinates.
 
         Args:
             g: Generalized trajectory in the band's unit, shape [frame_count, D]; any number of frames.
@@ -134,7 +132,7 @@ class Band:
             Band coordinates in the same unit, shape [frame_count, C].
 
         Raises:
-            ShapeError: `g` is not of width D.
+            ShapeError: The width of `g` is not D.
         """
         trajectory = np.asarray(g, dtype=np.float64)
         if trajectory.ndim != 2 or trajectory.shape[1] != self.projection.shape[1]:
@@ -144,14 +142,14 @@ class Band:
         return trajectory @ self.projection.T
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary; None stands for what is not known."""
+        """Return a JSON-ready dictionary; an unknown number is None."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays = {name: _with_none(value) for name, value in values.items() if isinstance(value, np.ndarray)}
         return values | arrays | {"coordinates": list(self.coordinates)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Band:
-        """Inverse of `to_dict`.
+        """Build a band from `to_dict`.
 
         Raises:
             ShapeError: The arrays do not agree.
@@ -171,7 +169,7 @@ class Band:
 
 
 def _with_none(values: NDArray[Any]) -> list[Any]:
-    """Nested lists with None for NaN, which JSON does not know; numpy reads None as NaN again."""
+    """Return nested lists with None for NaN, which JSON lacks; numpy reads None as NaN."""
     if values.dtype.kind != "f":
         return values.tolist()
     entries = values.astype(object)
@@ -179,181 +177,191 @@ def _with_none(values: NDArray[Any]) -> list[Any]:
     return entries.tolist()
 
 
+class BandSpec(Table):
+    """Statements about the table of a band: a sidecar, or the `band` table of an experiment file.
+
+    Attributes:
+        grade: As in `Band`.
+        sigma_source: As in `Band`.
+        coordinates: Names of the C band coordinates, as in the columns of the table.
+        projection: Linear map from g(t) of width D to the band coordinates, shape [C, D].
+        indices: Indices of the coordinates of g(t), in place of `projection`.
+        width: Width D of g(t), given with `indices`.
+        sigma: Standard deviation of each coordinate at every frame, for a table without columns of it.
+        trial_count: Number of real trials; grade `trials` needs it.
+        source: Where the numbers are from, one sentence.
+    """
+
+    grade: Literal["trials", "recording", "law"]
+    sigma_source: Literal["trials", "baseline", "measurement"]
+    coordinates: Annotated[tuple[str, ...], Field(min_length=1)]
+    projection: tuple[tuple[float, ...], ...] | None = None
+    indices: tuple[int, ...] | None = None
+    width: PositiveInt | None = None
+    sigma: Positive | None = None
+    trial_count: PositiveInt | None = None
+    source: str
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.grade == "trials" and self.trial_count is None:
+            raise ValueError("grade 'trials' needs trial_count")
+        if self.projection is not None and self.indices is not None:
+            raise ValueError("projection and indices exclude each other")
+        if (self.indices is None) != (self.width is None):
+            raise ValueError("indices and width go together")
+        if self.indices is not None and self.width is not None and not set(self.indices) <= set(range(self.width)):
+            raise ValueError(f"indices is {list(self.indices)}, expected whole numbers from 0 to {self.width - 1}")
+        return self
+
+    @property
+    def projection_matrix(self) -> FloatArray:
+        """Linear map from g(t) to the band coordinates, shape [C, D]; identity if the table states none."""
+        if self.projection is not None:
+            return np.array(self.projection, dtype=np.float64)
+        count = len(self.coordinates)
+        return np.eye(self.width or count)[list(self.indices or range(count))]
+
+
+class TrialScores(Table):
+    """Score of real trials among themselves.
+
+    Attributes:
+        mean: Mean over trials, in the unit of the metric.
+        std: Standard deviation over trials, in the unit of the metric.
+    """
+
+    mean: float
+    std: float | None = None
+
+
+class BandSidecar(BandSpec):
+    """The file `<variant>.toml` beside the table `<variant>.csv` of a band.
+
+    Attributes:
+        unit: Unit of the table.
+        frames: Number of frames of the band; later ones than the table's are unknown. None is the table's number.
+        withheld: As in `Band`.
+        rmse: E_RMSE of each trial to the mean.
+        dtw: E_DTW of each trial to the mean.
+        recording: Facts about the recording that the band was measured from.
+    """
+
+    unit: str
+    frames: PositiveInt | None = None
+    withheld: str | None = None
+    rmse: TrialScores | None = None
+    dtw: TrialScores | None = None
+    recording: dict[str, Any] | None = None
+
+
 def bundled_band(variant: str) -> Band | None:
-    """The band of a variant that comes with the package, whatever was imported; None where there is none.
+    """Return the band of a variant that comes with the package; None without one. Imports play no part.
 
     Raises:
         ReferenceFileError: A file of the band is damaged.
     """
-    return _bundled_band(_folder("bands"), variant)
-
-
-def _folder(name: str) -> Path:
-    return data_folder("scoring") / name
+    return _bundled_band(scoring_folder("bands"), variant)
 
 
 @cache
 def _bundled_band(folder: Path, variant: str) -> Band | None:
-    """The band that a table `<variant>.csv` and its sidecar `<variant>.toml` describe."""
-    file, facts_file = folder / f"{variant}.csv", folder / f"{variant}.toml"
-    return read_band(file, _toml(facts_file), facts_file) if file.is_file() else None
+    file, sidecar_file = folder / f"{variant}.csv", folder / f"{variant}.toml"
+    return read_band(file, read_toml(sidecar_file, BandSidecar), sidecar_file) if file.is_file() else None
 
 
-def read_band(file: Path, facts: Mapping[str, Any], facts_file: Path) -> Band:
-    """The band of a table of numbers and what is stated of them (format: scoring/README.md).
-
-    Args:
-        file: The table, a row a frame: `frame`, `mean.*`, and where they are known `time_s`, `measured`,
-            `measured_trials`, `sigma.*`, `uncertainty.*`.
-        facts: `grade`, `sigma_source`, `unit`, `coordinates`, `projection` or `indices` and `width`, `source`, and
-            where they apply `trial_count`, `sigma`, `frames`, `withheld`.
-        facts_file: File that states them, for messages.
+def bundled_sidecar(variant: str) -> BandSidecar | None:
+    """Return what the package states about the band of a variant; None without a band.
 
     Raises:
-        ReferenceFileError: One of the files is missing, or wrong.
+        ReferenceFileError: The file is damaged.
     """
-    if not file.is_file():
-        raise ReferenceFileError(file, None, "the file is missing")
-    coordinates = _field(facts_file, facts, "coordinates", list)
-    columns = _band_columns(file, coordinates)
-    frames = _optional_field(facts_file, facts, "frames", int) or len(columns["measured"])
-    missing = frames - len(columns["measured"])
-    if missing < 0:
-        raise ReferenceFileError(facts_file, None, f"frames is {frames}, but the table has {frames - missing}")
-    padded = {name: np.pad(values, ((0, missing), (0, 0)), constant_values=np.nan) for name, values in columns.items()}
-    grade = BandGrade(_choice(facts_file, facts, "grade", BandGrade))
-    sigma_source = SigmaSource(_choice(facts_file, facts, "sigma_source", SigmaSource))
+    file = scoring_folder("bands") / f"{variant}.toml"
+    return read_toml(file, BandSidecar) if file.is_file() else None
+
+
+def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
+    """Read the table of a band (format: scoring/README.md).
+
+    Args:
+        file: The table, with a row for each frame: `frame`, `mean.*`, and optionally `time_s`, `measured`,
+            `measured_trials`, `sigma.*`, `uncertainty.*`.
+        sidecar: Statements about the table.
+        sidecar_file: File that makes them, for messages.
+
+    Raises:
+        ReferenceFileError: The table is missing, is damaged, or does not fit the sidecar.
+    """
+    columns = _band_columns(file, sidecar.coordinates)
+    row_count = len(columns["measured"])
+    frames = row_count if sidecar.frames is None else sidecar.frames
+    if frames < row_count:
+        raise ReferenceFileError(sidecar_file, None, f"frames is {frames}, but the table has {row_count}")
+    padding = ((0, frames - row_count), (0, 0))
+    padded = {name: np.pad(values, padding, constant_values=np.nan) for name, values in columns.items()}
+    sigma = padded.get("sigma")
+    if sigma is None:
+        sigma = _stated_sigma(sidecar, sidecar_file, padded)
     try:
         return Band(
-            grade=grade,
-            unit=_field(facts_file, facts, "unit", str),
-            coordinates=tuple(coordinates),
-            projection=_projection(facts_file, facts),
+            grade=BandGrade(sidecar.grade),
+            unit=sidecar.unit,
+            coordinates=sidecar.coordinates,
+            projection=sidecar.projection_matrix,
             mean=padded["mean"],
-            sigma=_sigma(facts_file, facts, sigma_source, padded),
+            sigma=sigma,
             measured=padded["measured"][:, 0] == 1,
-            trial_count=_field(facts_file, facts, "trial_count", int) if grade is BandGrade.TRIALS else None,
-            source=_field(facts_file, facts, "source", str),
-            sigma_source=sigma_source,
+            trial_count=sidecar.trial_count if sidecar.grade == "trials" else None,
+            source=sidecar.source,
+            sigma_source=SigmaSource(sidecar.sigma_source),
             uncertainty=padded.get("uncertainty"),
-            withheld=_optional_field(facts_file, facts, "withheld", str),
+            withheld=sidecar.withheld,
         )
-    except ReferenceFileError:
-        raise
     except ValueError as error:
-        raise ReferenceFileError(facts_file, None, str(error)) from None
+        raise ReferenceFileError(sidecar_file, None, str(error)) from None
 
 
-def _choice(file: Path, facts: Mapping[str, Any], key: str, known: type[StrEnum]) -> str:
-    value = _field(file, facts, key, str)
-    if value not in tuple(known):
-        raise ReferenceFileError(file, None, f"{key} {value!r} is none of {', '.join(known)}")
-    return value
-
-
-def _sigma(
-    file: Path, facts: Mapping[str, Any], source: SigmaSource, columns: Mapping[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """Sigma per frame and coordinate: columns of the table, the uncertainty, or one number of the sidecar."""
-    if "sigma" in columns:
-        return columns["sigma"]
-    if source is not SigmaSource.MEASUREMENT:
-        return np.full(columns["mean"].shape, _field(file, facts, "sigma", float))
+def _stated_sigma(sidecar: BandSidecar, file: Path, columns: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the sigma of a table without a column of it: the uncertainty, or one number of the sidecar."""
+    if sidecar.sigma_source != "measurement":
+        if sidecar.sigma is None:
+            raise ReferenceFileError(file, None, "sigma is missing here, and the table has no column of it")
+        return np.full(columns["mean"].shape, sidecar.sigma)
     if "uncertainty" not in columns:
         raise ReferenceFileError(file, None, "sigma_source is 'measurement', but the table has no uncertainty")
     return columns["uncertainty"]
 
 
-def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Columns of a band's table: `measured`, shape [T, 1], and `mean`, `sigma`, `uncertainty`, each of shape [T, C].
+class _BandRow(Table):
+    """One row of the table of a band; values are keyed by coordinate, and None is unknown."""
 
-    A field of `mean` or `uncertainty` may be empty, which is NaN: not known. A quantity without columns is left out,
-    and without a column `measured` a frame is measured where it has a mean.
+    frame: NonNegativeInt
+    time_s: float | None = None
+    measured: Literal["0", "1"] = "1"
+    measured_trials: NonNegativeInt | None = None
+    mean: dict[str, float | None]
+    sigma: dict[str, NonNegative] = Field(default_factory=dict)
+    uncertainty: dict[str, NonNegative | None] = Field(default_factory=dict)
+
+
+def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, FloatArray]:
+    """Return `measured`, shape [T, 1], and `mean`, `sigma`, `uncertainty`, each of shape [T, C].
+
+    A value that is not known is NaN. A quantity without columns is left out. A table without the column `measured` has
+    measured every frame that has a mean.
     """
-    with file.open(encoding="utf-8", newline="") as stream:
-        header = next(csv.reader(stream), [])
+    header = csv_header(file)
     quantities = [q for q in ("mean", "sigma", "uncertainty") if any(name.startswith(f"{q}.") for name in header)]
-    named = {q: [f"{q}.{coordinate}" for coordinate in coordinates] for q in quantities}
-    known = [name for name in _BAND_COLUMNS if name in header]
-    expected = ["frame", *known, *(name for names in named.values() for name in names)]
-    if "mean" not in named:
+    if "mean" not in quantities:
         raise ReferenceFileError(file, 1, f"columns are {','.join(header)}, expected mean.{coordinates[0]} among them")
-    rows: dict[str, list[Any]] = {"measured": [], **{q: [] for q in quantities}}
-    for line, row in _rows(file, expected):
-        if _count(file, line, "frame", row["frame"]) != len(rows["measured"]):
-            raise ReferenceFileError(file, line, f"frame {row['frame']} where {len(rows['measured'])} is next")
-        measured = row.get("measured", "1" if any(row[name] for name in named["mean"]) else "0")
-        if measured not in ("0", "1"):
-            raise ReferenceFileError(file, line, f"measured is {measured!r}, neither 0 nor 1")
-        rows["measured"].append([float(measured)])
-        for quantity, names in named.items():
-            optional = quantity != "sigma"
-            values = [
-                math.nan if optional and not row[name] else _number(file, line, name, row[name]) for name in names
-            ]
-            negative = [name for name, value in zip(names, values, strict=True) if value < 0]
-            if negative and quantity != "mean":
-                raise ReferenceFileError(
-                    file, line, f"{negative[0]} is {row[negative[0]]}, a standard deviation is never negative"
-                )
-            rows[quantity].append(values)
-    return {name: np.array(values) for name, values in rows.items()}
-
-
-def _projection(file: Path, facts: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Linear map from g(t) to the band's coordinates: `projection`, its rows; or `indices` of g(t) and its `width`."""
-    if "indices" not in facts:
-        return np.array(_field(file, facts, "projection", list), dtype=np.float64)
-    width, indices = _field(file, facts, "width", int), _field(file, facts, "indices", list)
-    if any(not isinstance(index, int) or not 0 <= index < width for index in indices):
-        raise ReferenceFileError(file, None, f"indices is {indices!r}, expected whole numbers from 0 to {width - 1}")
-    return np.eye(width)[indices]
-
-
-def _rows(file: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Line number and fields of each row of a CSV file that must have exactly these columns."""
-    with file.open(encoding="utf-8", newline="") as stream:
-        reader = csv.reader(stream)
-        header = next(reader, [])
-        if header != list(columns):
-            raise ReferenceFileError(file, 1, f"columns are {','.join(header)}, expected {','.join(columns)}")
-        for fields in reader:
-            if len(fields) != len(columns):
-                raise ReferenceFileError(file, reader.line_num, f"{len(fields)} fields, expected {len(columns)}")
-            yield reader.line_num, dict(zip(columns, fields, strict=True))
-
-
-def _number(file: Path, line: int, column: str, text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        raise ReferenceFileError(file, line, f"{column} is {text!r}, not a number") from None
-    if not math.isfinite(number):
-        raise ReferenceFileError(file, line, f"{column} is {text!r}, not finite")
-    return number
-
-
-def _count(file: Path, line: int, column: str, text: str) -> int:
-    if not text.isdecimal():
-        raise ReferenceFileError(file, line, f"{column} is {text!r}, not a whole number")
-    return int(text)
-
-
-def _toml(file: Path) -> dict[str, Any]:
-    if not file.is_file():
-        raise ReferenceFileError(file, None, "the file is missing")
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise ReferenceFileError(file, None, str(error)) from None
-
-
-def _optional_field(file: Path, table: Mapping[str, Any], key: str, kind: type[Value]) -> Value | None:
-    return _field(file, table, key, kind) if key in table else None
-
-
-def _field(file: Path, table: Mapping[str, Any], key: str, kind: type[Value]) -> Value:
-    value = table.get(key)
-    if not isinstance(value, kind):
-        raise ReferenceFileError(file, None, f"{key} is {value!r}, expected a {kind.__name__}")
-    return value
+    optional = [name for name in ("time_s", "measured", "measured_trials") if name in header]
+    expected = ["frame", *optional, *(f"{q}.{coordinate}" for q in quantities for coordinate in coordinates)]
+    rows: dict[str, list[list[Any]]] = {"measured": [], **{q: [] for q in quantities}}
+    for line, row in read_rows(file, expected, _BandRow):
+        if row.frame != len(rows["measured"]):
+            raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows['measured'])} is next")
+        has_mean = any(value is not None for value in row.mean.values())
+        rows["measured"].append([row.measured == "1" if "measured" in optional else has_mean])
+        for quantity in quantities:
+            rows[quantity].append(list(getattr(row, quantity).values()))
+    return {name: np.array(values, dtype=np.float64) for name, values in rows.items()}

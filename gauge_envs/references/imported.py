@@ -1,11 +1,11 @@
-"""Imported bands and drivers in the user's data folder.
+"""Store and read imported bands and drivers in the user's data folder.
 
-Each variant has `<variant>.json`, what the numbers are and where they are from, and beside it an NPZ file with the
-numbers, named by its hash. The NPZ is written first and the JSON then put in place of the old one, so that a reader
-finds the old import or the new one, whole, whenever a writer is interrupted.
+Each variant has a file `<variant>.json`, which describes the numbers, and an NPZ file with the numbers, named by its
+hash. The NPZ file is written first, and the JSON file then replaces the old one. An interrupted writer therefore leaves
+the old import or the new one, never a mixture.
 
-The folder is `GAUGE_DATA_DIR` where that is set, else the platform's: `$XDG_DATA_HOME/gauge-envs`, on Linux
-`~/.local/share/gauge-envs`.
+The environment variable `GAUGE_DATA_DIR` names the folder. The default is the platform's folder for user data, on Linux
+`$XDG_DATA_HOME/gauge-envs` or `~/.local/share/gauge-envs`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-import sys
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,10 +25,13 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from platformdirs import user_data_path
+from pydantic import ValidationError
 
-from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError
+from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, first_fault
+from gauge_envs.files import write_whole
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.tables import Table
 from gauge_envs.scene.drivers import Driver, SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -38,6 +39,7 @@ __all__ = [
     "BUNDLED_DATA",
     "DataSource",
     "DriverRecord",
+    "ImportFacts",
     "ImportedVariant",
     "SpreadRecord",
     "VariantRecord",
@@ -53,23 +55,23 @@ FloatArray = NDArray[np.float64]
 
 
 class DataSource(StrEnum):
-    """Where driven motion and bands are from. Only an argument chooses; what was imported changes nothing by itself."""
+    """Source of driven motion or of the band. An argument selects it; an import alone changes nothing."""
 
     BUNDLED = "bundled"
-    """What the package states: the task file's drivers, the bundled bands and laws."""
+    """The package: the task file's drivers, the bundled bands and laws."""
     IMPORTED = "imported"
-    """What `gauge data import` made of real trials."""
+    """The real trials that `gauge data import` read."""
 
     @classmethod
     def of(cls, value: DataSource | str, name: str) -> DataSource:
-        """Data source by its value.
+        """Return the data source of a value.
 
         Args:
             value: `bundled` or `imported`.
-            name: Argument that it was given for, as `drivers`.
+            name: Argument that has the value, as `drivers`.
 
         Raises:
-            ParameterError: It is neither.
+            ParameterError: The value is neither.
         """
         if value not in tuple(cls):
             raise ParameterError(f"{name} {value!r}: choose {' or '.join(repr(source.value) for source in cls)}")
@@ -77,15 +79,11 @@ class DataSource(StrEnum):
 
 
 BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUNDLED.value}
-"""Record of a result that rests on no import."""
+"""Data sources of a result that uses no import."""
 
 
-class _StoredTable(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SpreadRecord(_StoredTable):
-    """Mean and sample standard deviation (n - 1) over trials of one metric, in its unit."""
+class SpreadRecord(Table):
+    """Mean and sample standard deviation (n - 1) of one metric over trials, in the metric's unit."""
 
     unit: str
     mean: float
@@ -93,17 +91,17 @@ class SpreadRecord(_StoredTable):
     trial_count: int
 
 
-class DriverRecord(_StoredTable):
-    """A recorded driver: what the mean over trials leaves out.
+class DriverRecord(Table):
+    """Quality of a recorded driver: how far the trials are from the mean that drives the body.
 
     Attributes:
         body: Name of the driven body.
-        trial_count: Trials that show it.
+        trial_count: Number of trials that show the body.
         residual_mm: Root mean square over trials and frames of the distance that the driver's motions cannot follow.
-        residual_deg: The same of the angle; None where no trial has orientations.
-        start_offset_mm: Mean over trials of the distance from the calibrated start, which the driver keeps.
-        scatter_mm: Largest standard deviation over trials of a translation, 0 for a single trial; None without one.
-        scatter_deg: The same of a rotation. Trials that are not in step have a mean that none of them shows.
+        residual_deg: Root mean square of the angle that they cannot follow; None if no trial has orientations.
+        start_offset_mm: Mean over trials of the distance from the calibrated start, at which the driver starts.
+        scatter_mm: Largest standard deviation of a translation over trials, 0 for one trial; None without translation.
+        scatter_deg: Largest standard deviation of a rotation over trials, 0 for one trial; None without rotation.
     """
 
     body: str
@@ -115,37 +113,21 @@ class DriverRecord(_StoredTable):
     scatter_deg: float | None
 
 
-class VariantRecord(_StoredTable):
-    """What one imported variant is, and where it is from.
+class ImportFacts(Table):
+    """Origin of the imported trials of one variant, and their scores.
 
     Attributes:
-        format: Version of the stored form.
         variant: Name of the variant.
-        arrays: Name of the NPZ file.
-        arrays_sha256: Its hash.
-        unit: Unit of the band.
-        coordinates: Names of its coordinates.
-        frame_count: Its number of frames.
-        trial_count: Trials that it rests on.
-        left_out: Trial files that were left out.
-        revision: Revision of the dataset; None where its folder did not say.
-        files: The trials' paths below the dataset's folder.
+        left_out: Number of trial files that were left out.
+        revision: Revision of the dataset; None for a folder that does not state it.
+        files: Paths of the trials below the dataset's folder.
         files_sha256: Hash over the hashes of these files, in that order.
         task_sha256: Hash of the task file that they were imported for.
         metrics: Score of the trials among themselves, by metric.
         drivers: Recorded drivers.
-        created: When, ISO 8601, UTC.
-        gauge_envs: Version of gauge-envs that imported it.
     """
 
-    format: Literal[1] = 1
     variant: str
-    arrays: str
-    arrays_sha256: str
-    unit: str
-    coordinates: tuple[str, ...]
-    frame_count: int
-    trial_count: int
     left_out: int
     revision: str | None
     files: tuple[str, ...]
@@ -153,12 +135,36 @@ class VariantRecord(_StoredTable):
     task_sha256: str
     metrics: dict[str, SpreadRecord]
     drivers: tuple[DriverRecord, ...]
+
+
+class VariantRecord(ImportFacts):
+    """The file `<variant>.json` of an imported variant.
+
+    Attributes:
+        format: Version of the stored form.
+        arrays: Name of the NPZ file.
+        arrays_sha256: Hash of the NPZ file.
+        unit: Unit of the band.
+        coordinates: Names of the band's coordinates.
+        frame_count: Number of frames of the band.
+        trial_count: Number of trials that the band rests on.
+        created: Time of the import, ISO 8601, UTC.
+        gauge_envs: Version of gauge-envs that imported it.
+    """
+
+    format: Literal[1] = 1
+    arrays: str
+    arrays_sha256: str
+    unit: str
+    coordinates: tuple[str, ...]
+    frame_count: int
+    trial_count: int
     created: str
     gauge_envs: str
 
     @property
     def origin(self) -> str:
-        """Where the trials are from: `dataset revision 9e0acb7, 20 trials, sha256 0123456789ab`."""
+        """Origin of the trials: `imported dataset revision 9e0acb7, 20 trials, sha256 0123456789ab`."""
         revision = "of unknown revision" if self.revision is None else f"revision {self.revision[:12]}"
         return f"imported dataset {revision}, {self.trial_count} trials, sha256 {self.files_sha256[:12]}"
 
@@ -168,10 +174,10 @@ class ImportedVariant:
     """One imported variant.
 
     Attributes:
-        record: What it is.
-        band: Its band, of grade `trials`.
-        driver_values: Mean recorded coordinates of each driven body, relative to its start [m or rad], shape
-            [frame_count, motion_count]; NaN where no trial shows it.
+        record: Description of the import.
+        band: Band of the trials, of grade `trials`.
+        driver_values: Mean recorded coordinates of each driven body relative to its start [m or rad], shape
+            [frame_count, motion_count]; NaN where no trial shows the body.
     """
 
     record: VariantRecord
@@ -183,15 +189,9 @@ class ImportedVariant:
 
 
 def user_data_folder() -> Path:
-    """Folder of imported data; it need not exist."""
+    """Return the folder of imported data, which need not exist."""
     given = os.environ.get("GAUGE_DATA_DIR")
-    if given:
-        return Path(given).expanduser()
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "gauge-envs"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Application Support" / "gauge-envs"
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "gauge-envs"
+    return Path(given).expanduser() if given else user_data_path("gauge-envs", appauthor=False)
 
 
 def _trials_folder() -> Path:
@@ -201,30 +201,13 @@ def _trials_folder() -> Path:
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
-def write_imported(
-    band: Band,
-    drivers: Mapping[str, FloatArray],
-    *,
-    variant: str,
-    left_out: int,
-    revision: str | None,
-    files: Mapping[str, str],
-    task_sha256: str,
-    metrics: Mapping[str, SpreadRecord],
-    driver_records: tuple[DriverRecord, ...],
-) -> VariantRecord:
+def write_imported(band: Band, drivers: Mapping[str, FloatArray], facts: ImportFacts) -> VariantRecord:
     """Store an imported variant in place of an earlier import of it.
 
     Args:
-        band: Its band, in the coordinates of g(t).
-        drivers: As `ImportedVariant.driver_values`.
-        variant: Name of the variant.
-        left_out: As in `VariantRecord`.
-        revision: As in `VariantRecord`.
-        files: Hash of each trial file, by its path below the dataset's folder.
-        task_sha256: As in `VariantRecord`.
-        metrics: As in `VariantRecord`.
-        driver_records: As in `VariantRecord`.
+        band: Band of the trials, in the coordinates of g(t).
+        drivers: Recorded coordinates of the driven bodies, as `ImportedVariant.driver_values`.
+        facts: Origin and scores of the trials.
 
     Raises:
         DatasetError: The user's data folder cannot be written.
@@ -236,63 +219,43 @@ def write_imported(
     content = stream.getvalue()
     digest = hashlib.sha256(content).hexdigest()
     record = VariantRecord(
-        variant=variant,
-        arrays=f"{variant}.{digest[:16]}.npz",
+        **dict(facts),
+        arrays=f"{facts.variant}.{digest[:16]}.npz",
         arrays_sha256=digest,
         unit=band.unit,
         coordinates=band.coordinates,
         frame_count=len(band.mean),
         trial_count=band.trial_count or 0,
-        left_out=left_out,
-        revision=revision,
-        files=tuple(files),
-        files_sha256=hashlib.sha256("\n".join(files.values()).encode()).hexdigest(),
-        task_sha256=task_sha256,
-        metrics=dict(metrics),
-        drivers=driver_records,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         gauge_envs=version("gauge-envs"),
     )
     folder = _trials_folder()
-    _write(folder / record.arrays, content)
-    _write(folder / f"{variant}.json", record.model_dump_json(indent=1).encode() + b"\n")
-    for stale in folder.glob(f"{variant}.*.npz"):
+    text = record.model_dump_json(indent=1) + "\n"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / record.arrays, content)
+        write_whole(folder / f"{facts.variant}.json", text.encode())
+    except OSError as error:
+        raise DatasetError(f"{folder}: {facts.variant} cannot be written: {error.strerror or error}") from error
+    for stale in folder.glob(f"{facts.variant}.*.npz"):
         if stale.name != record.arrays:
             stale.unlink(missing_ok=True)
     return record
-
-
-def _write(file: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
-    part: Path | None = None
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=f".{file.name}.", delete=False) as stream:
-            part = Path(stream.name)
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(file)
-    except OSError as error:
-        raise DatasetError(f"{file}: cannot be written: {error.strerror or error}") from error
-    finally:
-        if part is not None:
-            part.unlink(missing_ok=True)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
 def has_import(variant: str) -> bool:
-    """Whether trials of a variant were imported; their files are not read."""
+    """Return whether trials of a variant were imported, without reading them."""
     return (_trials_folder() / f"{variant}.json").is_file()
 
 
 def load_imported(variant: str) -> ImportedVariant | None:
-    """What was imported of a variant; None where nothing was.
+    """Return the import of a variant, or None.
 
     Raises:
-        ReferenceFileError: Its files are damaged, or of another version of gauge-envs; importing again renews them.
+        ReferenceFileError: The files are damaged, or of another version of gauge-envs.
     """
     file = _trials_folder() / f"{variant}.json"
     try:
@@ -306,13 +269,13 @@ def load_imported(variant: str) -> ImportedVariant | None:
 
 @lru_cache(maxsize=256)
 def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
-    """Read a variant; the file's time and number are there to tell one import from the next."""
+    """Read a variant; time and inode of the file distinguish imports in the cache."""
     record = _record(file)
     arrays_file = file.with_name(record.arrays)
     try:
         content = arrays_file.read_bytes()
         if hashlib.sha256(content).hexdigest() != record.arrays_sha256:
-            raise ValueError("its content is not what was imported")
+            raise ValueError("its content differs from what was imported")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
             band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"])
@@ -325,15 +288,14 @@ def _record(file: Path) -> VariantRecord:
     try:
         record = VariantRecord.model_validate_json(file.read_bytes())
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"]))
+        place, reason = first_fault(error)
         raise ReferenceFileError(
-            file, None, f"is no import of this version: {place}: {first['msg']}; gauge data import renews it"
+            file, None, f"is no import of this version: {place}: {reason}; gauge data import renews it"
         ) from None
     except OSError as error:
         raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
     if Path(record.arrays).name != record.arrays or record.variant != file.name.removesuffix(".json"):
-        raise ReferenceFileError(file, None, f"is of {record.variant!r}; gauge data import renews it")
+        raise ReferenceFileError(file, None, f"belongs to {record.variant!r}; gauge data import renews it")
     return record
 
 
@@ -361,14 +323,14 @@ def _band(record: VariantRecord, mean: FloatArray, sigma: FloatArray, measured: 
 
 
 def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver, ...]:
-    """The drivers of a variant, with recorded motion for every body that imported trials show.
+    """Return the drivers of a variant, with recorded motion for every body that imported trials show.
 
     Args:
         variant: Name of the variant.
-        bundled: Its drivers as the task file states them; axes and action rates stay.
+        bundled: Drivers of the task file; axes and action rates stay.
 
     Raises:
-        ReferenceFileError: The import is damaged, or of a task file whose drivers had other motions.
+        ReferenceFileError: The import is damaged, or was made for drivers with other motions.
     """
     imported = load_imported(variant)
     if imported is None:
@@ -400,7 +362,7 @@ def _recorded(driver: Driver, values: FloatArray, variant: str) -> Driver:
 
 
 def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) -> dict[str, str]:
-    """Record, for a result, which drivers and which reference were in use.
+    """Return the sources of drivers and reference, for a result.
 
     Args:
         variant: Name of the variant.
@@ -408,7 +370,7 @@ def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) 
         reference: Source of the band.
 
     Returns:
-        `drivers` and `reference`; where one of them is imported, also `revision` and `sha256` of the import.
+        `drivers` and `reference`; and `revision` and `sha256` of the import, if one of them is imported.
 
     Raises:
         ReferenceFileError: The import is damaged.

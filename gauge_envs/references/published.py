@@ -1,4 +1,4 @@
-"""Published scores of real trials and of three engines, and laws that state the real outcome."""
+"""Published scores of real trials and of three engines, and laws that give the real outcome of a variant."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, PositiveInt
 
 from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
-from gauge_envs.references.bands import Band, BandGrade, SigmaSource, _count, _field, _folder, _number, _rows, _toml
+from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.metrics import MetricKey
+from gauge_envs.references.tables import Table, read_rows, read_toml, scoring_folder
 
 __all__ = [
     "ENGINES",
@@ -31,15 +35,9 @@ ENGINES = ("isaacsim", "genesis", "newton")
 """Engines whose scores were published."""
 
 
-_BASELINE_COLUMNS = ("variant", "frames", "metric", "unit", "baseline_mean", "baseline_std", *ENGINES)
-
-
-_METRICS = ("rmse", "dtw", "lsd", "mte", "pd", "el")
-
-
 @dataclass(frozen=True)
 class Baseline:
-    """One row of the published results (paper, Table 5): the scatter of real trials, and what three engines scored.
+    """One row of the published results (paper, Table 5): scores of real trials and of three engines.
 
     Attributes:
         variant: Variant id, as in `SlopeSlider-2-wood`.
@@ -47,9 +45,9 @@ class Baseline:
         frames: Number of 30 Hz frames that were evaluated.
         unit: Unit of mean and std: `mm`, `rad`, `mm^2`, `s` or `1`. MTE is a ratio here, a percentage in the paper.
         mean: Mean over real trials.
-        std: Standard deviation over real trials; None where none was published.
-        engines: Published score of `isaacsim`, `genesis` and `newton` over `mean` (el: the raw value, as its mean is
-            0); None where none was published.
+        std: Standard deviation over real trials; None if none was published.
+        engines: Published score of `isaacsim`, `genesis` and `newton` over `mean`; None if none was published. For el
+            it is the raw score, as the mean is 0.
     """
 
     variant: str
@@ -62,116 +60,127 @@ class Baseline:
 
 
 def published_baselines(variant: str) -> dict[str, Baseline]:
-    """Published baselines of a variant by metric; empty where the paper scores none.
+    """Return the published baselines of a variant by metric, which may be none.
 
     Raises:
         ReferenceFileError: The table is damaged.
     """
-    return dict(_all_baselines(_folder("published")).get(variant, {}))
+    return dict(_all_baselines(scoring_folder("published")).get(variant, {}))
 
 
 def published_variants() -> tuple[str, ...]:
-    """Variants with a published baseline, in the order of the paper's Table 5."""
-    return tuple(_all_baselines(_folder("published")))
+    """Return the variants with a published baseline, in the order of the paper's Table 5."""
+    return tuple(_all_baselines(scoring_folder("published")))
+
+
+class _BaselineRow(Table):
+    """One row of `engine_results.csv`; its fields are the columns."""
+
+    variant: str
+    frames: PositiveInt
+    metric: MetricKey
+    unit: str
+    baseline_mean: float
+    baseline_std: float | None
+    isaacsim: float | None
+    genesis: float | None
+    newton: float | None
+
+    def baseline(self) -> Baseline:
+        """Return the row with percentages as ratios."""
+        percent = self.unit == "percent"
+        mean, std = self.baseline_mean, self.baseline_std
+        return Baseline(
+            variant=self.variant,
+            metric=self.metric,
+            frames=self.frames,
+            unit="1" if percent else self.unit,
+            mean=mean / 100 if percent else mean,
+            std=std / 100 if percent and std is not None else std,
+            engines={engine: getattr(self, engine) for engine in ENGINES},
+        )
 
 
 @cache
 def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
     file = folder / "engine_results.csv"
     table: dict[str, dict[str, Baseline]] = {}
-    for line, row in _rows(file, _BASELINE_COLUMNS):
-        variant, metric, unit = row["variant"], row["metric"], row["unit"]
-        if metric not in _METRICS:
-            raise ReferenceFileError(file, line, f"metric {metric!r} is none of {', '.join(_METRICS)}")
-        if metric in table.setdefault(variant, {}):
-            raise ReferenceFileError(file, line, f"{variant} has a second row for {metric}")
-        number = {name: _number(file, line, name, row[name]) for name in _BASELINE_COLUMNS[4:] if row[name]}
-        if "baseline_mean" not in number:
-            raise ReferenceFileError(file, line, "baseline_mean is empty")
-        mean, std = number["baseline_mean"], number.get("baseline_std")
-        if unit == "percent":
-            mean, std, unit = mean / 100, None if std is None else std / 100, "1"
-        table[variant][metric] = Baseline(
-            variant=variant,
-            metric=metric,
-            frames=_count(file, line, "frames", row["frames"]),
-            unit=unit,
-            mean=mean,
-            std=std,
-            engines={engine: number.get(engine) for engine in ENGINES},
-        )
+    for line, row in read_rows(file, list(_BaselineRow.model_fields), _BaselineRow):
+        metrics = table.setdefault(row.variant, {})
+        if row.metric in metrics:
+            raise ReferenceFileError(file, line, f"{row.variant} has a second row for {row.metric}")
+        metrics[row.metric] = row.baseline()
     return table
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What an experiment file brings to be scored against.
+    """Reference that an experiment file states.
 
     Attributes:
-        band: Mean and scatter of reality; None where the file has none.
-        baselines: Scores of real trials by metric, which scores are divided by.
+        band: Mean and scatter of reality; None without a band.
+        baselines: Scores of real trials by metric; normalized scores are divided by their mean.
     """
 
     band: Band | None
     baselines: Mapping[str, Baseline]
 
 
-_LAW_KEYS = ("variants", "kind", "body", "carrier", "condition", "evidence")
-
-
-_LAW_KINDS = ("carried",)
-
-
-@dataclass(frozen=True)
-class Law:
+class Law(Table):
     """A closed form that gives the real outcome of some variants (`scoring/bands/laws.toml`).
 
     Attributes:
         variants: Shell-style pattern of the variants that it covers.
-        kind: `carried`: the body keeps its place on a carrier, whose motion the scene's driver gives.
-        body: Name of the body that the law is about.
+        kind: `carried`: the body keeps its place on a carrier, which moves as the scene's driver states.
+        body: Name of the body whose motion the law gives.
         carrier: Name of the body that carries it.
-        condition: When the law holds, with the numbers that decide it.
-        evidence: What in the published results supports it.
+        condition: Condition under which the law holds, with its numbers.
+        evidence: Published results that support it.
     """
 
     variants: str
-    kind: str
+    kind: Literal["carried"]
     body: str
     carrier: str
     condition: str
     evidence: str
 
 
+class _Laws(Table):
+    """The file `laws.toml`."""
+
+    law: Annotated[tuple[Law, ...], Field(min_length=1)]
+
+
 def law_for(variant: str) -> Law | None:
-    """The law that gives the real outcome of a variant; None where none is known.
+    """Return the law that gives the real outcome of a variant, or None.
 
     Raises:
         ReferenceFileError: The table of laws is damaged.
     """
-    return next((law for law in _all_laws(_folder("bands")) if fnmatchcase(variant, law.variants)), None)
+    return next((law for law in _all_laws(scoring_folder("bands")) if fnmatchcase(variant, law.variants)), None)
 
 
 def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
-    """Band of a body that a law says is rigidly carried: the caller's mean, sigma from the published baseline.
+    """Return the band of a rigidly carried body: the given mean, and sigma from the published baseline.
 
     Sigma is constant in time. The mean over trials of the squared E_RMSE is the time-averaged variance of the vector
-    deviation, hence sigma_rms^2 = mean^2 + std^2 of the published E_RMSE. That is exact where all three divide by the
-    number of trials n; where std and sigma divide by n - 1, sigma_rms^2 is larger by mean^2 / (n - 1), which is left
-    out, as n is not published (sigma then is at most 2.6 % too small for n = 20). How the variance splits over x, y
-    and z is not published either: it is taken as equal, sigma_rms / sqrt(3) each.
+    deviation, so sigma_rms^2 = mean^2 + std^2 of the published E_RMSE. This is exact if all three divide by the number
+    of trials n. If std and sigma divide by n - 1, sigma_rms^2 is larger by mean^2 / (n - 1). That term is left out, as
+    n is not published; for n = 20, sigma is then at most 2.6 % too small. The split of the variance over x, y and z is
+    not published either. It is taken as equal, sigma_rms / sqrt(3) each.
 
     Args:
-        variant: A variant for which `law_for` gives a law of kind `carried`.
-        positions_mm: Position of the carried body as the law and the scene's driver give it, in mm, shape
-            [published frame count, 3].
+        variant: Variant with a law of kind `carried`.
+        positions_mm: Position of the carried body by the law and the scene's driver [mm], shape [published frame
+            count, 3].
 
     Returns:
-        Band of grade `law` over x, y and z in mm; every frame counts as measured, as the law states every frame.
+        Band of grade `law` over x, y and z [mm]. Every frame counts as measured.
 
     Raises:
-        UnknownNameError: No law says that the body is carried in this variant.
-        ShapeError: `positions_mm` is not of the published length and width 3, or not finite.
+        UnknownNameError: The variant has no such law.
+        ShapeError: `positions_mm` has another shape, or is not finite.
     """
     law, baseline = law_for(variant), published_baselines(variant).get("rmse")
     if law is None or baseline is None:
@@ -198,13 +207,4 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
 
 @cache
 def _all_laws(folder: Path) -> tuple[Law, ...]:
-    file = folder / "laws.toml"
-    laws = []
-    for table in _field(file, _toml(file), "law", list):
-        if not isinstance(table, dict) or set(table) != set(_LAW_KEYS):
-            raise ReferenceFileError(file, None, f"law {table!r}: expected a table of {', '.join(_LAW_KEYS)}")
-        law = Law(**{key: _field(file, table, key, str) for key in _LAW_KEYS})
-        if law.kind not in _LAW_KINDS:
-            raise ReferenceFileError(file, None, f"kind {law.kind!r} is none of {', '.join(_LAW_KINDS)}")
-        laws.append(law)
-    return tuple(laws)
+    return read_toml(folder / "laws.toml", _Laws).law

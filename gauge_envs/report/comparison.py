@@ -11,17 +11,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.analysis.comparison import (
-    METRICS,
-    MOTION_SHARE,
-    Cell,
-    Comparison,
-    Distance,
-    ExperimentComparison,
-    Metric,
-    RunConfiguration,
-    ScoreSpread,
-)
+from gauge_envs.analysis.comparison import Cell, Comparison, ExperimentComparison
+from gauge_envs.analysis.configuration import RunConfiguration
+from gauge_envs.analysis.distance import MOTION_SHARE, Distance
+from gauge_envs.analysis.scores import METRICS, Metric, ScoreSpread
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.report.results import PLAIN, configuration_labels, configuration_parts, versions_text

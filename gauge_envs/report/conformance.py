@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.checks.conformance.kit import CheckResult, Status
+from gauge_envs.checks.conformance.model import CheckResult, Status
 
 __all__ = [
     "findings_markdown",

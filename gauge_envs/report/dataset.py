@@ -12,13 +12,12 @@ from rich.text import Text
 
 from gauge_envs.dataset.importer import FLAGGED_DIFFERENCE, BaselineRow, ImportedTrials
 from gauge_envs.references.imported import DriverRecord
+from gauge_envs.report.text import METRIC_TITLES
 
 __all__ = [
     "import_view",
     "status_table",
 ]
-
-METRIC_TITLES = {"rmse": "RMSE", "dtw": "DTW", "lsd": "LSD", "mte": "MTE", "pd": "PD", "el": "EL"}
 
 
 def import_view(imports: Sequence[ImportedTrials]) -> Group:

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gauge_envs.analysis.budget_fit import BudgetStage
-from gauge_envs.analysis.error_budget import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, StagePart
+from gauge_envs.analysis.diagnosis import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, StagePart
 from gauge_envs.analysis.motion_kinds import Change
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade

@@ -195,7 +195,7 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
     values = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
     shape = values.pop("shape", None)
     if shape is not None:
-        described["shape"] = {"kind": type(shape).__name__} | dataclasses.asdict(shape)
+        described["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
     pose = values.pop("pose")
     return described | values | {"position_m": pose.position_m, "quaternion_wxyz": pose.quaternion}
 

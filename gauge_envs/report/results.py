@@ -10,8 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gauge_envs.analysis.comparison import RunConfiguration
+from gauge_envs.analysis.configuration import RunConfiguration
 from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import published_baselines
 from gauge_envs.report.text import (
     ENGINE_TITLES,
@@ -182,11 +183,11 @@ def _score_rows(result: Result) -> list[tuple[str, ...]]:
     score, baselines = result.score, published_baselines(result.id.removeprefix("GAUGE/"))
     rows = []
     for metric, title in METRIC_TITLES.items():
-        raw = getattr(score, metric if metric in ("rmse", "dtw", "mte", "el") else f"{metric}_s")
+        raw = getattr(score, METRICS[metric].score_field)
         line = baselines.get(metric)
         if raw is None and line is None:
             continue
-        unit = score.unit if metric in ("rmse", "dtw") else "s" if metric in ("lsd", "pd") else ""
+        unit = "" if METRICS[metric].unit == "1" else METRICS[metric].unit_of(score.unit)
         aligned, z = "", ""
         if metric == "rmse":
             z = number_text(score.mean_abs_z)

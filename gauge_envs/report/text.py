@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.references.metrics import METRICS
 
 __all__ = [
     "ALIGNED_TITLE",
@@ -39,7 +40,7 @@ __all__ = [
 ENGINE_TITLES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newton"}
 
 
-METRIC_TITLES = {"rmse": "RMSE", "dtw": "DTW", "lsd": "LSD", "mte": "MTE", "pd": "PD", "el": "EL"}
+METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
 
 ALIGNED_TITLE = "RMSE aligned"

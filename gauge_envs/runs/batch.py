@@ -1,4 +1,4 @@
-"""Runs many episodes, writes each result as it ends, and goes on where a run was cut off."""
+"""Runs of many episodes: each result is written when it is complete, and an interrupted run can be resumed."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _log = logging.getLogger(__name__)
 
 
 def check_requests(requests: Sequence[RunRequest]) -> None:
-    """Raise at once what would otherwise fail every single episode.
+    """Raise an error that would otherwise fail every episode of a run.
 
     Args:
-        requests: What will run, on one or several backends.
+        requests: The run, on one or several backends.
 
     Raises:
         UnknownNameError: No such backend.
@@ -42,23 +42,28 @@ def check_requests(requests: Sequence[RunRequest]) -> None:
         AssetError: The asset cannot be used.
         UnsupportedSceneError: The asset is a model file that a backend does not read.
     """
-    usable: dict[str, list[tuple[RunRequest, Experiment]]] = {request.backend: [] for request in requests}
+    by_backend: dict[str, list[tuple[RunRequest, Experiment]]] = {request.backend: [] for request in requests}
     refused = None
     for request in requests:
         try:
-            usable[request.backend].append((request, request.experiment()))
+            by_backend[request.backend].append((request, request.experiment()))
         except ParameterError as error:
             refused = error
-    if refused is not None and not any(usable.values()):
+    if refused is not None and not any(by_backend.values()):
         raise refused
-    for name, pairs in usable.items():
-        engine = backend_for(name, pairs[0][1].model_file if pairs else None)
-        for request, experiment in pairs[:1]:
-            if request.asset is not None:
-                check_support(experiment, name)
-        able = next(((r, e) for r, e in pairs if r.settings and engine.supports(e.scene)), None)
-        if able is not None:
-            engine.build(able[1].scene, able[0].settings).close()
+    for name, runs in by_backend.items():
+        _check_backend(name, runs)
+
+
+def _check_backend(name: str, runs: Sequence[tuple[RunRequest, Experiment]]) -> None:
+    """Raise an error if a backend does not exist, cannot read the asset, or does not take the settings."""
+    engine = backend_for(name, runs[0][1].model_file if runs else None)
+    if runs and runs[0][0].asset is not None:
+        check_support(runs[0][1], name)
+    for request, experiment in runs:
+        if request.settings and engine.supports(experiment.scene):
+            engine.build(experiment.scene, request.settings).close()
+            return
 
 
 def run_many(
@@ -68,71 +73,94 @@ def run_many(
     resume: bool = False,
     notify: Notify = _log.warning,
 ) -> Iterator[Result]:
-    """Run episodes one after another, repeats together; each result is on disk before it is yielded.
+    """Run episodes one after another, repeats together; each result is written before it is yielded.
 
-    One that is declined or fails is yielded with its `error`, and not written; the others go on.
+    An episode that is declined or fails is yielded with its `error` and is not written. The others continue.
 
     Args:
-        requests: What to run, in order. Repeats without a jitter start from the default `Jitter`.
-        out: Folder for the result files, created if need be; None writes none.
-        resume: Take results that `out` has already, where they are of the same request, task file, asset, imported
-            trials and versions of engine and gauge-envs. A damaged one is moved aside, to `*.damaged`, and run again.
-        notify: Takes one sentence for each file that `resume` could not take.
+        requests: The runs, in order. Repeats without a jitter have the default `Jitter`.
+        out: Folder for the result files, created if it does not exist; None writes no files.
+        resume: Take a result from `out` if it has the same request, task file, asset, imported trials and versions of
+            engine and gauge-envs. A damaged file is renamed to `*.damaged`, and its episode runs again.
+        notify: Receives one sentence for each file that `resume` could not take.
 
     Returns:
-        Iterator that runs the next episode when asked for it.
+        Iterator over the results; it runs an episode when its result is asked for.
 
     Raises:
         ResultFileError: `out` cannot be written; raised before anything runs.
         AssetError: An asset or an experiment file cannot be used; raised before anything runs.
-        ParameterError: `imported` was asked for, and nothing was imported; raised before anything runs.
+        ParameterError: A request has `imported`, but nothing was imported; raised before anything runs.
     """
-    jittered_requests = [
-        replace(request, jitter=Jitter()) if request.repeats > 1 and request.jitter is None else request
+    runs = [
+        _Run(replace(request, jitter=Jitter()) if request.repeats > 1 and request.jitter is None else request)
         for request in requests
     ]
-    planned = [(request, request.calibrated_experiment()) for request in jittered_requests]
     if out is not None:
         _check_writable(out)
-
-    def results() -> Iterator[Result]:
-        for request, known in planned:
-            empty = [planned_result(request, known, seed=request.seed + number) for number in range(request.repeats)]
-            files = [None if out is None else out / result_file_name(one) for one in empty]
-            found = [
-                _earlier(file, one, notify) if resume and file is not None else None
-                for file, one in zip(files, empty, strict=True)
-            ]
-            if all(found):
-                yield from (result for result in found if result)
-                continue
-            for result, file in zip(_attempt(request, empty), files, strict=True):
-                if file is not None and result.error is None:
-                    write_result(result, file)
-                yield result
-
-    return results()
+    return (result for run in runs for result in run.results(out, notify=notify if resume else None))
 
 
-def _attempt(request: RunRequest, empty: Sequence[Result]) -> list[Result]:
-    """Results of a request's episodes; those that were declined or failed carry the reason."""
-    try:
-        experiment = request.experiment()
-        if request.jitter is not None:
-            jittered(experiment.scene, request.jitter, seed=0)
-    except ParameterError as error:
-        return [replace(one, outcome=Outcome.DECLINED, error=str(error)) for one in empty]
-    except GaugeError as error:
-        return [replace(one, error=str(error)) for one in empty]
-    try:
-        return [run_episode(request)] if request.jitter is None else run_repeats(request)
-    except UnsupportedSceneError as error:
-        return [replace(one, outcome=Outcome.DECLINED, error=str(error)) for one in empty]
-    except GaugeError as error:
-        return [replace(one, error=str(error)) for one in empty]
-    except Exception as error:  # Engines raise anything, and one episode must not cost the others.
-        _log.exception("%s on %s", empty[0].id, request.backend)
-        return [replace(one, error=f"{type(error).__name__}: {error}") for one in empty]
+class _Run:
+    """The episodes of one request.
+
+    Args:
+        request: The request, with the jitter that applies.
+    """
+
+    def __init__(self, request: RunRequest) -> None:
+        self._request = request
+        self._calibrated = request.calibrated_experiment()
+
+    def results(self, out: Path | None, *, notify: Notify | None) -> Iterator[Result]:
+        """Yield the results: those in a folder if all are there, else new ones.
+
+        Args:
+            out: Folder of the result files, or None.
+            notify: Receives a sentence for each file that cannot be taken; None takes no files.
+        """
+        request = self._request
+        planned = [
+            planned_result(request, self._calibrated, seed=request.seed + number, jitter=request.jitter)
+            for number in range(request.repeats)
+        ]
+        if out is None:
+            yield from self._run(planned)
+            return
+        files = [out / result_file_name(one) for one in planned]
+        if notify is not None:
+            found = [_earlier_result(file, one, notify) for file, one in zip(files, planned, strict=True)]
+            taken = [result for result in found if result is not None]
+            if len(taken) == len(planned):
+                yield from taken
+                return
+        for result, file in zip(self._run(planned), files, strict=True):
+            if result.error is None:
+                write_result(result, file)
+            yield result
+
+    def _run(self, planned: Sequence[Result]) -> list[Result]:
+        """Return the results of the episodes; those that were declined or failed hold the reason."""
+        request = self._request
+
+        def not_run(outcome: Outcome, reason: str) -> list[Result]:
+            return [replace(one, outcome=outcome, error=reason) for one in planned]
+
+        try:
+            experiment = request.experiment()
+            if request.jitter is not None:
+                jittered(experiment.scene, request.jitter, seed=0)
+        except GaugeError as error:
+            outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
+            return not_run(outcome, str(error))
+        try:
+            return [run_episode(request)] if request.jitter is None else run_repeats(request)
+        except GaugeError as error:
+            outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
+            return not_run(outcome, str(error))
+        except Exception as error:  # An engine may raise any error, and the other episodes must still run.
+            _log.exception("%s on %s", planned[0].id, request.backend)
+            return not_run(Outcome.FAILED, f"{type(error).__name__}: {error}")
 
 
 def _check_writable(out: Path) -> None:
@@ -145,36 +173,33 @@ def _check_writable(out: Path) -> None:
         raise ResultFileError(f"{out}: results cannot be written there: {error.strerror or error}") from error
 
 
-def _earlier(file: Path, wanted: Result, notify: Notify) -> Result | None:
-    """The result that is there already, when it is of the very same episode."""
+SAME_EPISODE = (
+    "id",
+    "backend",
+    "parameters",
+    "settings_given",
+    "seed",
+    "jitter",
+    "marker_proxy",
+    "task_sha256",
+    "dataset",
+    "asset",
+)
+"""Fields of a result that identify its episode."""
+
+
+def _earlier_result(file: Path, wanted: Result, notify: Notify) -> Result | None:
+    """Return the result in a file if it is of the same episode and versions, or None."""
     if not file.exists():
         return None
     try:
         found = load_result(file)
     except ResultFileError as error:
-        aside = file.with_name(f"{file.name}.damaged")
-        count = 1
-        while aside.exists():
-            count += 1
-            aside = file.with_name(f"{file.name}.damaged-{count}")
-        file.replace(aside)
-        notify(f"{error}; moved to {aside.name} and run again")
+        notify(f"{error}; moved to {_move_aside(file).name} and run again")
         return None
-    same = (
-        "id",
-        "backend",
-        "parameters",
-        "settings_given",
-        "seed",
-        "jitter",
-        "marker_proxy",
-        "task_sha256",
-        "dataset",
-        "asset",
-    )
-    for key in same:
+    for key in SAME_EPISODE:
         if getattr(found, key) != getattr(wanted, key):
-            notify(f"{file}: {key} differs from what is asked for; run again")
+            notify(f"{file}: {key} differs from the request; run again")
             return None
     engine = {} if wanted.backend is None else find_backend(wanted.backend).versions()
     for package, now in {**engine, "gauge-envs": wanted.versions["gauge-envs"]}.items():
@@ -182,3 +207,13 @@ def _earlier(file: Path, wanted: Result, notify: Notify) -> Result | None:
             notify(f"{file}: made with {package} {found.versions.get(package)}, not {now}; run again")
             return None
     return found
+
+
+def _move_aside(file: Path) -> Path:
+    """Rename a damaged file to a name that is free, and return that."""
+    aside = file.with_name(f"{file.name}.damaged")
+    count = 1
+    while aside.exists():
+        count += 1
+        aside = file.with_name(f"{file.name}.damaged-{count}")
+    return file.replace(aside)

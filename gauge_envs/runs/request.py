@@ -1,43 +1,33 @@
-"""What is run: one experiment on one engine, once or repeatedly."""
+"""The request of a run: one experiment on one engine, once or with repeats."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass
-from os import PathLike
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium
+
+from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import resolve_experiment
-from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
 from gauge_envs.experiments.scene_source import is_experiment_file
 from gauge_envs.experiments.variants import Variant, find_variant
-from gauge_envs.observables.observer import checked_proxy
-from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter
 
 __all__ = ["RunRequest"]
 
 
-@dataclass(frozen=True)
-class RunRequest:
-    """One experiment on one engine.
+@dataclass(frozen=True, kw_only=True)
+class RunRequest(EnvArguments):
+    """One experiment on one engine, with the arguments of its environment.
 
-    Args:
-        subject: Variant, its name, or its Gymnasium id; or the path of an experiment file, as `crate.toml`.
-        backend: Name of an installed physics engine.
-        parameters: Name of a parameter set, or overrides keyed `body.constant`.
-        settings: Numerical settings of the backend that replace its defaults.
-        marker_proxy: Marker proxy of deformable bodies, `node` or `material`; see `GaugeEnv`.
-        drivers: `bundled` or `imported`; see `load_experiment`.
-        reference: `bundled` or `imported`; see `load_experiment`.
-        use_withheld: Score also on a band that is withheld by default.
-        asset: File that the scene is from, instead of the task file; see `GaugeEnv`.
+    The name or id of a variant becomes the `Variant`, so that requests of the same run are equal.
+
+    Attributes:
         seed: Seed of the first episode, 0 or more; each next repeat has one more.
         repeats: Number of episodes, 1 or more.
-        jitter: Scatter of the start poses; None starts each episode as calibrated.
+        jitter: Standard deviations of the start; None starts each episode as calibrated.
 
     Raises:
         UnknownNameError: No such variant.
@@ -51,43 +41,35 @@ class RunRequest:
         0.41
     """
 
-    subject: str | Variant
-    _: KW_ONLY
-    backend: str = "mujoco"
-    parameters: Parameters = "calibrated"
-    settings: Mapping[str, Any] | None = None
-    marker_proxy: str = "node"
-    drivers: DataSource | str = DataSource.BUNDLED
-    reference: DataSource | str = DataSource.BUNDLED
-    use_withheld: bool = False
-    asset: str | PathLike[str] | None = None
     seed: int = 0
     repeats: int = 1
     jitter: Jitter | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.seed < 0:
             raise ParameterError(f"seed is {self.seed}, expected 0 or more")
         if self.repeats < 1:
             raise ParameterError(f"repeats is {self.repeats}, expected 1 or more")
-        checked_proxy(self.marker_proxy)
-        if isinstance(self.subject, str) and not is_experiment_file(Path(self.subject)):
-            object.__setattr__(self, "subject", find_variant(self.subject))
-
-    def experiment(self) -> Experiment:
-        """Load the experiment.
-
-        Raises:
-            GaugeError: As of `resolve_experiment`.
-        """
-        return resolve_experiment(
-            self.subject, self.parameters, drivers=self.drivers, reference=self.reference, asset=self.asset
-        )
+        if isinstance(self.variant, str) and not is_experiment_file(Path(self.variant)):
+            object.__setattr__(self, "variant", find_variant(self.variant))
 
     def calibrated_experiment(self) -> Experiment:
-        """Load the experiment with calibrated parameters: what is known of it where the parameters are wrong.
+        """Load the experiment with calibrated parameters, which exists also if the parameters are wrong.
 
         Raises:
-            GaugeError: As of `resolve_experiment`.
+            GaugeError: See `resolve_experiment`.
         """
-        return resolve_experiment(self.subject, drivers=self.drivers, reference=self.reference, asset=self.asset)
+        return replace(self, parameters="calibrated").experiment()
+
+    def make_env(self) -> gymnasium.Env[Any, Any]:
+        """Make the environment of the request.
+
+        Raises:
+            GaugeError: See `GaugeEnv`.
+        """
+        keywords = {field.name: getattr(self, field.name) for field in fields(EnvArguments)}
+        variant = keywords.pop("variant")
+        if isinstance(variant, Variant):
+            return gymnasium.make(variant.id, disable_env_checker=True, **keywords)
+        return gymnasium.make(f"GAUGE/{ASSET_NAME}", disable_env_checker=True, **keywords | {"asset": variant})

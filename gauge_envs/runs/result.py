@@ -1,4 +1,4 @@
-"""The result of one episode and its file, which holds all that is needed to judge, plot or repeat the episode."""
+"""The result of one episode: everything that is needed to judge, plot or repeat it."""
 
 from __future__ import annotations
 
@@ -19,36 +19,35 @@ __all__ = [
     "Outcome",
     "RecordedTrajectory",
     "Result",
-    "parameters_record",
 ]
 
 
 BULKY = ("scene", "experiment")
-"""Parts of a result's asset that only reading it back needs."""
+"""Keys of `Result.asset` with long values, which are only needed to build the scene again."""
 
 
 class Outcome(StrEnum):
     """How an episode ended."""
 
     FINISHED = "finished"
-    """It ran to its last frame."""
+    """The episode ran to its last frame."""
     DIVERGED = "diverged"
-    """The simulation left what is physically possible; there is no score."""
+    """The simulation left the physical bounds of the scene; there is no score."""
     DECLINED = "declined"
-    """Not run: the backend cannot build the scene, or the experiment lacks the parameters that were asked for."""
+    """The episode did not run: the backend cannot build the scene, or the experiment does not have the parameters."""
     FAILED = "failed"
-    """Not run to the end because of an error."""
+    """An error ended the episode or prevented it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedTrajectory:
-    """What an episode did, dense enough to plot and to score again.
+    """Generalized trajectory of an episode, dense enough to plot and to score again.
 
     Attributes:
         unit: Unit of the samples.
         coordinates: Names of the coordinates, as `cube.x`.
         times_s: Times [s], 180 a second, shape [sample_count].
-        samples: g(t) at those times, shape [sample_count, coordinate_count]; None where a diverged one was not finite.
+        samples: g(t) at those times, shape [sample_count, coordinate_count]; None for a value that is not finite.
     """
 
     unit: str
@@ -60,16 +59,16 @@ class RecordedTrajectory:
         if len(self.samples) != len(self.times_s):
             raise ValueError(f"{len(self.times_s)} times but {len(self.samples)} samples")
         if any(len(row) != len(self.coordinates) for row in self.samples):
-            raise ValueError(f"a sample has not {len(self.coordinates)} coordinates")
+            raise ValueError(f"a sample does not have {len(self.coordinates)} coordinates")
 
     @classmethod
     def of(
         cls, experiment: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]
     ) -> RecordedTrajectory:
-        """Record of a generalized trajectory.
+        """Return the record of a generalized trajectory.
 
         Args:
-            experiment: The experiment that it is of.
+            experiment: The experiment of the trajectory.
             times_s: Times [s], shape [sample_count].
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
         """
@@ -81,43 +80,43 @@ class RecordedTrajectory:
         )
 
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None."""
+        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None."""
         samples = np.array(self.samples, dtype=np.float64)
         return np.array(self.times_s), samples.reshape(len(self.times_s), len(self.coordinates))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """One episode, or one trajectory that a user brought (then `backend`, `seed` and `wall_s` are None).
+    """Result of one episode, or of one trajectory file of a user, which has no `backend`, `seed` and `wall_s`.
 
     Attributes:
         id: Gymnasium id.
         outcome: How the episode ended.
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
-        frames: Frames that there are, the first included.
-        diverged: Whether the simulation left what is physically possible.
-        diverged_reason: How it did.
-        wall_s: Time that reset and steps took [s], building the scene not included; for one of several that ran
-            together, its share.
+        score: Distance to reality; a metric that does not apply is None.
+        task_sha256: Hash of the task file; for an experiment file, hash of it and of all files that it names.
+        frames: Number of recorded frames, the first included.
+        diverged: Whether the simulation left the physical bounds of the scene.
+        diverged_reason: Bound that it left; None without divergence.
+        wall_s: Wall time of reset and steps [s], without building the scene. Episodes that ran together share it
+            evenly.
         sim_s: Simulated time [s].
-        settings: Every numerical setting of the engine that was in force.
-        settings_given: Those of them that the caller gave.
+        settings: All numerical settings of the engine.
+        settings_given: The settings that the caller gave.
         versions: Versions of the engine, gauge-envs, gymnasium, numpy and python.
         seed: Seed of the reset and of the jitter.
-        jitter: How far the start was moved at random, as standard deviations; empty where it was not.
-        score: Distance to reality; metrics are None where they do not apply.
-        task_sha256: Hash of the task file that the episode was built from; of an experiment file and all that it names.
-        marker_proxy: What stood for a marker on a deformable body: `node` or `material`.
-        driver_provenance: Where the driven motion is from; None where nothing is driven.
-        dataset: Where driven motion (`drivers`) and band (`reference`) are from, `bundled` or `imported`; where one of
-            them is imported, also `revision` of the dataset and `sha256` over the imported trials.
-        asset: File that the scene was from: its name `file`, `kind`, `sha256`, whether it is `edited` and in which
-            `changes`; with the `scene` as text of a USD layer where the package does not have it, and the
-            `experiment` of an experiment file. Empty where the task file stated the scene.
-        created: When, ISO 8601, UTC.
-        error: Why it was declined or failed.
-        trajectory: What it did; None when it did not run.
+        jitter: Standard deviations of the start; empty without jitter.
+        marker_proxy: Marker proxy of deformable bodies: `node` or `material`.
+        driver_provenance: Source of the driven motion; None without driven bodies.
+        dataset: Source of driven motion (`drivers`) and band (`reference`), `bundled` or `imported`. If one of them is
+            imported, also `revision` of the dataset and `sha256` over the imported trials.
+        asset: File that stated the scene: its name `file`, `kind`, `sha256`, whether it is `edited`, and its `changes`.
+            A scene that the package does not have is in `scene`, as text of a USD layer; the experiment of an
+            experiment file is in `experiment`. Empty if the task file stated the scene.
+        created: Time of creation, ISO 8601, UTC.
+        error: Why the episode was declined or failed; None otherwise.
+        trajectory: Its trajectory; None if it did not run.
     """
 
     id: str
@@ -146,24 +145,23 @@ class Result:
 
     @property
     def is_edited(self) -> bool:
-        """Whether the scene was that of an asset which differs from the calibrated one."""
+        """Whether an asset stated the scene and differs from the calibrated scene."""
         return bool(self.asset.get("edited"))
 
     @property
     def has_experiment_file(self) -> bool:
-        """Whether it is of an experiment that a user's file states, which the package does not have."""
+        """Whether the experiment is that of a user's experiment file."""
         return self.asset.get("kind") == AssetKind.EXPERIMENT
 
     def to_dict(self, *, trajectory: bool = True) -> dict[str, Any]:
-        """JSON-ready dictionary, every field present; without the bulky trajectory and scene on request."""
+        """Return a JSON-ready dictionary with every field.
+
+        Args:
+            trajectory: Whether to include the trajectory and the long parts of the asset.
+        """
         kept = self if trajectory else replace(self, trajectory=None)
-        values = json_ready(asdict(kept)) | {"score": json_ready(self.score.to_dict())}
+        values: dict[str, Any] = json_ready(asdict(kept)) | {"score": json_ready(self.score.to_dict())}
         if not trajectory:
             del values["trajectory"]
             values["asset"] = {key: value for key, value in values["asset"].items() if key not in BULKY}
         return values
-
-
-def parameters_record(experiment: Experiment) -> str | dict[str, Any]:
-    """Parameters of an experiment as a result keeps them: the name of the set, or the overrides."""
-    return json_ready(experiment.overrides) if experiment.parameters == "custom" else experiment.parameters

@@ -1,10 +1,9 @@
-"""Reads and writes result files."""
+"""Names, reading and writing of result files."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import fields
@@ -13,8 +12,9 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from gauge_envs.errors import ResultFileError, UnknownNameError
+from gauge_envs.errors import ResultFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.files import write_whole
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 
@@ -26,7 +26,11 @@ __all__ = [
 
 
 def result_file_name(result: Result) -> str:
-    """`SlopeSlider-2-wood.mujoco.calibrated.json`; what else was chosen by a hash, seeds other than 0."""
+    """Return the file name of a result, as `SlopeSlider-2-wood.mujoco.calibrated.json`.
+
+    Further parts name what differs from the defaults: hashes of overrides, asset, settings and jitter, imported data,
+    the marker proxy and the seed.
+    """
     named = result.parameters
     parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
     parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
@@ -54,31 +58,24 @@ def write_result(result: Result, file: Path) -> None:
     Raises:
         ResultFileError: It cannot be written.
     """
-    part = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    text = json.dumps(result.to_dict(), allow_nan=False) + "\n"
     try:
-        with part.open("w", encoding="utf-8") as stream:
-            json.dump(result.to_dict(), stream, allow_nan=False)
-            stream.write("\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(file)
+        write_whole(file, text.encode())
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def load_result(file: Path) -> Result:
     """Read a result file.
 
     Raises:
-        ResultFileError: It cannot be read, or is not a whole and consistent result file.
+        ResultFileError: The file cannot be read, or is not a complete and consistent result file.
     """
     try:
         content = json.loads(file.read_bytes())
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        # Older files lack these keys, and stand for the defaults.
+        # Files of older versions lack these keys; they have the defaults.
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", "node")
         content["dataset"] = BUNDLED_DATA | dict(content.get("dataset") or {})
@@ -94,9 +91,8 @@ def load_result(file: Path) -> Result:
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ResultFileError(f"{file}: not a result file: {place}: {first['msg']}") from error
+        place, reason = first_fault(error)
+        raise ResultFileError(f"{file}: not a result file: {place}: {reason}") from error
     except (ValueError, RecursionError, UnknownNameError) as error:
         raise ResultFileError(f"{file}: not a result file: {error}") from error
     return result

@@ -1,4 +1,4 @@
-"""The scene of an asset, as a result file keeps it."""
+"""The record of an asset in a result file, and the experiment that it restores."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ __all__ = [
 
 
 def asset_record(experiment: Experiment) -> dict[str, Any]:
-    """What a result keeps of the asset that an experiment was built from; empty where there was none."""
+    """Return the record of an experiment's asset for its result; empty without an asset."""
     asset = experiment.asset
     if asset is None:
         return {}
     record = asset.to_dict()
-    # A model file stands for a scene that the package has; the engine alone could read it back.
+    # The scene of a model file is that of the variant; only its engine could read the file back.
     if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
         record["scene"] = _scene_text(experiment.scene)
     if isinstance(experiment, FileExperiment):
@@ -37,9 +37,9 @@ def asset_record(experiment: Experiment) -> dict[str, Any]:
 
 
 def recorded_experiment(result: Result) -> Experiment:
-    """The experiment that a result is of, with the scene that it ran; needs no file but the result's.
+    """Return the experiment of a result with the scene that ran; it needs no other file.
 
-    Where an engine's own model file stood for the scene, the scene is that of the variant.
+    If an engine's model file stated the scene, the scene is that of the variant.
 
     Raises:
         GaugeError: The package no longer has the variant or its parameters, or the result's asset is damaged.

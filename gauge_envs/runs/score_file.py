@@ -1,4 +1,4 @@
-"""Scores trajectory files of users."""
+"""Scores of trajectory files of users."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.files import json_ready
 from gauge_envs.references.imported import DataSource, dataset_record
-from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result, parameters_record
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.scene_record import asset_record, recorded_experiment
 
@@ -30,21 +31,21 @@ def score_file(
     reference: DataSource | str = DataSource.BUNDLED,
     use_withheld: bool = False,
 ) -> tuple[Result, int]:
-    """Score a trajectory that a user brought from their own simulator (formats: `evaluation.trajectory_file`).
+    """Score a trajectory file of a user's own simulator; see `evaluation.trajectory_file` for the formats.
 
     Args:
         file: CSV, NPZ or JSON file.
-        variant: Name or id of the experiment, or an experiment file; None takes what a JSON file states.
-        parameters: Parameters of the scene, for bands that follow from it; None takes what the file states, else
+        variant: Name or id of the experiment, or an experiment file; None takes that of a JSON file.
+        parameters: Parameters of the scene, for bands that follow from it; None takes those of the file, or
             `calibrated`.
-        reference: `bundled` scores against what the package has, `imported` against the imported trials.
-        use_withheld: Score on a band too that is withheld by default.
+        reference: `bundled` scores against the package's references, `imported` against the imported trials.
+        use_withheld: Score also against a band that is withheld by default.
 
     Returns:
-        The result, and the number of frames that had to be interpolated.
+        The result, and the number of interpolated frames.
 
     Raises:
-        TrajectoryFileError: The file cannot be used, or it is of another experiment than `variant`.
+        TrajectoryFileError: The file cannot be used, or belongs to another experiment than `variant`.
         UnknownNameError: No such variant.
         ParameterError: No such parameters.
     """
@@ -55,7 +56,7 @@ def score_file(
     result = Result(
         id=experiment.id,
         outcome=Outcome.FINISHED,
-        parameters=parameters_record(experiment),
+        parameters=json_ready(experiment.overrides) if experiment.parameters == "custom" else experiment.parameters,
         score=score,
         task_sha256=experiment.file_sha256,
         frames=experiment.frame_count,
@@ -71,18 +72,18 @@ def score_file(
 def _experiment_of_file(
     file: Path, variant: str | None, parameters: Parameters | None, reference: DataSource | str
 ) -> Experiment:
-    """The experiment that a trajectory is of: as asked for, else as the file states."""
+    """Return the experiment of a trajectory: that of the arguments, or that of the file."""
     stated_id, stated_parameters, has_asset = recorded_id(file)
     if has_asset and variant is None and parameters is None:
         return recorded_experiment(load_result(file))
     name = variant or stated_id
     if name is None:
-        raise TrajectoryFileError(f"{file}: states no id, expected one with --id, as --id GAUGE/SlopeSlider-2-wood")
+        raise TrajectoryFileError(f"{file}: the file states no id. Give one, as --id GAUGE/SlopeSlider-2-wood.")
     if parameters is None:
         known = isinstance(stated_parameters, str | dict) and not has_asset
         parameters = stated_parameters if known else "calibrated"
     experiment = resolve_experiment(name, parameters, reference=reference)
     stated = stated_id if stated_id is None or has_asset else find_variant(stated_id).id
     if stated is not None and stated != experiment.id:
-        raise TrajectoryFileError(f"{file}: id is {stated_id!r}, but {experiment.id} was asked for")
+        raise TrajectoryFileError(f"{file}: the id in the file is {stated_id!r}, but {experiment.id} was asked for")
     return experiment

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import Pose, Vector, vector
+from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector, vector
 
 __all__ = [
     "CosineProfile",
@@ -29,18 +30,27 @@ class TrapezoidProfile:
     """Trapezoidal speed profile of a motor: constant acceleration, constant speed, constant deceleration.
 
     Attributes:
+        kind: Name of the profile in files.
         start_s: Time at which the motion starts [s].
         duration_s: Time from start to standstill [s].
         accelerate_s: Duration of the acceleration [s]; 0 for a start at full speed.
         brake_s: Duration of the deceleration [s].
         amount: Signed total change of the coordinate [m or rad].
+
+    Raises:
+        ValueError: Speed-up and braking together are longer than the motion.
     """
 
+    kind: Literal["trapezoid"] = "trapezoid"
     start_s: float
-    duration_s: float
-    accelerate_s: float
-    brake_s: float
+    duration_s: Positive
+    accelerate_s: NonNegative
+    brake_s: NonNegative
     amount: float
+
+    def __post_init__(self) -> None:
+        if self.accelerate_s + self.brake_s > self.duration_s:
+            raise ValueError("accelerate_s and brake_s together are longer than duration_s")
 
     @property
     def cruise_rate(self) -> float:
@@ -80,8 +90,9 @@ class TrapezoidProfile:
 class CosineProfile:
     """Change by `amount` along half a cosine period, which starts and ends at rest."""
 
+    kind: Literal["cosine"] = "cosine"
     start_s: float
-    duration_s: float
+    duration_s: Positive
     amount: float
 
     @property
@@ -100,19 +111,40 @@ class CosineProfile:
         return 0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
 
 
+@dataclass(frozen=True, kw_only=True)
 class SampledProfile:
     """Sampled coordinate with monotone cubic interpolation (no overshoot), constant before and after the samples.
 
-    Args:
+    Attributes:
+        kind: Name of the profile in files.
         times_s: Strictly increasing times [s], shape [sample_count].
         values: Coordinate relative to the start pose [m or rad], same shape.
+
+    Raises:
+        ValueError: There are fewer than two times, another number of values, or times that do not increase.
     """
 
-    def __init__(self, *, times_s: tuple[float, ...], values: tuple[float, ...]) -> None:
-        self.times_s = times_s
-        self.values = values
-        self._curve = PchipInterpolator(times_s, values)
-        self._slope = self._curve.derivative()
+    kind: Literal["sampled"] = "sampled"
+    times_s: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.times_s) < 2:
+            raise ValueError(f"times_s has {len(self.times_s)} entries; at least 2 are needed")
+        if len(self.values) != len(self.times_s):
+            raise ValueError(f"{len(self.times_s)} times but {len(self.values)} values")
+        for index in range(1, len(self.times_s)):
+            before, time = self.times_s[index - 1 : index + 1]
+            if time <= before:
+                raise ValueError(f"driver time is not increasing: times_s[{index}] = {time} after {before}")
+
+    @cached_property
+    def _curve(self) -> PchipInterpolator:
+        return PchipInterpolator(self.times_s, self.values)
+
+    @cached_property
+    def _slope(self) -> PchipInterpolator:
+        return self._curve.derivative()
 
     @property
     def largest_rate(self) -> float:
@@ -129,14 +161,18 @@ class SampledProfile:
         """Return the rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
         return float(self._slope(time_s)) if self.times_s[0] <= time_s < self.times_s[-1] else 0.0
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, SampledProfile) and (self.times_s, self.values) == (other.times_s, other.values)
 
-    def __hash__(self) -> int:
-        return hash((self.times_s, self.values))
+class _ByKind:
+    """Metadata of a union whose member is chosen by `kind`; keeps pydantic out of the imports of this module."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic import Field
+
+        return handler.generate_schema(Annotated[source, Field(discriminator="kind")])
 
 
-Profile = TrapezoidProfile | CosineProfile | SampledProfile
+Profile = Annotated[TrapezoidProfile | CosineProfile | SampledProfile, _ByKind()]
+"""How a coordinate changes over time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,15 +183,22 @@ class DriverMotion:
         kind: `translate` (coordinate in m) or `rotate` (coordinate in rad).
         axis: Unit vector in the world.
         point_m: A point of the rotation axis [m]; unused by a translation.
-        profiles: Profiles whose sum is the coordinate over time.
         residual_rate: Rate that an action of 1 adds [m/s or rad/s]; 0 if actions have no effect.
+        profiles: Profiles whose sum is the coordinate over time.
+
+    Raises:
+        ValueError: The axis is not a unit vector.
     """
 
     kind: Literal["translate", "rotate"]
     axis: Vector
-    profiles: tuple[Profile, ...]
     point_m: Vector = (0.0, 0.0, 0.0)
-    residual_rate: float = 0.0
+    residual_rate: NonNegative = 0.0
+    profiles: tuple[Profile, ...]
+
+    def __post_init__(self) -> None:
+        if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-9:
+            raise ValueError(f"axis {list(self.axis)} is not a unit vector")
 
     def value(self, time_s: float) -> float:
         """Return the coordinate at a time [m or rad]."""

@@ -1,11 +1,13 @@
-"""Poses and shapes, in SI units."""
+"""Poses and shapes, in SI units. The `kind` of a shape is its name in files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, MinLen
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -14,16 +16,23 @@ __all__ = [
     "Box",
     "ConvexUnion",
     "Cylinder",
+    "NonNegative",
     "Plane",
     "Pose",
+    "Positive",
     "Shape",
     "Sphere",
+    "Vector",
     "pose_distance",
     "vector",
 ]
 
 
 Vector = tuple[float, float, float]
+
+# Bounds of numbers, which pydantic checks where it reads a file. A constructor called by code does not check them.
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
 
 
 def vector(values: ArrayLike) -> Vector:
@@ -68,7 +77,8 @@ class Pose:
 class Box:
     """Box centred on the body origin; edge lengths [m] along body x, y, z."""
 
-    size_m: Vector
+    kind: Literal["box"] = "box"
+    size_m: tuple[Positive, Positive, Positive]
 
     @property
     def volume_m3(self) -> float:
@@ -86,7 +96,8 @@ class Box:
 class Sphere:
     """Sphere centred on the body origin."""
 
-    radius_m: float
+    kind: Literal["sphere"] = "sphere"
+    radius_m: Positive
 
     @property
     def volume_m3(self) -> float:
@@ -103,8 +114,9 @@ class Sphere:
 class Cylinder:
     """Solid cylinder centred on the body origin, axis along body z."""
 
-    radius_m: float
-    length_m: float
+    kind: Literal["cylinder"] = "cylinder"
+    radius_m: Positive
+    length_m: Positive
 
     @property
     def volume_m3(self) -> float:
@@ -120,6 +132,8 @@ class Cylinder:
 @dataclass(frozen=True, kw_only=True)
 class Plane:
     """Half-space below the body's x-y plane; body z is the outward normal."""
+
+    kind: Literal["plane"] = "plane"
 
     @property
     def volume_m3(self) -> float:
@@ -137,10 +151,12 @@ class ConvexUnion:
     """Solid of convex pieces that touch but do not overlap, exact for every polyhedron.
 
     Attributes:
+        kind: Name of the shape in files.
         pieces_m: Vertices of each piece in the body frame [m].
     """
 
-    pieces_m: tuple[tuple[Vector, ...], ...]
+    kind: Literal["convex_union"] = "convex_union"
+    pieces_m: Annotated[tuple[tuple[Vector, ...], ...], MinLen(1)]
 
     @cached_property
     def volume_m3(self) -> float:

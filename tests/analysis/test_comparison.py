@@ -10,7 +10,9 @@ from rich.console import Console
 from scipy.stats import gmean
 from typer.testing import CliRunner
 
-from gauge_envs.analysis.comparison import METRICS, MOTION_SHARE, ScoreSpread, check_metrics, compare
+from gauge_envs.analysis.comparison import compare
+from gauge_envs.analysis.distance import MOTION_SHARE
+from gauge_envs.analysis.scores import METRICS, ScoreSpread, check_metrics
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.score import Score
@@ -36,10 +38,10 @@ GRADES = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
 RATE_HZ = 180
 
 
-def course(way, *, seconds=1.0):
-    """A recorded trajectory of one cube: way(times) gives x, y, z in mm, or a constant."""
+def recorded(motion, *, seconds=1.0):
+    """A recorded trajectory of one cube: motion(times) gives x, y, z in mm, or a constant."""
     times = np.arange(round(seconds * RATE_HZ) + 1) / RATE_HZ
-    samples = np.broadcast_to(np.asarray(way(times), dtype=float).T, (len(times), 3))
+    samples = np.broadcast_to(np.asarray(motion(times), dtype=float).T, (len(times), 3))
     return RecordedTrajectory(
         unit="mm",
         coordinates=["cube.x", "cube.y", "cube.z"],
@@ -56,11 +58,11 @@ def along(speed_mm_per_s):
     return lambda times: [speed_mm_per_s * times, 0.0 * times, 0.0 * times]
 
 
-def made(name=SLIDER, *, backend="mujoco", rmse=None, way=still, seconds=1.0, engine="1.0", **changes):
+def made(name=SLIDER, *, backend="mujoco", rmse=None, motion=still, seconds=1.0, engine="1.0", **changes):
     """A result as an engine would leave it; rmse is the normalized one."""
     family = name.split("-")[0]
     score = Score(grade=GRADES[name], unit="mm", rmse_normalized=rmse, rmse=None if rmse is None else 18.0 * rmse)
-    told = {
+    values = {
         "id": f"GAUGE/{name}",
         "outcome": Outcome.FINISHED,
         "parameters": "calibrated",
@@ -72,9 +74,9 @@ def made(name=SLIDER, *, backend="mujoco", rmse=None, way=still, seconds=1.0, en
         "sim_s": seconds,
         "versions": {backend: engine, **versions()},
         "seed": 0,
-        "trajectory": course(way, seconds=seconds),
+        "trajectory": recorded(motion, seconds=seconds),
     }
-    return Result(**(told | changes))
+    return Result(**(values | changes))
 
 
 def diverged(name=SLIDER, *, backend="newton", seconds=0.5, **changes):
@@ -159,7 +161,7 @@ def test_a_jittered_start_is_another_configuration_than_the_nominal_one():
     assert [len(cell.results) for cell in comparison.experiments[0].cells] == [1, 2]
 
 
-def test_labels_tell_a_single_configuration_in_full_and_leave_out_what_all_share():
+def test_labels_state_a_single_configuration_in_full_and_leave_out_what_all_share():
     fine = {"settings_given": {"timestep_s": 0.5}}
     assert configuration_labels(compare([made(**fine)]).configurations) == ["mujoco, calibrated, timestep_s=0.5"]
     both = compare([made(**fine), made(backend="newton", **fine)])
@@ -167,7 +169,7 @@ def test_labels_tell_a_single_configuration_in_full_and_leave_out_what_all_share
     assert "All: calibrated, timestep_s=0.5." in printed([made(**fine), made(backend="newton", **fine)])
 
 
-def test_labels_that_round_to_the_same_are_told_in_full():
+def test_labels_that_round_to_the_same_are_stated_in_full():
     steps = [made(settings_given={"timestep_s": step}) for step in (0.125, 0.125 + 2**-20)]
     labels = configuration_labels(compare(steps).configurations)
     assert sorted(labels) == ["mujoco, timestep_s=0.125", "mujoco, timestep_s=0.12500095367431641"]
@@ -181,7 +183,7 @@ def test_of_two_results_of_one_seed_the_latest_counts():
     assert "the latest of each counts" in comparison.notes[0]
 
 
-def test_results_that_do_not_belong_together_are_told():
+def test_results_that_do_not_belong_together_are_reported():
     stale = made(task_sha256="0" * 64)
     older = made(PLASTIC, versions={"mujoco": "1.0", **versions(), "gauge-envs": "0.0.1"})
     notes = " ".join(compare([stale, older]).notes)
@@ -207,7 +209,7 @@ def test_repeats_that_diverged_are_counted_and_leave_the_cell_unscored_in_the_su
     assert (summary.ran, summary.scored, summary.diverged, summary.geometric_mean) == (1, 0, 1, None)
 
 
-def test_a_raw_score_without_baseline_is_told_in_its_unit():
+def test_a_raw_score_without_baseline_is_stated_in_its_unit():
     assert cells([made(score=Score(grade="trials", unit="mm", rmse=12.5))]) == ["12.50 mm"]
 
 
@@ -278,7 +280,7 @@ def distance(*results):
 
 
 def test_a_constant_distance():
-    far = distance(made(FOAM), made(FOAM, backend="newton", way=lambda _: [3.0, 4.0, 0.0]))
+    far = distance(made(FOAM), made(FOAM, backend="newton", motion=lambda _: [3.0, 4.0, 0.0]))
     assert far.rms.mean == pytest.approx(5.0)
     assert (far.motion_rms, far.frames, far.apart_at_s) == (0.0, 31, None)
     assert far.threshold == published_baselines(FOAM)["rmse"].mean
@@ -287,7 +289,7 @@ def test_a_constant_distance():
 
 def test_drifting_apart_crosses_the_published_scatter_of_real_trials_when_it_should():
     # 60 mm/s apart reach the published 24.27 mm after 0.4045 s, so at the 13th frame, 0.4333 s.
-    far = distance(made(FOAM), made(FOAM, backend="newton", way=along(60.0)))
+    far = distance(made(FOAM), made(FOAM, backend="newton", motion=along(60.0)))
     assert far.threshold == 24.27
     assert far.apart_at_s == pytest.approx(13 / 30)
     frames = np.arange(31) / 30
@@ -297,13 +299,13 @@ def test_drifting_apart_crosses_the_published_scatter_of_real_trials_when_it_sho
 
 def test_without_a_published_scatter_the_threshold_is_a_share_of_the_motion():
     # x = v t and 1.1 v t: apart by 5 % of the mean square of both ways once 0.1 v t is.
-    far = distance(made(CRADLE, way=along(100.0)), made(CRADLE, backend="newton", way=along(110.0)))
+    far = distance(made(CRADLE, motion=along(100.0)), made(CRADLE, backend="newton", motion=along(110.0)))
     ways = np.concatenate([np.arange(31) / 30 * speed for speed in (100.0, 110.0)])
     threshold = MOTION_SHARE * np.sqrt(np.mean(ways**2))
     assert not far.threshold_is_scatter
     assert far.threshold == pytest.approx(threshold)
     assert far.apart_at_s == pytest.approx(np.ceil(threshold / 10.0 * 30) / 30)
-    text = printed([made(CRADLE, way=along(100.0)), made(CRADLE, backend="newton", way=along(110.0))])
+    text = printed([made(CRADLE, motion=along(100.0)), made(CRADLE, backend="newton", motion=along(110.0))])
     assert "Where engines disagree" in text
     assert "* not published: 5% of the motion" in text
 
@@ -313,7 +315,7 @@ def test_only_common_finite_frames_count():
         return [np.where(times > 0.3, np.inf, 10.0), 0.0 * times, 0.0 * times]
 
     lost = diverged(FOAM)
-    far = distance(made(FOAM, seconds=2.0), replace(lost, trajectory=course(explodes, seconds=0.5)))
+    far = distance(made(FOAM, seconds=2.0), replace(lost, trajectory=recorded(explodes, seconds=0.5)))
     assert (far.rms.mean, far.frames, far.diverged) == (10.0, 10, True)
 
 
@@ -328,8 +330,8 @@ def test_repeats_are_compared_seed_by_seed():
     def start(x):
         return lambda _: [x, 0.0, 0.0]
 
-    ours = [made(FOAM, seed=seed, way=start(100.0 * seed)) for seed in (1, 2, 3)]
-    theirs = [made(FOAM, backend="newton", seed=seed, way=start(100.0 * seed + seed)) for seed in (1, 2, 3)]
+    ours = [made(FOAM, seed=seed, motion=start(100.0 * seed)) for seed in (1, 2, 3)]
+    theirs = [made(FOAM, backend="newton", seed=seed, motion=start(100.0 * seed + seed)) for seed in (1, 2, 3)]
     far = distance(*ours, *theirs)
     assert (far.rms.mean, far.rms.std, far.rms.count) == (2.0, 1.0, 3)
     apart = distance(ours[0], ours[1], theirs[2])
@@ -377,7 +379,7 @@ def test_metrics_are_checked_and_kept_in_order():
 
 
 def test_repeats_are_lines_of_one_colour_and_configurations_keep_theirs():
-    repeats = [made(backend="newton", rmse=1.0, seed=seed, way=along(10.0 * seed)) for seed in range(3)]
+    repeats = [made(backend="newton", rmse=1.0, seed=seed, motion=along(10.0 * seed)) for seed in range(3)]
     among = [made(PLASTIC, rmse=1.0), *repeats]
     figure = draw_experiment(repeats, among=among)
     curves = [line for line in figure.axes[0].get_lines() if to_hex(line.get_color()) in OURS and len(line.get_xdata())]
@@ -388,7 +390,7 @@ def test_repeats_are_lines_of_one_colour_and_configurations_keep_theirs():
 
 
 def test_engines_without_a_reference_get_a_panel_of_their_distance():
-    figure = draw_experiment([made(FOAM), made(FOAM, backend="newton", way=along(60.0))])
+    figure = draw_experiment([made(FOAM), made(FOAM, backend="newton", motion=along(60.0))])
     panel = next(axis for axis in figure.axes if "distance" in axis.get_ylabel())
     heights = max(panel.get_lines(), key=lambda line: len(line.get_ydata())).get_ydata()
     assert heights == pytest.approx(60.0 * np.arange(31) / 30)

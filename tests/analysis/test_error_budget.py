@@ -60,10 +60,10 @@ def band(mean, *, grade=BandGrade.TRIALS, measured=None, sigma=1.0, **changes):
     return Band(**(values | changes))
 
 
-def samples(frame_count, course, *, rate_hz=180):
-    """Times and values of a course over the frames: course(times) of shape [S, 3]."""
+def samples(frame_count, motion_at, *, rate_hz=180):
+    """Times and values of a motion_at over the frames: motion_at(times) of shape [S, 3]."""
     times = np.arange((frame_count - 1) * (rate_hz // 30) + 1) / rate_hz
-    return times, np.asarray(course(times), dtype=float)
+    return times, np.asarray(motion_at(times), dtype=float)
 
 
 def frames_s(frame_count):
@@ -98,11 +98,11 @@ def assert_consistent(diagnosis):
 
 
 def slide(acceleration_mm_s2, *, start_mm=0.0, late_s=0.0):
-    def course(times):
-        way = start_mm + 0.5 * acceleration_mm_s2 * np.maximum(times - late_s, 0.0) ** 2
-        return way[:, None] * [0.8, 0.0, -0.6] + [97.0, 407.0, 359.0]
+    def motion_at(times):
+        displacement_mm = start_mm + 0.5 * acceleration_mm_s2 * np.maximum(times - late_s, 0.0) ** 2
+        return displacement_mm[:, None] * [0.8, 0.0, -0.6] + [97.0, 407.0, 359.0]
 
-    return course
+    return motion_at
 
 
 @QUICK
@@ -137,11 +137,11 @@ def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
     experiment = load_experiment(name)
     real = reference_band(experiment)
     count = len(real.mean)
-    course = CubicSpline(frames_s(count), real.mean[:, 0])
-    times, simulated = samples(count, course)
+    motion_at = CubicSpline(frames_s(count), real.mean[:, 0])
+    times, simulated = samples(count, motion_at)
     late_s, offset_mm, ratio = 0.03, 4.0, 1.05
     start = simulated[0]
-    late = start + offset_mm + ratio * (course(np.maximum(frames_s(count) - late_s, 0.0)) - start)
+    late = start + offset_mm + ratio * (motion_at(np.maximum(frames_s(count) - late_s, 0.0)) - start)
     planted = replace(real, mean=late[:, None])
     diagnosis = diagnose_trajectory(experiment, planted, times_s=times, values=simulated[:, None] * real.projection)
     assert_consistent(diagnosis)
@@ -159,7 +159,7 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=40
     fall_s = math.sqrt(2.0 * drop_mm / GRAVITY_MM_S2)
     speed = GRAVITY_MM_S2 * fall_s
 
-    def course(times):
+    def motion_at(times):
         since = np.maximum(times - late_s, 0.0)
         flight = since - fall_s
         falling = floor_mm + drop_mm - 0.5 * GRAVITY_MM_S2 * since**2
@@ -167,7 +167,7 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=40
         height = np.where(flight < 0.0, falling, rising) + raised_mm
         return np.column_stack([0.0 * times, 0.0 * times, height])
 
-    return course
+    return motion_at
 
 
 @QUICK
@@ -196,11 +196,11 @@ def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
 
 
 def swing(period_s, *, amplitude_mm=150.0, late_s=0.0, centre):
-    def course(times):
+    def motion_at(times):
         angle = 2.0 * np.pi / period_s * np.maximum(times - late_s, 0.0)
         return centre + (amplitude_mm * np.cos(angle))[:, None] * [1.0, 0.0, 0.0]
 
-    return course
+    return motion_at
 
 
 @QUICK
@@ -263,15 +263,15 @@ def wild(draw):
     generator = np.random.default_rng(seed)
     count = load_experiment(DRIVEN).frame_count
 
-    def course(times):
+    def motion_at(times):
         angles = generator.uniform(0.0, 12.0, (waves, 3)) * times[:, None, None] + generator.uniform(
             0.0, 6.0, (waves, 3)
         )
         return (generator.normal(0.0, 30.0, (waves, 3)) * np.sin(angles)).sum(axis=1)
 
-    mean = course(frames_s(count))
+    mean = motion_at(frames_s(count))
     mean[generator.random(mean.shape) < draw(st.sampled_from([0.0, 0.2]))] = np.nan
-    return mean, *samples(count, course)
+    return mean, *samples(count, motion_at)
 
 
 @QUICK
@@ -303,11 +303,11 @@ def test_the_search_finds_what_a_dense_grid_finds():
     experiment = load_experiment(DRIVEN)
     count = experiment.frame_count
 
-    def course(times):
+    def motion_at(times):
         return np.column_stack([50.0 * np.sin(14.0 * times), 30.0 * np.cos(23.0 * times), 5.0 * times])
 
-    times, values = samples(2 * count, course)
-    mean = course(1.3 * np.maximum(frames_s(count) - 0.11, 0.0))
+    times, values = samples(2 * count, motion_at)
+    mean = motion_at(1.3 * np.maximum(frames_s(count) - 0.11, 0.0))
     diagnosis = diagnose_trajectory(
         experiment, band(mean), times_s=times, values=values, order=("rate", "release", "offset")
     )
@@ -424,7 +424,7 @@ def test_no_error_is_no_budget():
     assert findings(diagnosis) == ("The simulation is on the mean of the band: there is no error to explain.",)
 
 
-def test_limits_are_told():
+def test_limits_are_reported():
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
     times, values = samples(count, slide(800.0))
@@ -436,7 +436,7 @@ def test_limits_are_told():
     assert any("limit of what was tried" in line for line in findings(diagnosis))
 
 
-def test_a_part_that_another_stands_in_for_is_told():
+def test_a_part_that_another_can_replace_is_reported():
     """Let go at the right time and too slow: a shift hides most of it, the acceleration is all of it."""
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
@@ -452,14 +452,14 @@ def test_a_part_that_another_stands_in_for_is_told():
     )
 
 
-def test_speed_and_displacement_that_cannot_be_told_apart_are_noted():
+def test_speed_and_displacement_that_cannot_be_separated_are_noted():
     experiment = load_experiment(DRIVEN)
     count = experiment.frame_count
     times, values = samples(count, slide(100.0))
     mean = slide(140.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert diagnosis.rest.share < 1e-4
-    assert any("how they share it is not" in note for note in diagnosis.notes)
+    assert any("its split between them is not" in note for note in diagnosis.notes)
 
 
 # --- impacts ---------------------------------------------------------------------------------------------------------
@@ -480,9 +480,9 @@ def test_a_second_impact_ends_the_first_flight():
     assert impact.until_s == pytest.approx(until_s, abs=2.0 / 180.0)
 
 
-@pytest.mark.parametrize("course", [slide(2600.0), lambda times: np.zeros((len(times), 3)), winding])
-def test_there_is_no_impact_where_nothing_rebounds(course):
-    assert find_impact(*samples(30, course)) is None
+@pytest.mark.parametrize("motion_at", [slide(2600.0), lambda times: np.zeros((len(times), 3)), winding])
+def test_there_is_no_impact_where_nothing_rebounds(motion_at):
+    assert find_impact(*samples(30, motion_at)) is None
 
 
 # --- requests --------------------------------------------------------------------------------------------------------
@@ -499,10 +499,10 @@ def unscored():
     return run_episode(RunRequest("SlopeContact-plastic"))
 
 
-def test_what_is_missing_is_told(ball, unscored):
+def test_what_is_missing_is_reported(ball, unscored):
     with pytest.raises(DiagnosisError, match="no reference band"):
         diagnose(unscored)
-    with pytest.raises(DiagnosisError, match="diverged, so that there is no score"):
+    with pytest.raises(DiagnosisError, match="diverged, so there is no score"):
         diagnose(replace(ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"))
     with pytest.raises(DiagnosisError, match="withheld"):
         experiment = load_experiment("SlopeContact-wood")

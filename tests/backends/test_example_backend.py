@@ -383,7 +383,7 @@ def measure_refusals() -> dict[str, Any]:
 
 def test_refusals_name_the_cause(measured: dict[str, Any]) -> None:
     refused = measured["refusals"]
-    assert "'substeps'" in refused["unknown"] and "there is no such setting" in refused["unknown"]
+    assert "'substeps'" in refused["unknown"] and "unknown setting" in refused["unknown"]
     assert "'timestep_s'" in refused["impossible"]
     assert "not a whole number" in refused["odd"]
     assert refused["turned"] == [

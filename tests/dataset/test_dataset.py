@@ -599,10 +599,10 @@ def test_folders_of_nothing_known_are_named(folder: str, right: str, tmp_path: P
     (tmp_path / folder / "trial-1.json").write_text("{}")
     (finding,) = find_trials(tmp_path).findings
     assert finding.file in folder or finding.file.startswith(folder)
-    assert right in finding.right
+    assert right in finding.expected
     result = gauge("data", "import", tmp_path)
     assert result.exit_code == 1
-    assert finding.what in result.stderr and "4 trials of 1 experiment imported" in result.stderr
+    assert finding.problem in result.stderr and "4 trials of 1 experiment imported" in result.stderr
 
 
 def test_no_dataset_is_an_error(tmp_path: Path, gauge) -> None:
@@ -610,7 +610,7 @@ def test_no_dataset_is_an_error(tmp_path: Path, gauge) -> None:
         result = gauge("data", "import", wrong)
         assert result.exit_code == 2 and str(wrong) in result.stderr.replace("\n", "")
     (tmp_path / "data" / "rigid").mkdir(parents=True)
-    with pytest.raises(DatasetError, match="holds no trial"):
+    with pytest.raises(DatasetError, match="contains no trial"):
         find_trials(tmp_path)
     with pytest.raises(UnknownNameError, match="SlopeSlider"):
         find_trials(tmp_path, only=["SlopeSlidr-2-wood"])

@@ -97,7 +97,13 @@ def nested(content: dict[str, Any]) -> bytes:
 # Experiment, how the file is damaged, where, what is wrong, what would be right.
 DAMAGES: dict[str, tuple[str, Change, str, str, str]] = {
     "empty": (SLIDER, lambda content: b" \n", "(file)", "it is empty", "a JSON object"),
-    "cut off": (SLIDER, text(lambda line: line[: len(line) // 2]), "(file)", "it is not JSON", "a whole JSON object"),
+    "cut off": (
+        SLIDER,
+        text(lambda line: line[: len(line) // 2]),
+        "(file)",
+        "it is not JSON",
+        "a complete JSON object",
+    ),
     "not an object": (SLIDER, lambda content: b"[1, 2]", "(file)", "it is a JSON list", "a JSON object"),
     "not text": (SLIDER, lambda content: b'{"FPS": "\xff\xfe"}', "(file)", "it is not text", "UTF-8"),
     "too deep": (SLIDER, nested, "(file)", "nested too deeply", "lists of numbers"),
@@ -132,8 +138,8 @@ DAMAGES: dict[str, tuple[str, Change, str, str, str]] = {
         SLIDER,
         text(lambda line: line.replace('"x"', '"y"', 1)),
         "y",
-        "the key stands there twice",
-        "a name of its own",
+        "the key occurs twice",
+        "unique names",
     ),
     "no markers": (FOAM, without("foam"), "markers", "the marker set is missing", "the file has cube"),
     "marker missing": (FOAM, without("foam", "5"), "foam", "it has 13 markers", "14 are expected"),
@@ -155,8 +161,8 @@ def test_a_damaged_file_is_named_and_the_others_are_used(damage: str, tmp_path: 
     (finding,) = one.findings
     assert finding.left_out and finding.file == file.relative_to(tmp_path).as_posix()
     assert finding.key == key
-    assert what in finding.what
-    assert right in finding.right
+    assert what in finding.problem
+    assert right in finding.expected
     assert (one.used, one.left_out, one.record.left_out) == (len(AMOUNTS), 1, 1)
     band = load_band(name, DataSource.IMPORTED)
     np.testing.assert_array_equal(band.mean, undamaged.mean)
@@ -189,7 +195,7 @@ def test_recorded_bodies_are_equally_long(tmp_path: Path) -> None:
     write_trial(tmp_path, name, NUMBER, content)
     (one,) = import_trials(find_trials(tmp_path))
     assert (one.used, one.left_out) == (4, 1)
-    assert (one.findings[0].key, one.findings[0].what) == ("ball-2", "it has 94 frames")
+    assert (one.findings[0].key, one.findings[0].problem) == ("ball-2", "it has 94 frames")
 
 
 def test_marker_sets_of_several_bodies_are_joined(tmp_path: Path) -> None:
@@ -207,7 +213,7 @@ def test_marker_sets_of_several_bodies_are_joined(tmp_path: Path) -> None:
         write_trial(tmp_path, name, number, content)
     (one,) = import_trials(find_trials(tmp_path))
     assert (one.used, one.left_out) == (3, 1)
-    assert (one.findings[0].key, one.findings[0].what) == ("cube-3", "it has 94 frames")
+    assert (one.findings[0].key, one.findings[0].problem) == ("cube-3", "it has 94 frames")
     start = scaled_markers(load_experiment(name), float(np.mean(AMOUNTS[:3])))
     np.testing.assert_allclose(load_band(name, DataSource.IMPORTED).mean[5], start.ravel(), rtol=0, atol=1e-9)
 
@@ -218,7 +224,7 @@ def test_a_copy_counts_once(tmp_path: Path) -> None:
     (folder / "trial-7.json").write_bytes((folder / "trial-2.json").read_bytes())
     (one,) = import_trials(find_trials(tmp_path))
     assert one.used == 4
-    assert "is a copy of" in one.findings[0].what and one.findings[0].file.endswith("trial-7.json")
+    assert "is a copy of" in one.findings[0].problem and one.findings[0].file.endswith("trial-7.json")
 
 
 def test_a_folder_named_as_a_trial_is_named(tmp_path: Path) -> None:
@@ -226,14 +232,16 @@ def test_a_folder_named_as_a_trial_is_named(tmp_path: Path) -> None:
     (tmp_path / trial_folder(SLIDER) / "trial-7.json").mkdir()
     (one,) = import_trials(find_trials(tmp_path))
     assert one.used == 4
-    assert one.findings[0].what.startswith("it cannot be read")
+    assert one.findings[0].problem.startswith("it cannot be read")
 
 
 def test_two_trials_are_needed(tmp_path: Path) -> None:
     write_synthetic(tmp_path, SLIDER, [0.0])
     (one,) = import_trials(find_trials(tmp_path))
     assert one.record is None and load_imported(SLIDER) is None
-    assert one.findings[0].what == "1 of its trials can be used" and one.findings[0].right == "2 or more are needed"
+    assert (
+        one.findings[0].problem == "1 of its trials can be used" and one.findings[0].expected == "2 or more are needed"
+    )
 
 
 def test_the_command_imports_the_rest_and_exits_with_1(tmp_path: Path) -> None:
@@ -265,8 +273,8 @@ def read_all(content: bytes, name: str) -> Trial | None:
         trajectory = trial_trajectory(trial, experiment)
         assert trajectory.shape[0] == experiment.frame_count and not np.isinf(trajectory).any()
     except TrialError as error:
-        assert error.key and error.what and error.right
-        assert all(part.isprintable() for part in (error.key, error.what, error.right))
+        assert error.key and error.problem and error.expected
+        assert all(part.isprintable() for part in (error.key, error.problem, error.expected))
         return None
     with contextlib.suppress(TrialError):
         driver_tracks(trial, experiment)

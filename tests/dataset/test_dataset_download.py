@@ -107,7 +107,7 @@ def test_a_broken_download_says_how_to_go_on(hub: FakeHub, tmp_path: Path) -> No
     hub.error = ConnectionError("the host is gone")
     result = run("--to", tmp_path)
     assert result.exit_code == 2
-    assert "ConnectionError: the host is gone; the same command goes on where it stopped" in result.stderr
+    assert "ConnectionError: the host is gone; the same command continues the download" in result.stderr
     hub.error = None
     assert run("--to", tmp_path).exit_code == 0
 

@@ -1,4 +1,4 @@
-"""USD layers as the source of a scene: the shipped ones change nothing, edits count, and what does not fit is told."""
+"""USD layers as the source of a scene: shipped layers change nothing, edits count, misfits are reported."""
 
 from __future__ import annotations
 
@@ -344,8 +344,8 @@ def test_results_of_before_have_no_asset(tmp_path: Path) -> None:
 def test_compare_keeps_edited_scenes_apart(slippery: Path) -> None:
     comparison = compare([run_episode(RunRequest(SLIDE)), run_episode(RunRequest(SLIDE, asset=slippery))])
     assert [bool(one.asset) for one in comparison.configurations] == [False, True]
-    told = json.dumps(comparison_rows(comparison, ("rmse",)))
-    assert f"edited scene {slippery.name}" in told
+    message = json.dumps(comparison_rows(comparison, ("rmse",)))
+    assert f"edited scene {slippery.name}" in message
 
 
 def test_resume_takes_only_a_result_of_the_same_file(slippery: Path, tmp_path: Path) -> None:
@@ -398,22 +398,22 @@ def fixed(stage: Usd.Stage) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (without("/World/cube"), "cube: no body of that name, which SlopeSlider-2-wood records; it has: board, ground"),
         (
             unnamed("SlopeSlider-2-metal"),
-            "it is the scene of SlopeSlider-2-metal, and SlopeSlider-2-wood was asked for",
+            "it is the scene of SlopeSlider-2-metal, not of SlopeSlider-2-wood",
         ),
-        (longer, "it lasts 2 s, but an episode of SlopeSlider-2-wood 0.6 s"),
+        (longer, "it lasts 2 s, but an episode of SlopeSlider-2-wood lasts 0.6 s"),
         (fixed, "it must move under forces"),
     ],
     ids=["recorded body missing", "another variant", "longer", "does not move"],
 )
-def test_what_does_not_fit_the_id_is_told(change: Edit, told: str, edited: Callable[[str, Edit], Path]) -> None:
+def test_what_does_not_fit_the_id_is_reported(change: Edit, message: str, edited: Callable[[str, Edit], Path]) -> None:
     with pytest.raises(AssetError) as caught:
         load_experiment_from_asset(SLIDE, edited(SLIDE, change))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert f"{SLIDE}.usda" in str(caught.value)
 
 
@@ -434,7 +434,7 @@ def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) ->
 
 
 @pytest.mark.parametrize(
-    ("content", "name", "told"),
+    ("content", "name", "message"),
     [
         (None, "gone.usda", "cannot be read: No such file"),
         (b"", "empty.usda", "empty.usda"),
@@ -445,7 +445,7 @@ def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) ->
         (b'#usda 1.0\n(\n metersPerUnit = 1\n)\ndef PhysicsScene "P" {}\n', "noup.usda", "upAxis"),
     ],
 )
-def test_a_bad_file_is_an_error_of_one_line(content: bytes | None, name: str, told: str, tmp_path: Path) -> None:
+def test_a_bad_file_is_an_error_of_one_line(content: bytes | None, name: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
@@ -453,7 +453,7 @@ def test_a_bad_file_is_an_error_of_one_line(content: bytes | None, name: str, to
     assert result.exit_code == 2
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith(f"error: {path}: ")
-    assert told in result.stderr
+    assert message in result.stderr
     assert not (tmp_path / "out").exists()
 
 

@@ -191,7 +191,7 @@ def test_other_rows_become_a_sampled_driver(edited: Callable[..., Path], rollout
 
 
 @pytest.mark.parametrize(
-    ("name", "replacement", "told"),
+    ("name", "replacement", "message"),
     [
         (SLIDE, ('mass="0.0903"', 'mas="0.1"'), "unrecognized attribute: 'mas'.* line 15"),
         (SLIDE, ("</worldbody>", ""), "MuJoCo cannot load it: XML parse error"),
@@ -225,10 +225,10 @@ def test_other_rows_become_a_sampled_driver(edited: Callable[..., Path], rollout
         ),
     ],
 )
-def test_what_a_file_lacks_is_told(
-    name: str, replacement: tuple[str, str], told: str, edited: Callable[..., Path]
+def test_what_a_file_lacks_is_reported(
+    name: str, replacement: tuple[str, str], message: str, edited: Callable[..., Path]
 ) -> None:
-    with pytest.raises(AssetError, match=told) as caught:
+    with pytest.raises(AssetError, match=message) as caught:
         load_experiment_from_asset(name, edited(name, replacement))
     assert str(caught.value).startswith(f"{caught.value.file}: ")
 
@@ -292,7 +292,7 @@ def test_only_mujoco_has_model_files() -> None:
 def test_changes_of_a_model_find_every_kind_of_edit() -> None:
     text = shipped(SLIDE).read_text(encoding="utf-8")
     built = mujoco.MjModel.from_xml_string(text)
-    for old, new, told in (
+    for old, new, message in (
         ("<worldbody>", '<worldbody><geom name="wall" type="plane" size="1 1 1"/>', "wall: added"),
         ("<worldbody>", '<option wind="1 0 0" density="1.2"/><worldbody>', "option: density 0 -> 1.2"),
         ('<geom name="cube"', '<geom name="cube" margin="0.001"', "cube: geom_margin 0 -> 0.001"),
@@ -300,7 +300,7 @@ def test_changes_of_a_model_find_every_kind_of_edit() -> None:
         ('<body name="cube"', '<body name="cube" gravcomp="1"', "cube: body_gravcomp 0 -> 1"),
     ):
         lines = list(model_changes(mujoco.MjModel.from_xml_string(text.replace(old, new)), built))
-        assert any(line.startswith(told) for line in lines), (told, lines)
+        assert any(line.startswith(message) for line in lines), (message, lines)
     assert list(model_changes(built, built)) == []
     recoloured = text.replace('<geom name="cube"', '<geom name="cube" rgba="1 0 0 1"')
     assert list(model_changes(mujoco.MjModel.from_xml_string(recoloured), built)) == []

@@ -158,7 +158,7 @@ def test_markers_lie_on_their_bodies(family):
 
 @pytest.mark.parametrize("family", ["TextileStretching", "TextileFlinging"])
 def test_flat_cloth_has_no_curvature(family):
-    """Corner, edge and inner markers are told apart by the angles that the flat mesh has there."""
+    """Corner, edge and inner markers differ in the angles that the flat mesh has there."""
     markers = of_family(family).scene.markers
     rest = np.asarray(markers.positions_m)[None]
     curvature = angle_deficit_curvature(rest, markers.faces, corner=markers.corner, edge=markers.edge)

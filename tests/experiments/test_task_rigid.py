@@ -136,7 +136,7 @@ def test_variant_resolves_with_every_parameter_set(name: str) -> None:
 def test_volume_times_density_is_the_mass(family: str) -> None:
     spec = task_spec(family)
     for name, tables in spec.constants.items():
-        volume = spec.bodies[name].shape.build().volume_m3
+        volume = spec.bodies[name].shape.volume_m3
         for material, constants in tables.items():
             density = constants.get("density_kg_per_m3")
             if density is not None:
@@ -160,7 +160,7 @@ def test_resting_bodies_touch_what_they_rest_on(name: str) -> None:
 @pytest.mark.parametrize("family", RIGID)
 def test_pieces_of_a_shape_do_not_overlap(family: str) -> None:
     for body in task_spec(family).bodies.values():
-        shape = body.shape.build()
+        shape = body.shape
         if isinstance(shape, ConvexUnion):
             for first, second in itertools.combinations(shape.pieces_m, 2):
                 assert overlap_depth(np.asarray(first), np.asarray(second)) < 1e-9

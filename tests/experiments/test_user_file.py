@@ -121,7 +121,7 @@ def test_gymnasium_makes_it_as_an_id() -> None:
     assert -0.1 < reward < 0.0
     with pytest.raises(ParameterError, match="names its own USD layer"):
         resolve_experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
-    with pytest.raises(ParameterError, match=r"with crate\.toml: it states the constants"):
+    with pytest.raises(ParameterError, match=r"with crate\.toml: the file states the constants"):
         resolve_experiment(str(CRATE), {"Crate.friction": 0.1})
 
 
@@ -350,7 +350,7 @@ def dots(kind: str, count: int = 0) -> Callable[[Usd.Stage], None]:
 
 
 @pytest.mark.parametrize(
-    ("change", "markers", "error", "told"),
+    ("change", "markers", "error", "message"),
     [
         (
             dots("Points"),
@@ -378,16 +378,16 @@ def dots(kind: str, count: int = 0) -> Callable[[Usd.Stage], None]:
     ],
     ids=["missing", "type", "no points", "empty mesh", "index", "neither", "both", "key"],
 )
-def test_what_is_wrong_with_markers_is_told(
+def test_what_is_wrong_with_markers_is_reported(
     change: Callable[[Usd.Stage], None],
     markers: str,
     error: type[Exception],
-    told: str,
+    message: str,
     flung: Callable[..., Path],
 ) -> None:
     with pytest.raises(error) as caught:
         load_experiment_file(str(flung(change, markers)))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_markers_away_from_their_body_are_refused(flung: Callable[..., Path]) -> None:
@@ -428,7 +428,7 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Call
 
 
 @pytest.mark.parametrize(
-    ("replacement", "error", "told"),
+    ("replacement", "error", "message"),
     [
         (
             ('"/Yard/Incline/Crate"', '"/Yard/Crate"'),
@@ -468,17 +468,17 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Call
         (("[provenance]\nscene", "[provenances]\nscene"), TaskFileError, "provenance"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_told(
-    replacement: tuple[str, str], error: type[Exception], told: str, changed: Callable[..., Path]
+def test_what_is_wrong_in_a_file_is_reported(
+    replacement: tuple[str, str], error: type[Exception], message: str, changed: Callable[..., Path]
 ) -> None:
     path = changed(replacement)
     with pytest.raises(error) as caught:
         load_experiment_file(str(path))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("replacements", "told"),
+    ("replacements", "message"),
     [
         ([("    metersPerUnit = 0.01\n", "")], "metersPerUnit"),
         ([('    upAxis = "Y"\n', "")], "upAxis"),
@@ -488,13 +488,13 @@ def test_what_is_wrong_in_a_file_is_told(
         ([('def Cube "Box"', 'def Capsule "Box"')], "/Yard/Incline/Crate/Box"),
     ],
 )
-def test_what_is_wrong_in_the_layer_is_told(
-    replacements: list[tuple[str, str]], told: str, changed: Callable[..., Path]
+def test_what_is_wrong_in_the_layer_is_reported(
+    replacements: list[tuple[str, str]], message: str, changed: Callable[..., Path]
 ) -> None:
     path = changed(*replacements, file="crate.usda")
     with pytest.raises(AssetError) as caught:
         load_experiment_file(str(path))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_commands_take_an_experiment_file(tmp_path: Path) -> None:

@@ -218,7 +218,7 @@ def test_markers_without_a_node_near_by_are_refused_by_name():
     with pytest.raises(ShapeError, match=r"marker 1 is 12\.0 mm from its node 1; the limit is 10\.0 mm"):
         assign_markers([[0.0, 0, 0], [0.112, 0, 0]], nodes)
     assert assign_markers([[0.0, 0, 0], [0.112, 0, 0]], nodes, max_distance_m=0.02).tolist() == [0, 1]
-    with pytest.raises(ShapeError, match="2 nodes cannot stand for 3 markers"):
+    with pytest.raises(ShapeError, match="2 nodes are too few for 3 markers"):
         assign_markers(np.zeros((3, 3)), nodes)
     with pytest.raises(ShapeError, match="markers_m: point 1 is not finite"):
         assign_markers([[0.0, 0, 0], [np.nan, 0, 0]], nodes)

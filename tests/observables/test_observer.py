@@ -1,4 +1,4 @@
-"""Marker proxies on a sheet of nodes that moves as told."""
+"""Marker proxies on a sheet of nodes with prescribed motion."""
 
 from __future__ import annotations
 

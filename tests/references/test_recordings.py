@@ -22,7 +22,7 @@ from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import data_folder
-from gauge_envs.references import bands as reference
+from gauge_envs.references import tables
 from gauge_envs.references.bands import Band, BandGrade, SigmaSource, bundled_band
 from gauge_envs.references.published import Baseline, law_for, published_baselines
 from gauge_envs.scene.drivers import Driver
@@ -61,7 +61,7 @@ def scoring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A private copy of the data that the loaders read."""
     copy = tmp_path / "scoring"
     shutil.copytree(data_folder("scoring"), copy)
-    monkeypatch.setattr(reference, "data_folder", lambda name: tmp_path / name)
+    monkeypatch.setattr(tables, "data_folder", lambda name: tmp_path / name)
     return copy
 
 
@@ -88,8 +88,8 @@ def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, ca
 
 def test_the_table_of_coverage_is_current_and_names_every_id(tmp_path: Path) -> None:
     assert build_coverage.main(["--check"]) == 0
-    page = (ROOT / "README.md").read_text(encoding="utf-8")
-    stale = tmp_path / "README.md"
+    page = (ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    stale = tmp_path / "coverage.md"
     stale.write_text(page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"), encoding="utf-8")
     assert build_coverage.main(["--check", "--out", str(stale)]) == 1
     assert sum(line.startswith(f"| {variant.name} |") for variant in variants() for line in page.splitlines()) == 75
@@ -442,15 +442,36 @@ def _turning(driver: Driver, start, times: np.ndarray) -> np.ndarray:
     [
         ("SlopeContact-wood.csv", "mean.slide", "mean.slid", "line 1: columns are"),
         ("SlopeContact-wood.csv", "measured,mean.slide", "measured,average.slide", "expected mean.slide among them"),
-        ("SlopeContact-wood.csv", ",1.58", ",-1.58", "line 2: uncertainty.slide is -1.58"),
-        ("SlopeContact-wood.csv", ",1.58", ",x", "line 2: uncertainty.slide is 'x', not a number"),
+        (
+            "SlopeContact-wood.csv",
+            ",1.58",
+            ",-1.58",
+            "line 2: uncertainty.slide: Input should be greater than or equal to 0 (given: '-1.58')",
+        ),
+        (
+            "SlopeContact-wood.csv",
+            ",1.58",
+            ",x",
+            "line 2: uncertainty.slide: Input should be a valid number, unable to parse string as a number",
+        ),
         ("SlopeContact-wood.toml", "frames = 10", "frames = 4", "frames is 4, but the table has 7"),
-        ("SlopeContact-wood.toml", "sigma = 6", "sigmas = 6", "sigma is None, expected a float"),
-        ("SlopeContact-wood.toml", '"baseline"', '"guess"', "sigma_source 'guess' is none of trials, baseline"),
-        ("SlopeContact-wood.toml", "withheld = ", "withheld = 3 #", "withheld is 3, expected a str"),
-        ("SlopeContact-wood.toml", 'coordinates = ["slide"]', "", "coordinates is None, expected a list"),
+        ("SlopeContact-wood.toml", "sigma = 6", "sigmas = 6", "sigmas: unknown key"),
+        ("SlopeContact-wood.toml", "sigma = ", "# ", "sigma is missing here, and the table has no column of it"),
+        (
+            "SlopeContact-wood.toml",
+            '"baseline"',
+            '"guess"',
+            "sigma_source: Input should be 'trials', 'baseline' or 'measurement' (given: 'guess')",
+        ),
+        (
+            "SlopeContact-wood.toml",
+            "withheld = ",
+            "withheld = 3 #",
+            "withheld: Input should be a valid string (given: 3)",
+        ),
+        ("SlopeContact-wood.toml", 'coordinates = ["slide"]', "", "coordinates: missing key"),
         ("FoamBending-soft.toml", "11]", "12]", "expected whole numbers from 0 to 11"),
-        ("FoamBending-soft.toml", "width = 12", "", "width is None, expected a int"),
+        ("FoamBending-soft.toml", "width = 12", "", "indices and width go together"),
     ],
 )
 def test_damaged_bands_are_named(scoring: Path, file: str, old: str, new: str, message: str) -> None:

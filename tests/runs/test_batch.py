@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from interruption import interrupt_in_episode
 
-import gauge_envs.runs.batch
-import gauge_envs.runs.result_file
 from gauge_envs.backends.mujoco import backend as mujoco_backend
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.report.figures.experiment import draw_experiment, save_figures
@@ -80,7 +78,7 @@ def test_driven_and_undriven_experiments_take_zero_actions():
     assert driven.score.grade == "recording"
 
 
-def test_file_names_tell_all_requests_apart(result):
+def test_file_names_differ_between_requests(result):
     from dataclasses import replace
 
     others = [
@@ -99,18 +97,18 @@ def test_file_names_tell_all_requests_apart(result):
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        ({"subject": "SlopeSlider-2-gold"}, UnknownNameError),
+        ({"variant": "SlopeSlider-2-gold"}, UnknownNameError),
         ({"backend": "warp"}, UnknownNameError),
         ({"parameters": "nonsense"}, ParameterError),
         ({"parameters": {"cube.friction": -1}}, ParameterError),
         ({"settings": {"nope": 1}}, ParameterError),
         ({"seed": -1}, ParameterError),
-        ({"subject": SOFT}, UnsupportedSceneError),
+        ({"variant": SOFT}, UnsupportedSceneError),
     ],
 )
 def test_wrong_requests(options, error):
     with pytest.raises(error):
-        run_episode(RunRequest(**({"subject": NAME} | options)))
+        run_episode(RunRequest(**({"variant": NAME} | options)))
 
 
 def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
@@ -196,7 +194,7 @@ def test_a_crash_while_writing_leaves_no_result_file(tmp_path, monkeypatch, resu
     def crash(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(gauge_envs.runs.result_file.os, "fsync", crash)
+    monkeypatch.setattr("gauge_envs.files.os.fsync", crash)
     with pytest.raises(ResultFileError, match="No space left"):
         write_result(result, tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []

@@ -120,8 +120,9 @@ def test_one_world_that_diverges_leaves_the_others() -> None:
         Episode(experiment, world, band=reference_band(experiment), marker_proxy=MarkerProxy.NODE)
         for world in worlds.worlds
     ]
-    faults = run_together(episodes, worlds)
-    assert "m/s" in faults[0] and faults[1] is None
+    run_together(episodes, worlds)
+    assert "m/s" in episodes[0].fault
+    assert episodes[1].fault is None
     assert [episode.frame for episode in episodes] == [1, experiment.frame_count - 1]
 
 

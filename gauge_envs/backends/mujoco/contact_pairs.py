@@ -1,4 +1,7 @@
-"""Pairs of geoms that can touch in a MuJoCo model, and the contact constants of each pair."""
+"""Find the pairs of geoms of a MuJoCo model that can collide, and the contact constants of each pair.
+
+The rules are those of MuJoCo's documentation ("Collision detection" and "Contact parameters"), for all pairs at once.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "COLUMNS",
     "ContactPairs",
+    "PairKind",
+    "can_move",
     "contact_pairs",
 ]
+
+COLUMNS: Mapping[str, slice] = {
+    "condim": slice(0, 1),
+    "friction": slice(1, 6),
+    "solref": slice(6, 8),
+    "solreffriction": slice(8, 10),
+    "solimp": slice(10, 15),
+    "margin": slice(15, 16),
+    "gap": slice(16, 17),
+}
+"""Columns of a table of contact constants."""
+
+MIN_FRICTION = 1e-5
+"""Smallest coefficient of friction of a contact in MuJoCo (mjMINMU)."""
+
+MIN_SOLMIX = 1e-15
+"""MuJoCo treats smaller weights as zero (mjMINVAL)."""
+
+GROUND_TYPES = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
 class PairKind(IntEnum):
     """Kind of a pair of geoms, in order of importance."""
 
     GROUND = 0
-    """A moving geom and a static plane or height field."""
+    """A moving geom and a plane or height field of the world."""
     STATIC = 1
-    """A moving geom and another static geom."""
+    """A moving geom and another geom of the world."""
     MOVING = 2
     """Two moving geoms."""
 
@@ -33,9 +58,9 @@ class ContactPairs:
     """All pairs of geoms that can collide.
 
     Attributes:
-        geoms: Geom ids, the smaller id first, shape [pair_count, 2].
+        geoms: Ids of the two geoms, the smaller first, shape [pair_count, 2].
         kinds: Kind of each pair (`PairKind`), shape [pair_count].
-        constants: Effective contact constants with the columns `COLUMNS`, shape [pair_count, 17].
+        constants: Effective constants, columns as in `COLUMNS`, shape [pair_count, 17].
     """
 
     geoms: NDArray[np.intp]
@@ -44,12 +69,12 @@ class ContactPairs:
 
 
 def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
-    """Return all pairs of geoms that MuJoCo lets collide, explicit pairs included, and their constants."""
+    """Return all pairs of geoms that can collide, explicit ones included, with their constants."""
     implicit = _implicit_pairs(model)
     explicit = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]).astype(np.intp), axis=1)
     explicit_rows = np.flatnonzero(can_move(model)[explicit].any(axis=1))
     explicit = explicit[explicit_rows]
-    # An explicit pair of two geoms replaces the implicit pair of their contact bits.
+    # An explicit pair replaces the implicit one.
     stated = set(map(tuple, explicit.tolist()))
     implicit = implicit[[tuple(row) not in stated for row in implicit.tolist()]]
     constants = np.vstack([_mixed_constants(model, *implicit.T), _stated_constants(model, explicit_rows)])
@@ -61,14 +86,14 @@ def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
 
 
 def can_move(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Return whether each geom belongs to a body that can move, shape [geom_count]."""
+    """Return whether each geom is on a body that can move, shape [geom_count]."""
     roots = model.body_weldid[model.geom_bodyid]
     moves: NDArray[np.bool_] = model.body_dofnum[roots] > 0
     return moves
 
 
 def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Return pairs whose contact bits match and that no rule excludes, shape [pair_count, 2]."""
+    """Return pairs whose bits match and that no rule excludes, shape [pair_count, 2]."""
     first, second = np.triu_indices(model.ngeom, 1)
     offers, accepts = model.geom_contype, model.geom_conaffinity
     keep = (offers[first] & accepts[second] | offers[second] & accepts[first]) != 0
@@ -78,26 +103,26 @@ def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
     roots = model.body_weldid[bodies]
     keep &= roots[first] != roots[second]
     if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
-        # Children of the world body do collide with it, such as a foot with the floor.
+        # The rule does not apply to the world body: a child of the world collides with the floor.
         parents = model.body_weldid[model.body_parentid[roots]]
         related = (parents[first] == roots[second]) | (parents[second] == roots[first])
         keep &= ~(related & (roots[first] != 0) & (roots[second] != 0))
     low, high = np.minimum(bodies[first], bodies[second]), np.maximum(bodies[first], bodies[second])
     keep &= ~np.isin((low.astype(np.int64) << 16) + high, model.exclude_signature)
-    flat = np.isin(model.geom_type, [mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD])
-    keep &= ~(flat[first] & flat[second])
+    ground = np.isin(model.geom_type, GROUND_TYPES)
+    keep &= ~(ground[first] & ground[second])
     return np.column_stack([first[keep], second[keep]])
 
 
 def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the constants that MuJoCo mixes from both geoms of each pair, shape [pair_count, 17]."""
+    """Return constants of pairs, mixed from those of their geoms, shape [pair_count, 17]."""
     table = np.zeros((len(first), 17))
     rank = model.geom_priority[first] - model.geom_priority[second]
     share = _share(model.geom_solmix[first], model.geom_solmix[second])
     share = np.where(rank > 0, 1.0, np.where(rank < 0, 0.0, share))[:, None]
 
     def by_priority(values: NDArray[Any]) -> NDArray[Any]:
-        """Return the value of the geom with priority, or the larger value if the priorities are equal."""
+        """Return the value of the geom with the higher priority, or the greater value for equal priorities."""
         one, other = values[first], values[second]
         ranks = rank.reshape(-1, *[1] * (values.ndim - 1))
         chosen: NDArray[Any] = np.where(ranks > 0, one, np.where(ranks < 0, other, np.maximum(one, other)))
@@ -110,7 +135,7 @@ def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDA
     table[:, COLUMNS["friction"]] = by_priority(model.geom_friction)[:, [0, 0, 1, 2, 2]]
     solref = model.geom_solref
     standard = (solref[first, 0] > 0.0) & (solref[second, 0] > 0.0) | (rank != 0)
-    # The direct format (negative stiffness and damping) is not averaged: MuJoCo takes the minimum, which is stiffer.
+    # The direct format, minus stiffness and damping, is not averaged: the minimum is the stiffer one.
     direct = np.minimum(solref[first], solref[second])
     table[:, COLUMNS["solref"]] = np.where(standard[:, None], mixed(solref), direct)
     table[:, COLUMNS["solimp"]] = mixed(model.geom_solimp)
@@ -128,7 +153,7 @@ def _share(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[n
 
 
 def _stated_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the constants of explicit pairs, shape [pair_count, 17]."""
+    """Return constants of explicit pairs, shape [pair_count, 17]."""
     columns = (
         *(model.pair_dim[:, None], model.pair_friction, model.pair_solref, model.pair_solreffriction),
         *(model.pair_solimp, model.pair_margin[:, None], model.pair_gap[:, None]),
@@ -138,7 +163,7 @@ def _stated_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[
 
 
 def _override(model: mujoco.MjModel, constants: NDArray[np.float64]) -> None:
-    """Write the constants that the flag `override` gives to all contacts."""
+    """Replace constants by those that the flag `override` gives to all contacts."""
     option = model.opt
     for name, value in (
         ("friction", option.o_friction),
@@ -152,29 +177,9 @@ def _override(model: mujoco.MjModel, constants: NDArray[np.float64]) -> None:
 
 def _kinds(model: mujoco.MjModel, geoms: NDArray[np.intp]) -> NDArray[np.intp]:
     moves = can_move(model)[geoms]
-    ground = np.isin(model.geom_type, [mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD])[geoms]
+    ground = np.isin(model.geom_type, GROUND_TYPES)[geoms]
     on_ground = (ground & ~moves).any(axis=1)
     kinds: NDArray[np.intp] = np.where(
         moves.all(axis=1), PairKind.MOVING, np.where(on_ground, PairKind.GROUND, PairKind.STATIC)
     ).astype(np.intp)
     return kinds
-
-
-COLUMNS: Mapping[str, slice] = {
-    "condim": slice(0, 1),
-    "friction": slice(1, 6),
-    "solref": slice(6, 8),
-    "solreffriction": slice(8, 10),
-    "solimp": slice(10, 15),
-    "margin": slice(15, 16),
-    "gap": slice(16, 17),
-}
-"""Columns of a table of contact constants."""
-
-
-MIN_FRICTION = 1e-5
-"""Smallest coefficient of friction that MuJoCo gives a contact (mjMINMU)."""
-
-
-MIN_SOLMIX = 1e-15
-"""MuJoCo treats weights below this as zero (mjMINVAL)."""

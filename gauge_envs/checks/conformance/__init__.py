@@ -1,9 +1,9 @@
-"""Conformance kit: small analytic scenes that tell whether a backend obeys the laws, and where to look if not.
+"""Conformance checks: small analytic scenes that show whether a backend obeys the laws of mechanics.
 
     gauge backend check mine
 
-Everything goes through the contract of `gauge_envs.backends`, so the kit works on any engine, and what it finds is what
-a benchmark run would suffer from. A check is one function that builds a scene and measures one number:
+The checks use only the contract of `gauge_envs.backends`, so they run on any engine. A fault that they find affects
+benchmark runs too. A check is one function that builds a scene and measures one number:
 
     @check(
         "free-fall",
@@ -13,39 +13,32 @@ a benchmark run would suffer from. A check is one function that builds a scene a
         source="Galilei",
         unit="m/s^2",
         tolerance=Tolerance(relative=1e-3, rationale="a fall has no model error"),
-        diagnosis="look at gravity and damping",
+        diagnosis="check gravity and damping",
     )
     def free_fall(lab: Lab) -> Measurement:
-        course = lab.course(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5), 0.5)
-        fit = np.polyfit(course.times_s, course.position("ball")[:, 2], 2)
+        rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5), 0.5)
+        fit = np.polyfit(rollout.times_s, rollout.position("ball")[:, 2], 2)
         return Measurement(measured=-2.0 * fit[0], expected=GRAVITY_M_PER_S2)
 
-Put it into the module of its kind; the decorator makes it known to the command, the table and the tests.
+Add it to the module of its kind. The decorator registers it for the command, the table and the tests.
 """
 
 # The order of the checks is that of these imports.
 from gauge_envs.checks.conformance import contract, rigid, contacts, driven, cloth, soft, lines  # noqa: F401  # isort: skip
-from gauge_envs.checks.conformance.kit import (
-    Check,
-    CheckResult,
-    Measurement,
-    Status,
-    Tolerance,
-    check,
-    checks,
-    run_checks,
-)
 from gauge_envs.checks.conformance.lab import Lab
-from gauge_envs.checks.rollout import Course
+from gauge_envs.checks.conformance.model import Check, CheckResult, Measurement, Status, Tolerance
+from gauge_envs.checks.conformance.registry import check, checks
+from gauge_envs.checks.conformance.run import run_checks
+from gauge_envs.checks.rollout import Rollout
 
 __all__ = [
     "Check",
-    "Course",
     "CheckResult",
     "Lab",
-    "Tolerance",
     "Measurement",
+    "Rollout",
     "Status",
+    "Tolerance",
     "check",
     "checks",
     "run_checks",

@@ -1,4 +1,4 @@
-"""Builds scenes on a backend and records what happens, through the public contract alone."""
+"""Build scenes on a backend and record them, through the public contract alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.settings import check_drive_interval
-from gauge_envs.checks.rollout import Course, DeclinedError, record
+from gauge_envs.checks.rollout import DeclinedError, Rollout, record
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.scene import Scene
 
@@ -22,22 +22,22 @@ T = TypeVar("T")
 
 
 class RefusedSettingsError(ParameterError):
-    """The backend refuses the settings that were given: no check can run with them."""
+    """The backend refuses the given settings, so that no check can run."""
 
 
 class BuildError(GaugeError):
-    """`build` raised although `supports` was true."""
+    """`build` raised an exception although `supports` was true."""
 
 
 class Lab:
-    """A backend on which scenes are built and run.
+    """A backend, on which checks build and run their scenes.
 
     Args:
         backend: The backend.
         settings: Numerical settings that replace its defaults.
 
     Attributes:
-        settings_in_force: Settings of the last simulation that was built.
+        settings_in_force: Settings of the simulation that was built last.
     """
 
     def __init__(self, backend: Backend, settings: Mapping[str, Any] | None = None) -> None:
@@ -50,9 +50,9 @@ class Lab:
         """Build a scene; close the simulation after use.
 
         Raises:
-            DeclinedError: The backend says that it cannot.
-            BuildError: It said that it can, and could not.
-            RefusedSettingsError: It refuses the settings that were given.
+            DeclinedError: The backend reports that it cannot build the scene.
+            BuildError: The backend reports that it can build the scene, and fails.
+            RefusedSettingsError: The backend refuses the given settings.
         """
         self.settings_in_force = {}
         support = self.backend.supports(scene)
@@ -69,15 +69,15 @@ class Lab:
         return simulation
 
     def first_supported(self, *scenes: Scene) -> Scene:
-        """First scene that the backend can build, or else the last: from the richest to the simplest."""
+        """Return the first scene that the backend can build, or the last one when it can build none."""
         return next((scene for scene in scenes if self.backend.supports(scene)), scenes[-1])
 
-    def course(self, scene: Scene, seconds: float) -> Course:
-        """Build a scene, reset it, and record its course, drivers included.
+    def rollout(self, scene: Scene, seconds: float) -> Rollout:
+        """Build a scene, reset it, drive it and record it.
 
         Args:
             scene: The scene.
-            seconds: How long to simulate [s].
+            seconds: Time to simulate [s].
         """
         simulation = self.build(scene)
         try:
@@ -86,22 +86,24 @@ class Lab:
         finally:
             simulation.close()
 
-    def once(self, run: Callable[[Lab], T]) -> T:
-        """What a run returned, run at its first use only: several checks may read one course.
+    def once(self, function: Callable[[Lab], T]) -> T:
+        """Return the value of a function of the lab, which is called at its first use only.
+
+        Several checks can thus read one rollout.
 
         Raises:
-            Exception: Whatever the run raised, at each use.
+            Exception: The exception of the function, at each use.
         """
-        if run not in self._kept:
-            self._kept[run] = self._attempt(run)
-        value, failure, self.settings_in_force = self._kept[run]
-        if failure is not None:
-            raise failure
+        if function not in self._kept:
+            self._kept[function] = self._attempt(function)
+        value, error, self.settings_in_force = self._kept[function]
+        if error is not None:
+            raise error
         return value  # type: ignore[no-any-return]
 
-    def _attempt(self, run: Callable[[Lab], Any]) -> tuple[Any, Exception | None, dict[str, Any]]:
-        """Result or exception of a run, and the settings that it ran with."""
+    def _attempt(self, function: Callable[[Lab], Any]) -> tuple[Any, Exception | None, dict[str, Any]]:
+        """Return the value or the exception of a function, and the settings that were in force."""
         try:
-            return run(self), None, self.settings_in_force
+            return function(self), None, self.settings_in_force
         except Exception as error:
             return None, error, self.settings_in_force

@@ -1,4 +1,4 @@
-"""The sanity check of a training configuration: which physics it gets wrong, and which setting is responsible.
+"""Sanity check of a training configuration: which physics it gets wrong, and which setting is responsible.
 
 Example:
     >>> from gauge_envs.checks.sanity import check
@@ -7,7 +7,6 @@ Example:
     ['inside']
 """
 
-from gauge_envs.checks.sanity.check import check
 from gauge_envs.checks.sanity.model import (
     Cause,
     ContactGroup,
@@ -19,18 +18,19 @@ from gauge_envs.checks.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
+from gauge_envs.checks.sanity.run import check
 from gauge_envs.checks.sanity.target import Target, configuration
 
 __all__ = [
     "Cause",
-    "TrainingConfiguration",
     "ContactGroup",
     "Curve",
+    "PhenomenonResult",
     "Reality",
     "Report",
-    "PhenomenonResult",
-    "Target",
     "SettingTrial",
+    "Target",
+    "TrainingConfiguration",
     "Verdict",
     "check",
     "configuration",

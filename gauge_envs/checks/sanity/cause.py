@@ -1,4 +1,4 @@
-"""Which setting is responsible: found by changing settings one at a time and measuring again."""
+"""Find the responsible settings: change settings one at a time and measure again."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
-from gauge_envs.checks.sanity.measure import INSIDE_WITHIN, Measured, Measurements
-from gauge_envs.checks.sanity.model import Cause, SettingTrial, Verdict
+from gauge_envs.checks.sanity.measure import Measured, Measurements
+from gauge_envs.checks.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon
 from gauge_envs.checks.sanity.scenario import Scenario
 
@@ -18,27 +18,27 @@ __all__ = [
 ]
 
 LARGEST_GROUP = 3
-"""Most settings that are called responsible together; more are the configuration as a whole."""
+"""Largest number of settings that are responsible together; beyond it, the whole configuration is."""
 
 SEEN_DEVIATION = 0.1
-"""Change of a deviation, in standard deviations, below which a setting has no effect of its own."""
+"""Least change of a deviation, in standard deviations, that counts as an effect of a setting."""
 
 SAME_DEVIATION = 1.0
-"""Deviations, in standard deviations, that are no further apart than this no trial can tell apart."""
+"""Difference of deviations, in standard deviations, that no real trial can resolve."""
 
 NOT_NUMERICAL = ("preset", "drive_interval_s")
-"""Settings that name others or follow from them."""
+"""Settings that stand for other settings or follow from them."""
 
 
 def differing_settings(
-    measurements: Measurements, stage: Scenario, settings: Mapping[str, Any]
+    measurements: Measurements, scenario: Scenario, settings: Mapping[str, Any]
 ) -> dict[str, tuple[Any, Any]]:
-    """Settings in force on a stage that differ from the backend's default there: theirs, and the default.
+    """Return settings in force that differ from the backend's default: name to configured and default value.
 
     Raises:
         DeclinedError: The backend cannot build the scene, or refuses the settings for it.
     """
-    default, configured = measurements.in_force(stage, {}), measurements.in_force(stage, settings)
+    default, configured = measurements.in_force(scenario, {}), measurements.in_force(scenario, settings)
     return {
         name: (value, default[name])
         for name, value in configured.items()
@@ -53,23 +53,24 @@ def find_cause(
     configured: Measured,
     default: Measured,
 ) -> Cause | None:
-    """Find the settings that make a phenomenon visibly unlike reality.
+    """Find the settings that are responsible for a visible or wrong phenomenon.
 
-    Settings are put back to the backend's default one at a time; the one that brings the phenomenon closest to reality,
-    into its scatter or to half the error, is responsible. Within the scatter no trial tells small differences: of
-    several that come as close, the one is responsible that alone on the default does most of the harm, if any does.
-    Where none helps, each setting is tried alone on the default, since several may suffice each, and then the fewest
-    that do it together are looked for.
+    1. Each setting is put back to the backend's default. A setting explains the error when this brings the phenomenon
+       into reality's scatter, or halves the error. The setting that comes closest to reality is responsible. Real
+       trials cannot resolve small differences within the scatter. Of several settings there, the responsible one
+       changes the default most when it is applied alone.
+    2. If no setting explains the error, each setting is applied alone to the default, since several may each cause it.
+    3. If that fails too, pairs of settings are put back, and then the best pair with a third setting.
 
     Args:
-        measurements: What measures.
+        measurements: Measurements on the backend.
         phenomenon: The phenomenon.
         settings: The configuration's settings.
-        configured: What they gave.
-        default: What the backend's default gave.
+        configured: Outcome in the configuration.
+        default: Outcome with the backend's default.
 
     Returns:
-        The cause; None where nothing is wrong, or nothing was measured.
+        The cause; None when the phenomenon is inside reality's scatter or was declined.
     """
     if configured.verdict in (Verdict.INSIDE, Verdict.DECLINED):
         return None
@@ -80,7 +81,7 @@ def find_cause(
 
 
 class _Search:
-    """Changes settings and measures one phenomenon again, keeping what was tried."""
+    """Changes settings, measures one phenomenon again, and keeps a list of all trials."""
 
     def __init__(
         self,
@@ -95,19 +96,19 @@ class _Search:
         self._settings = settings
         self._configured = configured
         self._default = default
-        self._differing = differing_settings(measurements, phenomenon.stage, settings)
+        self._differing = differing_settings(measurements, phenomenon.scenario, settings)
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
         self._alone: dict[str, Measured] = {}
 
     def explains(self, changed: Measured) -> bool:
-        """Whether a change brings the phenomenon into its scatter, or to half the error."""
+        """Return whether a change brings the phenomenon into reality's scatter, or halves the error."""
         return math.isfinite(changed.deviation) and changed.deviation <= max(
             INSIDE_WITHIN, 0.5 * self._configured.deviation
         )
 
     def put_back_one(self) -> Cause | None:
-        """Each setting put back alone; the one that comes closest to reality, if it comes close enough."""
+        """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""
         self._put_back = {name: self._with_put_back((name,)) for name in self._differing}
         close = {name: changed for name, changed in self._put_back.items() if self.explains(changed)}
         if not close:
@@ -116,15 +117,15 @@ class _Search:
         if close[best].verdict is Verdict.INSIDE:
             alike = [name for name, one in close.items() if one.deviation <= close[best].deviation + SAME_DEVIATION]
             best = self._strongest(alike) or best if len(alike) > 1 else best
-        others = [f"{name} alone to {self._value(close[name])}" for name in close if name != best]
+        others = [f"{name} alone to {self._measured_text(close[name])}" for name in close if name != best]
         if close[best].verdict is not Verdict.INSIDE:
             others += self._completed(best)
         return self._cause((best,), close[best], also=f" ({', '.join(others)})" if others else "")
 
     def _strongest(self, names: Sequence[str]) -> str | None:
-        """Of settings that each mend it, the one that alone takes the default furthest towards the configuration.
+        """Return the setting that alone changes the default most towards the configuration.
 
-        None where no one alone does anything that can be seen.
+        None when no setting alone has a visible effect.
         """
         self._alone |= {name: self._on_default(name) for name in names}
         best = max(names, key=lambda name: self._shift(self._alone[name]))
@@ -139,15 +140,15 @@ class _Search:
         return math.copysign(1.0, configured - default) * (alone.value - default)
 
     def _completed(self, name: str) -> list[str]:
-        """In words, what has to be put back beside a setting to come into the scatter; empty if nothing does."""
+        """Return text about a second setting that completes the change into the scatter; empty when there is none."""
         pairs = {other: self._with_put_back((name, other)) for other in self._differing if other != name}
         best = min(pairs, key=lambda other: pairs[other].deviation, default=None)
         if best is None or pairs[best].verdict is not Verdict.INSIDE:
             return []
-        return [f"with {best} too to {self._value(pairs[best])}"]
+        return [f"with {best} too to {self._measured_text(pairs[best])}"]
 
     def each_alone(self) -> Cause | None:
-        """Each setting alone on the default; those that suffice, if putting all of them back helps."""
+        """Apply each setting alone to the default and return those that suffice, if putting them all back helps."""
         self._alone |= {name: self._on_default(name) for name in self._differing if name not in self._alone}
         suffice = tuple(
             name for name, one in self._alone.items() if one.verdict is not Verdict.DECLINED and not self.explains(one)
@@ -157,11 +158,11 @@ class _Search:
         changed = self._with_put_back(suffice)
         if not self.explains(changed):
             return None
-        alone = ", ".join(f"{name} {self._value(self._alone[name])}" for name in suffice)
+        alone = ", ".join(f"{name} {self._measured_text(self._alone[name])}" for name in suffice)
         return self._cause(suffice, changed, also=f" (each alone on the default: {alone})")
 
     def together(self) -> Cause | None:
-        """The pair that comes closest to reality when put back, or the best pair with one setting more."""
+        """Put back pairs, then the best pair with a third setting; return the first group that explains the error."""
         matter = [name for name in self._differing if self._matters(name)]
         group: tuple[str, ...] = ()
         for size in range(2, LARGEST_GROUP + 1):
@@ -175,13 +176,13 @@ class _Search:
         return None
 
     def unexplained(self) -> Cause:
-        """No few settings explain it: the configuration as a whole does."""
+        """Return that only the whole configuration explains the error."""
         line = f"no {LARGEST_GROUP} settings put back together explain it: " + ", ".join(self._differing)
         return Cause(settings=(), line=line, tried=tuple(self._tried))
 
     def default_is_no_better(self) -> Cause:
-        """The backend's default is off by more than half as much."""
-        return Cause(settings=(), line=f"also the backend's default: {self._value(self._default)}")
+        """Return that the backend's default has at least half of the error."""
+        return Cause(settings=(), line=f"also the backend's default: {self._measured_text(self._default)}")
 
     # --- changes ---
 
@@ -198,24 +199,24 @@ class _Search:
         return measured
 
     def _matters(self, name: str) -> bool:
-        """Whether a setting changed anything that can be seen, put back or alone: pairs of others are not tried."""
+        """Return whether a setting has a visible effect, put back or alone; only such settings are tried in pairs."""
         return _is_seen(self._configured, self._put_back[name]) or _is_seen(self._default, self._alone[name])
 
     # --- words ---
 
-    def _value(self, measured: Measured) -> str:
+    def _measured_text(self, measured: Measured) -> str:
         if measured.value is None:
             return measured.remark
         unit = "" if self._phenomenon.unit == "1" else f" {self._phenomenon.unit}"
         return f"{measured.value:.3g}{unit}"
 
     def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
-        was, instead = ([_shown(self._differing[name][side]) for name in names] for side in (0, 1))
+        was, instead = ([_value_text(self._differing[name][side]) for name in names] for side in (0, 1))
         subject = " and ".join(names) + (" together" if len(names) > 1 and not also else "")
         verb = "brings" if len(names) == 1 else "bring"
         line = (
             f"{subject}: {', '.join(instead)} instead of {', '.join(was)} {verb} {self._phenomenon.quantity} "
-            f"from {self._value(self._configured)} to {self._value(changed)}{also}"
+            f"from {self._measured_text(self._configured)} to {self._measured_text(changed)}{also}"
         )
         return Cause(settings=names, line=line, tried=tuple(self._tried))
 
@@ -226,9 +227,9 @@ def _is_seen(before: Measured, after: Measured) -> bool:
     return abs(after.deviation - before.deviation) > SEEN_DEVIATION
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if value is None:
-        return "the backend's own"
+        return "the preset's default"
     if isinstance(value, float):
         return f"{value:.4g}"
-    return f"({', '.join(map(_shown, value))})" if isinstance(value, list | tuple) else str(value)
+    return f"({', '.join(map(_value_text, value))})" if isinstance(value, list | tuple) else str(value)

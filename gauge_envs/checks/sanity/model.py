@@ -1,4 +1,4 @@
-"""What a sanity check is made of: a configuration, and what each phenomenon is in reality, by default and in it."""
+"""Define the parts of a sanity check: configuration, verdicts, phenomena in reality and in simulation, and causes."""
 
 from __future__ import annotations
 
@@ -10,29 +10,38 @@ from typing import Any
 from gauge_envs.files import json_ready
 
 __all__ = [
+    "INSIDE_WITHIN",
+    "VISIBLE_WITHIN",
     "Cause",
-    "TrainingConfiguration",
     "ContactGroup",
     "Curve",
+    "PhenomenonResult",
     "Reality",
     "Report",
-    "PhenomenonResult",
     "SettingTrial",
+    "TrainingConfiguration",
     "Verdict",
 ]
 
 
+INSIDE_WITHIN = 2.0
+"""Largest deviation of the verdict `inside`, in standard deviations of real trials."""
+
+VISIBLE_WITHIN = 5.0
+"""Largest deviation of the verdict `visible`, in standard deviations of real trials."""
+
+
 class Verdict(StrEnum):
-    """How far a measured value is from reality, in units of the scatter of real trials."""
+    """Distance between a measured value and reality, in standard deviations of real trials."""
 
     INSIDE = "inside"
-    """Within two standard deviations: a real trial could have done this."""
+    """At most two standard deviations: a real trial could give this value."""
     VISIBLE = "visible"
-    """Beyond two, within five: a careful observer sees the difference."""
+    """More than two and at most five standard deviations: a careful observer sees the difference."""
     WRONG = "wrong"
-    """Beyond five, or of another kind: what holds in reality slides, what stays intact diverges."""
+    """More than five standard deviations, or a failure of another kind, such as divergence."""
     DECLINED = "declined"
-    """Not measured: the backend cannot build the scene, or cannot with these settings."""
+    """Not measured: the backend cannot build the scene, or not with these settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,10 +49,10 @@ class ContactGroup:
     """Pairs of geoms of a model that collide with the same constants.
 
     Attributes:
-        geoms: In words, as `floor with torso, bthigh and 6 more`.
-        pair_count: How many pairs of geoms there are.
-        constants: Effective constants of a contact, by MuJoCo's names: `condim`, `friction`, `solref`, ...
-        is_used: Whether these are the constants that the experiments run with.
+        geoms: Description of the geoms, such as `floor with torso, bthigh and 6 more`.
+        pair_count: Number of pairs of geoms.
+        constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
+        is_used: Whether the experiments run with these constants.
     """
 
     geoms: str
@@ -57,14 +66,14 @@ class TrainingConfiguration:
     """Numerical settings that a policy is trained with.
 
     Attributes:
-        name: What the user asked for, as `HalfCheetah-v5`.
-        source: What it was read from, in words.
+        name: Name that the user gave, such as `HalfCheetah-v5`.
+        source: Description of what it was read from.
         backend: Name of the physics engine.
-        settings: Settings of that backend, given to every scene; what they leave out is the backend's default.
-        origins: Where each setting is from, as `option`, `floor with torso, ...`; by name of the setting.
-        frame_skip: Steps of the engine for one action; None where nothing says.
+        settings: Settings of that backend for every scene; other settings are the backend's default.
+        origins: Origin of each setting by its name, such as `option` or `floor with torso, ...`.
+        frame_skip: Steps of the engine for one action; None when unknown.
         contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
-        notes: What could not be carried over, or deserves a look.
+        notes: Properties that are not carried over, or that need attention.
     """
 
     name: str
@@ -79,12 +88,12 @@ class TrainingConfiguration:
 
 @dataclass(frozen=True, kw_only=True)
 class Reality:
-    """What real objects do.
+    """Value of a phenomenon for real objects.
 
     Attributes:
-        value: Mean, or what a law says, in the phenomenon's unit.
+        value: Mean of real trials, or value from a law, in the phenomenon's unit.
         scatter: Standard deviation of real trials, in the same unit.
-        source: Where both are from.
+        source: Source of both.
     """
 
     value: float
@@ -94,16 +103,16 @@ class Reality:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """A quantity over time, to be drawn.
+    """Curve of a quantity over time.
 
     Attributes:
         label: Name of the quantity with its unit.
-        times_s: Times [s], shape [sample_count].
-        default: On the backend's default, shape [sample_count]; empty where there is none.
-        configured: In this configuration, at its own times.
-        configured_times_s: Times of those.
-        reality: Mean at `times_s`; empty where only the value is known.
-        scatter: Standard deviation at `times_s`; empty likewise.
+        times_s: Times of `default` [s], shape [sample_count].
+        default: Values with the backend's default, shape [sample_count]; empty when there are none.
+        configured_times_s: Times of `configured` [s].
+        configured: Values in this configuration; empty when there are none.
+        reality: Mean of reality at `times_s`; empty when only one value is known.
+        scatter: Standard deviation of reality at `times_s`; empty when only one value is known.
     """
 
     label: str
@@ -117,12 +126,12 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingTrial:
-    """One change that was tried to find out what is responsible.
+    """One change of settings in the search for a cause.
 
     Attributes:
-        changes: Settings that were changed, with the values that they were given.
-        value: What the phenomenon measured then; None where the run was declined or diverged.
-        on_default: Whether the backend's default was changed, instead of the configuration.
+        changes: Changed settings with their new values.
+        value: Measured value of the phenomenon; None when the backend declined or the rollout diverged.
+        on_default: Whether the backend's default was changed instead of the configuration.
     """
 
     changes: Mapping[str, Any]
@@ -132,12 +141,12 @@ class SettingTrial:
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """Which settings are responsible, found by changing one at a time.
+    """Settings that are responsible for a visible or wrong phenomenon.
 
     Attributes:
-        settings: Their names; empty where no change of a few settings explains it.
-        line: The finding in one line.
-        tried: Everything that was tried.
+        settings: Names of the settings; empty when no change of a few settings explains the error.
+        line: Explanation in one line.
+        tried: All changes that were tried.
     """
 
     settings: tuple[str, ...]
@@ -147,21 +156,21 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True)
 class PhenomenonResult:
-    """One phenomenon.
+    """Result of one phenomenon.
 
     Attributes:
-        phenomenon: Id, as `creep-wood`.
-        title: In a few words, as `static friction, wood: creep on 10 degrees`.
+        phenomenon: Id, such as `creep-wood`.
+        title: Title, such as `static friction, wood: creep on 10 degrees`.
         experiment: Gymnasium id of the experiment.
         unit: Unit of the values; `1` for a pure number.
-        reality: What real objects do.
-        default: On the backend's default; None where it was not measured.
-        configured: In this configuration; None where it was not measured.
-        verdict: How far this configuration is from reality.
-        default_verdict: How far the backend's default is.
-        cause: Which setting is responsible; None where nothing is wrong.
+        reality: Value for real objects.
+        default: Value with the backend's default; None when not measured.
+        configured: Value in this configuration; None when not measured.
+        verdict: Verdict of this configuration.
+        default_verdict: Verdict of the backend's default.
+        cause: Responsible settings; None when the configuration is inside reality's scatter or was declined.
         remark: Why it was not measured, or how it failed; empty otherwise.
-        curve: What to draw; None where there is nothing over time.
+        curve: Curve over time; None when there is none.
     """
 
     phenomenon: str
@@ -179,26 +188,26 @@ class PhenomenonResult:
 
     @property
     def sigmas(self) -> float | None:
-        """Distance of this configuration from reality in standard deviations; None where it has none."""
+        """Distance of this configuration from reality in standard deviations; None when nothing was measured."""
         if self.configured is None or not self.reality.scatter:
             return None
         return abs(self.configured - self.reality.value) / self.reality.scatter
 
     def to_dict(self) -> dict[str, Any]:
-        """All attributes, JSON-ready."""
+        """Return all attributes, JSON-ready."""
         values: dict[str, Any] = json_ready(asdict(self))
         return values
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Outcome of a sanity check.
+    """Result of a sanity check.
 
     Attributes:
-        configuration: What was checked.
-        rows: One a phenomenon, in a fixed order.
-        versions: Versions of the engine's packages, gauge-envs and what it stands on.
-        wall_s: Time that it took [s].
+        configuration: The checked configuration.
+        rows: One result for each phenomenon, in a fixed order.
+        versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
+        wall_s: Time that the check took [s].
     """
 
     configuration: TrainingConfiguration
@@ -208,12 +217,12 @@ class Report:
 
     @property
     def worst(self) -> Verdict:
-        """The worst verdict of any row; `declined` only where nothing was measured."""
+        """The worst verdict of all rows; `declined` only when nothing was measured."""
         order = (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE)
         found = {row.verdict for row in self.rows}
         return next((verdict for verdict in order if verdict in found), Verdict.DECLINED)
 
     def to_dict(self) -> dict[str, Any]:
-        """All attributes, JSON-ready."""
+        """Return all attributes, JSON-ready."""
         values: dict[str, Any] = json_ready(asdict(self))
         return values | {"worst": self.worst.value}

@@ -1,4 +1,4 @@
-"""What to check: from what a user names to the numerical settings that a policy is trained with."""
+"""Read a target that a user names: the numerical settings with which a policy is trained."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.backends import Simulation, backend, backend_names
 from gauge_envs.checks.sanity.model import TrainingConfiguration
-from gauge_envs.checks.sanity.mujoco_settings import model_settings
-from gauge_envs.errors import ParameterError, TargetError
+from gauge_envs.checks.sanity.mujoco_model import mujoco_configuration
+from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 
@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env
-"""What can be checked; see `configuration`."""
+"""A target of a sanity check; see `configuration`."""
 
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 SETTINGS_SUFFIXES = (".toml", ".json")
@@ -36,11 +36,11 @@ ACCEPTED = (
 )
 
 TRIAL_VARIANT = "BouncingBall-rubber"
-"""Settings are tried on its scene, which is built at once."""
+"""Settings are checked on the scene of this variant, which builds fast."""
 
 
 class _SettingsFile(BaseModel):
-    """A settings file: the backend, a preset of it or none, and a table of settings."""
+    """Contents of a settings file: the backend, optionally a preset, and a table of settings."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -52,7 +52,7 @@ class _SettingsFile(BaseModel):
 def configuration(
     target: Target | TrainingConfiguration, *, pair: tuple[str, str] | None = None
 ) -> TrainingConfiguration:
-    """Read a training configuration.
+    """Return the training configuration of a target.
 
     Args:
         target: One of
@@ -62,13 +62,13 @@ def configuration(
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
             a `mujoco.MjModel` or a `gymnasium.Env`;
-            a configuration, which is returned as it is.
+            a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
             ones of moving geoms on the ground.
 
     Raises:
         TargetError: The target cannot be read, or has no such pair of geoms.
-        UnknownNameError: No such backend or preset.
+        UnknownNameError: There is no such backend or preset.
         ParameterError: A setting does not exist or has an impossible value.
         MissingExtraError: The backend's engine is not installed.
     """
@@ -87,7 +87,7 @@ def configuration(
     if found is None:
         return _of_id(str(target), pair)
     if pair is not None:
-        raise TargetError(f"{target}: pairs of geoms are those of a MuJoCo model, and this is none")
+        raise TargetError(f"{target}: pairs of geoms are those of a MuJoCo model, and the target has none")
     return found
 
 
@@ -102,18 +102,9 @@ def _of_model(
     pair: tuple[str, str] | None,
     frame_skip: int | None = None,
 ) -> TrainingConfiguration:
-    read = model_settings(model, pair=pair)
-    settings = _checked("mujoco", read.settings)
-    return TrainingConfiguration(
-        name=name,
-        source=source,
-        backend="mujoco",
-        settings=settings,
-        origins=read.origins,
-        frame_skip=frame_skip,
-        contact_groups=read.groups,
-        notes=read.notes,
-    )
+    read = mujoco_configuration(model, name=name, source=source, pair=pair, frame_skip=frame_skip)
+    _check_settings(read.backend, read.settings)
+    return read
 
 
 def _model_name(model: mujoco.MjModel) -> str:
@@ -134,7 +125,7 @@ def _of_id(name: str, pair: tuple[str, str] | None) -> TrainingConfiguration:
     own = {variant.name: variant.id for variant in variants()}
     try:
         env = gymnasium.make(own.get(name, name))
-    except Exception as error:  # An environment of someone else raises anything.
+    except Exception as error:  # Other environments raise exceptions of any kind.
         cause = " ".join(str(error).split())
         raise TargetError(
             f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__}); give {ACCEPTED}"
@@ -175,16 +166,17 @@ def _of_env(env: gymnasium.Env, *, name: str, pair: tuple[str, str] | None) -> T
 
 
 def _of_backend(text: str) -> TrainingConfiguration | None:
-    """TrainingConfiguration of `backend` or `backend:preset`; None where it is no backend that is named."""
+    """Return the configuration of `backend` or `backend:preset`; None when there is no such backend."""
     name, _, preset = text.partition(":")
     if name not in backend_names():
         return None
     settings = {"preset": preset} if preset else {}
+    _check_settings(name, settings)
     return TrainingConfiguration(
         name=text,
         source=f"backend {name}, {f'preset {preset}' if preset else 'default settings'}",
         backend=name,
-        settings=_checked(name, settings),
+        settings=settings,
         origins=dict.fromkeys(settings, "command"),
     )
 
@@ -197,35 +189,32 @@ def _of_settings_file(path: Path) -> TrainingConfiguration:
     except OSError as error:
         raise TargetError(f"{path}: cannot be read: {error.strerror}") from None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(map(str, first["loc"])) or "the file"
-        reason = "there is no such key" if first["type"] == "extra_forbidden" else first["msg"]
-        raise TargetError(f"{path}: {key}: {reason}; keys: {', '.join(_SettingsFile.model_fields)}") from None
+        key, reason = first_fault(error)
+        keys = ", ".join(_SettingsFile.model_fields)
+        raise TargetError(f"{path}: {key or 'the file'}: {reason}; keys: {keys}") from None
     except ValueError as error:
         raise TargetError(f"{path}: {error}") from None
     settings = file.settings | ({} if file.preset is None else {"preset": file.preset})
     try:
-        checked = _checked(file.backend, settings)
+        _check_settings(file.backend, settings)
     except ParameterError as error:
         raise TargetError(f"{path}: {error}") from error
     return TrainingConfiguration(
         name=path.name,
         source=f"settings file {path}",
         backend=file.backend,
-        settings=checked,
+        settings=settings,
         origins=dict.fromkeys(settings, path.name),
     )
 
 
-def _checked(name: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings, once a backend has taken them.
+def _check_settings(name: str, settings: Mapping[str, Any]) -> None:
+    """Build a scene with settings of a backend.
 
     Raises:
-        UnknownNameError: No such backend or preset.
-        ParameterError: No such setting, or an impossible value.
+        UnknownNameError: There is no such backend or preset.
+        ParameterError: There is no such setting, or a value is impossible.
     """
-    given = dict(settings)
-    # Each action of an environment is a whole number of steps, whatever the suite's own interval is.
-    interval = {"drive_interval_s": given["timestep_s"]} if "timestep_s" in given else {}
-    backend(name).build(load_experiment(TRIAL_VARIANT).scene, given | interval).close()
-    return given
+    # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
+    interval = {"drive_interval_s": settings["timestep_s"]} if "timestep_s" in settings else {}
+    backend(name).build(load_experiment(TRIAL_VARIANT).scene, {**settings, **interval}).close()

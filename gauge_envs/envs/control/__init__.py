@@ -1,1 +1,1 @@
-"""Control tasks whose true optimum a law gives: what a policy earns beyond it, reality will not pay."""
+"""Control tasks with a true optimum from a law: a policy that earns more exploits an error of the simulator."""

@@ -1,4 +1,4 @@
-"""What control tasks share: a calibrated scene whose driver is the action, stepped at the frame rate of the trials."""
+"""Base of the control tasks: a calibrated scene whose driver is the action, stepped at the frame rate of the trials."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.registry import backend as find_backend
 from gauge_envs.backends.settings import check_drive_interval
-from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
-from gauge_envs.envs.rendering.lazy import RENDER_MODES, Pictures
+from gauge_envs.envs.divergence import speed_fault
+from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -33,33 +31,33 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 
-class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
-    """A control task whose true optimum a law gives, in a calibrated scene of the benchmark.
+class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
+    """A control task in a calibrated scene of the benchmark; a law gives its true optimum.
 
-    One step is 1/30 s, in six intervals of 1/180 s in which the action is constant. The action is a Box [-1, 1] of one
-    entry; what it commands, and the observation, the reward and its proof are the subclass's.
+    One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] of one entry.
+    The subclass documents what the action commands, the observation, and the reward with its proof.
 
-    `info`: `frame`, `time_s` and, when the simulation diverged, `diverged` (why). Copies and pickles go on bit for bit
-    from where the environment is.
+    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. Copies and pickles continue bit
+    for bit, also in another process with the same versions of the engine.
 
     Args:
-        variant: Experiment whose scene it is, as `Turntable-1-wood`.
+        variant: Experiment that states the scene, as `Turntable-1-wood`.
         backend: Name of an installed physics engine.
-        parameters: `calibrated`, another parameter set of the task file, or overrides as `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the backend that replace its defaults.
+        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`.
+        settings: Numerical settings of the engine that replace those of the preset.
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
 
     Attributes:
-        FAMILY: Family of the experiment whose scene it is.
+        FAMILY: Family of the experiment that states the scene.
         LAW: The law, in words and symbols.
-        SIGMA_SOURCE: Where the uncertainty of the limit is from.
+        SIGMA_SOURCE: Source of the limit's uncertainty.
         DURATION_S: Length of an episode [s].
         OBSERVED: Names of the observation's entries, with units.
-        experiment: The experiment whose scene it is, as it is built.
-        simulation: The running scene.
-        limit: What the law allows.
+        experiment: The experiment, with the drivers and the duration of the task.
+        limit: The best that the law allows.
 
     Raises:
         UnknownNameError: No such variant or backend.
@@ -67,10 +65,6 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         UnsupportedSceneError: The backend cannot build the scene.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
-        "render_modes": [*RENDER_MODES],
-        "render_fps": int(FRAME_RATE_HZ),
-    }
     FAMILY: ClassVar[str]
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
@@ -88,16 +82,13 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         width: int = 640,
         height: int = 480,
     ) -> None:
-        self._pictures = Pictures(render_mode, width=width, height=height)
-        self.render_mode = render_mode
-        chosen = find_variant(variant)
-        experiment = load_experiment(chosen, self._placed(chosen, parameters))
-        scene = replace(experiment.scene, drivers=self._drivers(experiment.scene), duration_s=self.DURATION_S)
-        self.experiment = replace(experiment, scene=scene, frame_count=self.frame_count)
-        self.backend_name = backend
-        self._settings = settings
-        check_support(self.experiment, backend)
-        self._build()
+        pictures = Pictures(render_mode, width=width, height=height)
+        self._variant = find_variant(variant)
+        stated = load_experiment(self._variant, self._start_parameters(self._variant, parameters))
+        scene = replace(stated.scene, drivers=self._drivers(stated.scene), duration_s=self.DURATION_S)
+        experiment = replace(stated, scene=scene, frame_count=self.frame_count)
+        super().__init__(experiment, pictures, backend=backend, settings=settings)
+        self._build(experiment)
         check_drive_interval(self.simulation.settings)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         self._frame: int | None = None
@@ -108,71 +99,61 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
-    def _build(self) -> None:
-        self.simulation: Simulation = find_backend(self.backend_name).build(self.experiment.scene, self._settings)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What `__setstate__` needs to build the same run again and to put it where it was."""
-        # An engine's model does not pickle, and what it is built from does.
-        kept = {name: value for name, value in vars(self).items() if name != "simulation"}
-        return {"attributes": kept, "simulation": self.simulation.state()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Build the same run again, and go on from where it was."""
-        vars(self).update(state["attributes"])
-        self._build()
-        self.simulation.restore(state["simulation"])
+    @property
+    def _label(self) -> str:
+        return type(self).__name__
 
     # --- what a task states ---
 
-    def _placed(self, variant: Variant, parameters: Parameters) -> Parameters:
-        """The parameters, with the start of the task where it is not that of the experiment."""
+    _at_time_limit: ClassVar[Ending]
+    """Ending of an episode that reaches its last frame."""
+
+    def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
+        """Return the parameters, with the start of the task if it differs from that of the experiment."""
         return parameters
 
     @abstractmethod
     def _drivers(self, scene: Scene) -> tuple[Driver, ...]:
-        """Drivers that move nothing by themselves and say how fast actions may."""
+        """Return drivers without a motion of their own; their residual rates state how fast actions may move them."""
 
     @abstractmethod
     def _limit(self) -> Limit:
-        """What the law allows."""
+        """Return the best that the law allows."""
 
     @abstractmethod
     def _begin(self) -> None:
-        """Take note of the start; the world stands at it."""
+        """Record the start of an episode; the simulation is at it."""
 
     @abstractmethod
     def _advance(self, command: float) -> tuple[float, Ending | None]:
-        """Simulate a frame; its reward, and how it ended the episode, if it did."""
+        """Simulate a frame; return its reward and, if it ended the episode, the ending."""
 
     @abstractmethod
     def _observation(self) -> FloatArray:
-        """Observation now, in the order of `OBSERVED`."""
+        """Return the observation, in the order of `OBSERVED`."""
 
     @abstractmethod
     def _reached(self) -> float:
-        """What the policy has reached so far, in the unit of the limit."""
+        """Return what the policy has reached so far, in the unit of the limit."""
 
     @abstractmethod
     def _law_command(self, fraction: float) -> float:
-        """What `law_action` returns, as a number that need not be in range."""
+        """Return the action of `law_action` before it is clipped to [-1, 1]."""
 
     def law_action(self, fraction: float) -> NDArray[np.float32]:
-        """Action, now, of the policy that the law itself suggests.
+        """Return the action that the law suggests now, shape [1].
 
         Args:
-            fraction: How much of the law's limit it uses; just below 1 succeeds in an engine that obeys the law, and
-                just above 1 fails.
+            fraction: Share of the law's limit that the policy uses. In an engine that obeys the law, a share just below
+                1 succeeds and one just above 1 fails.
         """
         return np.clip(np.array([self._law_command(fraction)], dtype=np.float32), -1.0, 1.0)
-
-    _at_time_limit: ClassVar[Ending]
 
     # --- episode ---
 
     @property
     def frame_count(self) -> int:
-        """Frames of an episode, the first included."""
+        """Number of frames of an episode, the first included."""
         return round(self.DURATION_S * FRAME_RATE_HZ) + 1
 
     @property
@@ -180,8 +161,14 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Time since the start of the episode [s]."""
         return (self._frame or 0) / FRAME_RATE_HZ
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[FloatArray, dict]:
-        """Start a new episode; the start is always the same, and there are no options."""
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Start a new episode; the start is always the same, and there are no options.
+
+        Raises:
+            ParameterError: An option was given.
+        """
         super().reset(seed=seed)
         if options:
             raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
@@ -199,11 +186,9 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             ActionError: The action has the wrong shape, is out of range or is not a number.
             EpisodeError: The environment was not reset, or the episode is over.
         """
-        if self._frame is None or self._ending is not None:
-            raise EpisodeError(f"{type(self).__name__}: call reset before step, and when an episode is over")
-        command = self._checked(action)
-        reward, ending = self._advance(command)
-        self._frame += 1
+        self._check_running(started=self._frame is not None, is_over=self._ending is not None)
+        reward, ending = self._advance(self._checked(action))
+        self._frame = (self._frame or 0) + 1
         info = self._info()
         fault = self._fault()
         if fault is not None:
@@ -216,17 +201,17 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         return observation, reward, terminated, truncated, info
 
     def trajectory(self) -> FloatArray:
-        """Observations of the episode so far, the start's first, shape [frame + 1, len(OBSERVED)]."""
+        """Return the observations of the episode so far, from the start on, shape [frame + 1, len(OBSERVED)]."""
         return np.array(self._observations)
 
     def report(self) -> LimitReport:
-        """What the policy reached in the episode, beside what the law allows.
+        """Return what the policy reached in the episode and what the law allows.
 
         Raises:
             EpisodeError: The episode is not over.
         """
         if self._ending is None:
-            raise EpisodeError(f"{type(self).__name__}: an episode is reported when it is over")
+            raise EpisodeError(f"{self._label}: an episode is reported when it is over")
         reached = 0.0 if self._ending is Ending.DIVERGED else self._reached()
         return LimitReport(limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s)
 
@@ -247,17 +232,14 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         return value
 
     def _fault(self) -> str | None:
-        """Why the simulation counts as diverged."""
-        speed = np.abs(self.simulation.body_states(self._dynamic)[:, 7:10]).max()
-        limit = self.experiment.scene.speed_limit_m_per_s
-        return (
-            None if speed <= limit else f"a body moves at {speed:.3g} m/s, more than the scene can give ({limit:.3g})"
-        )
+        """Return why the simulation counts as diverged, or None."""
+        velocities = self.simulation.body_states(self._dynamic)[:, 7:10]
+        return speed_fault(self._dynamic, velocities, self.experiment.scene.speed_limit_m_per_s)
 
     # --- pictures ---
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Picture of the scene now, shape [height, width, 3]; None without `render_mode="rgb_array"`.
+        """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`.
 
         Raises:
             RenderError: The machine has no OpenGL library.
@@ -265,14 +247,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """
         if self.render_mode is None:
             return None
-        if self._frame is None:
-            raise EpisodeError(f"{type(self).__name__}: call reset before render")
+        self._check_started("render", started=self._frame is not None)
         scene = self.experiment.scene
         moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
         poses = self.simulation.body_states(moving)[:, :7]
         return self._pictures.draw(scene, {}, poses=dict(zip(moving, poses, strict=True)), nodes_m={})
-
-    def close(self) -> None:
-        """Free the simulation and the renderer."""
-        self._pictures.close()
-        self.simulation.close()

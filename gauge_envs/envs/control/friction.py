@@ -1,4 +1,4 @@
-"""A cube that friction alone holds on a body that turns: what turntable and slope have in common."""
+"""Base of the turntable and the slope task: a cube that only friction holds on a body that turns."""
 
 from __future__ import annotations
 
@@ -26,37 +26,38 @@ __all__ = [
 CUBE = "cube"
 
 HOLD_S = 1.0
-"""What is reached is the mean of the friction used over this time [s]; see `SLIP_SPEED_M_PER_S`."""
+"""Time over which the friction used is averaged for the value that a policy reaches [s]."""
 
 HOLD_FRAMES = round(HOLD_S * FRAME_RATE_HZ)
-"""The same in frames."""
+"""`HOLD_S` in frames."""
 
 SLIP_SPEED_M_PER_S = 0.02
-"""Speed on the carrier from which the cube counts as slipping [m/s], mean over a frame, of its fastest corner.
+"""Speed on the carrier from which the cube counts as slipping [m/s]: that of its fastest corner, mean over a frame.
 
-Between what engines do to a cube that holds and what physics does to one that does not. A carried cube creeps, since
-contacts are not rigid: on the turntable at mu g by half the contact's time constant times mu g, 3.7 mm/s in MuJoCo's
-default and 9.3 mm/s in Newton's. One that uses 2 % too much friction is at 20 mm/s after 0.3 s. Slower slips are
-not seen, which lets a policy use 20 mm/s / (g HOLD_S) = 0.002 more friction than there is, 0.5 to 0.9 % of it.
+The value lies between the creep of a cube that holds and the slip of one that does not. A carried cube creeps because
+contacts are not rigid. On the turntable at mu g the speed is half the contact's time constant times mu g: 3.7 mm/s in
+MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too much friction reaches 20 mm/s after
+0.3 s. Slower slips do not count, so a policy can use 20 mm/s / (g HOLD_S) = 0.002 more friction than the law allows,
+0.5 to 0.9 % of it.
 """
 
 
 class FrictionLimit(ControlEnv):
-    """Use as much of the friction of a cube on a driven body as there is, and no more.
+    """Use as much of the friction of a cube on a driven body as the law allows.
 
-    **Law.** Carrying the cube takes a specific force f = a - g, with a the acceleration of the place where it stands.
-    Across the face that it stands on, f has the parts f_n and f_t. Friction holds while the *friction used*, f_t / f_n,
-    is at most mu.
+    **Law.** The force that carries the cube, over its mass, is f = a - g, where a is the acceleration of the carrier at
+    the cube. Normal and tangential to the face under the cube, f has the parts f_n and f_t. Friction holds while the
+    *friction used*, f_t / f_n, is at most mu.
 
-    **Reward.** The friction used, mean over the frame. A slip ends the episode and takes back what the last `HOLD_S`
-    paid. Along f_t the cube on its carrier accelerates with (used - mu) f_n at least while it slips. With v_s the speed
-    at which a slip is seen, the impulse over any time T without one gives
+    **Reward.** The friction used, mean over the frame. A slip ends the episode and takes back the rewards of the last
+    `HOLD_S`. While the cube slips, it accelerates on its carrier along f_t by at least (used - mu) f_n. With v_s the
+    speed from which a slip counts, the impulse over any time T without a slip gives
 
         integral of used dt <= mu T + v_s / f_n,
 
-    in whatever way a policy goes to and fro across the limit. So no policy earns more than mu a step, but for one v_s;
-    and using mu all the time earns just that. The optimum of the reward is the law's limit, reached as soon as the
-    actuator allows, held to the end.
+    also if a policy crosses the limit repeatedly. So no policy earns more than mu for each step, apart from one v_s,
+    and a policy that always uses mu earns mu for each step. The optimum of the reward is the law's limit, reached as
+    soon as the actuator allows and held to the end.
 
     **Reached** is the largest mean of the friction used over `HOLD_S` without slip: at most mu + v_s / (g HOLD_S).
 
@@ -64,10 +65,10 @@ class FrictionLimit(ControlEnv):
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.
-        **options: As of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
 
     Attributes:
-        SUBTASK: Subtask of the experiment whose scene it is.
+        SUBTASK: Subtask of the experiment that states the scene.
         ACCELERATION_RAD_PER_S2: Angular acceleration that an action of 1 commands.
     """
 
@@ -95,27 +96,27 @@ class FrictionLimit(ControlEnv):
         self._corners_m = scene.body(CUBE).shape.corners_m
 
     def _drivers(self, scene: Scene) -> tuple[Driver, ...]:
-        """The carrier's driver, which turns about the same axis as the experiment's, as the action says."""
+        """Return the driver of the carrier, with the axis of the experiment and no motion of its own."""
         driver = scene.drivers[0]
         fastest = self.ACCELERATION_RAD_PER_S2 * self.DURATION_S
         motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
         return (replace(driver, motions=(motion,), provenance="action"),)
 
     def _limit(self) -> Limit:
-        scene, variant = self.experiment.scene, self.experiment.variant
+        scene = self.experiment.scene
         carrier = scene.drivers[0].body
-        # How well a coefficient is known does not depend on the one that an override puts in its place.
-        calibrated = pair_friction(load_experiment(variant).scene, CUBE, carrier)
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        calibrated = pair_friction(load_experiment(self._variant).scene, CUBE, carrier)
         return Limit(
             quantity="friction used",
             unit="1",
             value=pair_friction(scene, CUBE, carrier),
-            sigma=friction_uncertainty(variant.material) * calibrated,
+            sigma=friction_uncertainty(self._variant.material) * calibrated,
             law=self.LAW,
             sigma_source=self.SIGMA_SOURCE,
         )
 
-    # --- course ---
+    # --- rollout ---
 
     def _begin(self) -> None:
         self._angle = self._rate = 0.0
@@ -137,12 +138,12 @@ class FrictionLimit(ControlEnv):
         return self._used_now, None
 
     def _advance_sample(self, acceleration: float) -> float:
-        """Turn the carrier for 1/180 s with a uniform acceleration; friction used at the end."""
+        """Turn the carrier for 1/180 s with a uniform acceleration, and return the friction used at the end."""
         step = SAMPLE_INTERVAL_S
         self._angle += (self._rate + 0.5 * acceleration * step) * step
         self._rate += acceleration * step
         pose, velocity = self._driver.state(self._start, 0.0, np.array([self._angle]), np.array([self._rate]))
-        # Uniformly accelerated to the end pose, exactly.
+        # A uniform acceleration that ends exactly at the pose.
         mean = mean_velocity(self._pose, pose, step)
         self.simulation.drive(self._driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
         self.simulation.advance(step)
@@ -150,7 +151,7 @@ class FrictionLimit(ControlEnv):
         return self._friction_used(acceleration)
 
     def _friction_used(self, acceleration: float) -> float:
-        """Tangential over normal part of the specific force that carries the cube where it is now."""
+        """Return the friction used: tangential over normal part of the force that carries the cube."""
         around = self._turning @ (self.simulation.body_states((CUBE,))[0, :3] - self._point_m)
         force = acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
         normal = self._pose.rotation.apply((0.0, 0.0, 1.0))
@@ -158,17 +159,17 @@ class FrictionLimit(ControlEnv):
         return math.sqrt(max(float(force @ force) - held**2, 0.0)) / held
 
     def _corners(self) -> NDArray[np.float64]:
-        """Corners of the cube in the frame of the carrier [m], shape [8, 3]."""
+        """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
         state = self.simulation.body_states((CUBE,))[0]
-        turn = Rotation.from_quat(state[3:7], scalar_first=True)
-        return self._pose.to_body(turn.apply(self._corners_m) + state[:3])
+        rotation = Rotation.from_quat(state[3:7], scalar_first=True)
+        return self._pose.to_body(rotation.apply(self._corners_m) + state[:3])
 
     def _slip(self) -> float:
-        """Mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""
+        """Return the mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""
         corners = self._corners()
-        way = np.linalg.norm(corners - self._corners_on_carrier, axis=1).max()
+        displacement_m = np.linalg.norm(corners - self._corners_on_carrier, axis=1).max()
         self._corners_on_carrier = corners
-        return float(way) * FRAME_RATE_HZ
+        return float(displacement_m) * FRAME_RATE_HZ
 
     def _observation(self) -> NDArray[np.float64]:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
@@ -181,6 +182,6 @@ class FrictionLimit(ControlEnv):
 
     @property
     def _cube_radius_m(self) -> float:
-        """Distance of the cube from the axis now."""
+        """Distance of the cube from the axis [m]."""
         arm = self.simulation.body_states((CUBE,))[0, :3] - self._point_m
         return float(np.linalg.norm(arm - self._axis * (self._axis @ arm)))

@@ -1,4 +1,4 @@
-"""What a law allows in a control task, how well its constants are known, and what a policy reached beside it."""
+"""Limit of a law in a control task, its uncertainty, and what a policy reached relative to it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
@@ -26,15 +27,15 @@ class Ending(StrEnum):
     """How an episode of a control task ended."""
 
     HELD = "held"
-    """The time is over and the cube has not slipped."""
+    """The last frame is reached and the cube has not slipped."""
     SLIPPED = "slipped"
     """The cube moved on its carrier."""
     REACHED = "reached"
-    """The ball is at the height."""
+    """The ball reached the target height."""
     MISSED = "missed"
-    """The time is over and the ball has not been at the height."""
+    """The last frame is reached and the ball has not been at the target height."""
     DIVERGED = "diverged"
-    """The simulation has."""
+    """The simulation diverged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +43,12 @@ class Limit:
     """The best that a law allows.
 
     Attributes:
-        quantity: What is limited, in words.
+        quantity: The limited quantity, in words.
         unit: Its unit; `1` for a ratio.
-        value: The law's limit, with the constants in force.
+        value: The limit, with the constants of the scene.
         sigma: Its standard uncertainty, from that of the measured constants.
         law: The law, in words and symbols.
-        sigma_source: Where the uncertainty is from.
+        sigma_source: Source of the uncertainty.
     """
 
     quantity: str
@@ -60,13 +61,13 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitReport:
-    """What a policy reached in an episode, beside what the law allows.
+    """What a policy reached in an episode, and what the law allows.
 
     Attributes:
-        limit: What the law allows.
-        reached: What the policy reached, in the limit's unit; 0 where nothing was achieved.
+        limit: The best that the law allows.
+        reached: What the policy reached, in the limit's unit; 0 if the episode failed.
         ending: How the episode ended.
-        time_s: When it ended [s].
+        time_s: Time of the ending [s].
     """
 
     limit: Limit
@@ -76,38 +77,38 @@ class LimitReport:
 
     @property
     def ratio(self) -> float:
-        """Reached over the law's limit; above 1 is reward that reality will not pay."""
+        """Reached over the limit; above 1 the policy exploits an error of the simulator."""
         return self.reached / self.limit.value
 
     @property
     def z(self) -> float:
-        """Reached less the limit, in standard uncertainties of the limit."""
+        """Reached minus the limit, in standard uncertainties of the limit."""
         return (self.reached - self.limit.value) / self.limit.sigma
 
 
 SLOPE_TRIALS = "slope_slider_30deg_summary.toml"
-"""Mean and scatter of the friction in 19 or 20 real trials a material of the cubes sliding down at 30 degrees."""
+"""Mean and scatter of the friction of cubes sliding down at 30 degrees, from 19 or 20 real trials of each material."""
 
 SLOPE_TRIALS_OF = "SlopeSlider-2-{material}"
 """Experiment of those trials."""
 
 
 @cache
-def _slope_trials(path: Path) -> dict:
+def _slope_trials(path: Path) -> dict[str, Any]:
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def pair_friction(scene: Scene, first: str, second: str) -> float:
-    """Friction coefficient of two bodies that touch, as a scene has it."""
+    """Return the friction coefficient of two bodies of a scene that touch."""
     return next(c.friction for c in scene.contacts if {first, second} <= {*c.first, *c.second})
 
 
 def friction_uncertainty(material: str) -> float:
-    """Relative standard uncertainty of a cube's calibrated friction.
+    """Return the relative standard uncertainty of a cube's calibrated friction.
 
-    It is the root mean square distance of the friction in single real trials (SlopeSlider-2, whose accelerations are
-    bundled) from the calibrated coefficient, over that: it holds both the scatter of trials and the difference of
-    their mean, which is the larger part for wood and plastic.
+    It is the root mean square distance of the friction in single real trials from the calibrated coefficient, over that
+    coefficient. The trials are those of SlopeSlider-2, whose accelerations are bundled. The distance includes the
+    scatter of trials and the difference of their mean, which is the larger part for wood and plastic.
 
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.

@@ -24,47 +24,49 @@ __all__ = [
 BALL = "ball"
 
 TARGET_RAD = math.radians(60.0)
-"""Angle that the ball is to reach [rad]: half as high as the axle, and well below the published release, 90 degrees."""
+"""Target angle of the ball [rad]: at half the height of the axle, and well below the published release, 90 degrees."""
 
 TORQUE_SHARE = 0.15
-"""Largest torque, over the weight times the length: too weak to lift the ball at once, so that it must be swung up."""
+"""Largest torque over weight times length; it cannot lift the ball at once, so the policy must swing it up."""
 
 LENGTH_SIGMA = 0.004 / 0.270
 """Relative uncertainty of the effective length, from the recorded period (0.270 +- 0.004 m, tasks/pendulum.toml)."""
 
 MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
-"""Uncertainty of the mass, which is published to 0.1 g: that of rounding [kg]."""
+"""Uncertainty of the mass [kg]: rounding, as it is published to 0.1 g."""
 
 
 class PendulumLimit(ControlEnv):
-    """Swing a hanging ball to a height with the least work; the scene is that of Pendulum, at rest below the axle.
+    """Swing a hanging ball to a height with the least work, in the scene of Pendulum.
 
-    **Law.** Where the ball is higher by h, the motor has done at least the work m g h: W >= m g h.
+    **Law.** To raise the ball by h, the motor does at least the work m g h: W >= m g h.
 
-    **Reward.** With h_t the target, 2 d(h_max) / h_t - dW / (m g h_t) for each frame, with h_max the greatest height so
-    far and W the work that the motor has put in; what it takes back by braking is not returned. All over an episode it
-    earns 2 x - W / (m g h_t) with x = h_max / h_t, at most x by the law, so 1 at most. Just a policy that is at the
-    target at rest, and never brakes, has it. The episode ends at the target.
+    **Reward.** In each frame 2 d(h_max) / h_t - dW / (m g h_t). Here h_t is the target, h_max the largest height so
+    far, and W the work of the motor; braking returns no work. An episode earns 2 x - W / (m g h_t) with x = h_max /
+    h_t. By the law this is at most x, so at most 1. A policy earns 1 only if it reaches the target at rest and never
+    brakes. The episode ends at the target.
 
-    W is the sum of torque times turn over the samples in which it is positive; that is no less than the sum over all of
-    them, which the law bounds.
+    W is the sum of torque times rotation over the samples in which that is positive. It is at least the sum over all
+    samples, which the law bounds.
 
-    **Reached** is the target's height over the work, in m/J, and 0 where the ball did not get there; the limit is
-    1 / (m g). The height is told by the angle, so the length is uncertain.
+    **Reached** is the height of the target over the work, in m/J, or 0 if the ball did not reach it; the limit is
+    1 / (m g). The height follows from the angle, so the uncertainty of the length counts.
 
     **Action.** Torque about the axle, in units of 0.15 times weight times length.
 
     Args:
         material: Material of the ball: `metal`.
-        **options: As of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
     """
 
     FAMILY = "Pendulum"
     LAW = "W >= m g h, so h / W <= 1 / (m g)"
-    SIGMA_SOURCE = "length from the recorded period, 0.270 +- 0.004 m, as the angle tells the height; mass to 0.1 g"
+    SIGMA_SOURCE = (
+        "length from the recorded period, 0.270 +- 0.004 m, which gives the height at an angle; mass to 0.1 g"
+    )
 
     DURATION_S = 6.0
-    """Five full swings; at full torque three are enough."""
+    """Time of five full swings; at full torque three are enough."""
     OBSERVED: ClassVar[tuple[str, ...]] = (
         "angle_rad",
         "rate_rad_per_s",
@@ -85,12 +87,12 @@ class PendulumLimit(ControlEnv):
         self._inertia_kg_m2 = ball.mass_kg * (self._length_m**2 + 0.4 * ball.shape.radius_m**2)
         self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
 
-    def _placed(self, variant: Variant, parameters: Parameters) -> Parameters:
-        """The ball hangs straight down."""
+    def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
+        """Return the parameters, with the ball hanging straight down."""
         return dict(load_experiment(variant, parameters).overrides) | {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
 
     def _drivers(self, scene: Scene) -> tuple[Driver, ...]:
-        """Nothing is driven: the motor is a torque."""
+        """Return no driver: the motor is a torque."""
         return ()
 
     @property
@@ -118,14 +120,14 @@ class PendulumLimit(ControlEnv):
             sigma_source=self.SIGMA_SOURCE,
         )
 
-    # --- course ---
+    # --- rollout ---
 
     def _begin(self) -> None:
         self._angle, self._rate = self._swing()
         self._highest_m = self._work_j = 0.0
 
     def _swing(self) -> tuple[float, float]:
-        """Angle from hanging [rad] and its rate [rad/s]."""
+        """Return the angle from hanging [rad] and its rate [rad/s]."""
         state = self.simulation.body_states((BALL,))[0]
         arm = state[:3] - self._anchor_m
         angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
@@ -157,30 +159,30 @@ class PendulumLimit(ControlEnv):
         return self._target_m / self._work_j if self._highest_m == self._target_m else 0.0
 
     def _law_command(self, fraction: float) -> float:
-        """Push the way the ball swings until m g h_t / fraction is spent, and then let it swing.
+        """Return a torque along the swing until the work is m g h_t / fraction, and then 0.
 
-        A `fraction` below 1 spends more than the least work and arrives; one above 1 spends less and does not.
+        A `fraction` below 1 does more than the least work and reaches the target; one above 1 does less and does not.
         """
         left_j = self._weight_n * self._target_m / fraction - self._work_j
         frame_s = 1.0 / FRAME_RATE_HZ
-        way = math.copysign(1.0, self._rate) if self._work_j > 0.0 else 1.0
-        torque = way * self._largest_torque_n_m
-        turn = self._turn(torque, frame_s)
+        direction = math.copysign(1.0, self._rate) if self._work_j > 0.0 else 1.0
+        torque = direction * self._largest_torque_n_m
+        rotation = self._rotation(torque, frame_s)
         # Near a turning point a push would brake in the second half of the frame.
         if left_j <= 0.0 or (
-            self._work_j > 0.0 and (turn * way <= 0.0 or self._rate_after(torque, frame_s) * way <= 0)
+            self._work_j > 0.0 and (rotation * direction <= 0.0 or self._rate_after(torque, frame_s) * direction <= 0)
         ):
             return 0.0
         for _ in range(5):
-            torque = way * min(self._largest_torque_n_m, left_j / abs(self._turn(torque, frame_s)))
+            torque = direction * min(self._largest_torque_n_m, left_j / abs(self._rotation(torque, frame_s)))
         return torque / self._largest_torque_n_m
 
     def _acceleration(self, torque: float) -> float:
-        """Angular acceleration now [rad/s^2]."""
+        """Return the angular acceleration [rad/s^2]."""
         return (torque - self._weight_n * self._length_m * math.sin(self._angle)) / self._inertia_kg_m2
 
-    def _turn(self, torque: float, seconds: float) -> float:
-        """Turn in the coming time [rad], to second order."""
+    def _rotation(self, torque: float, seconds: float) -> float:
+        """Return the rotation in the next `seconds` [rad], to second order."""
         return (self._rate + 0.5 * self._acceleration(torque) * seconds) * seconds
 
     def _rate_after(self, torque: float, seconds: float) -> float:

@@ -1,4 +1,4 @@
-"""Policies in control tasks: an episode with one, and how far an engine itself follows the law."""
+"""Episodes of policies in control tasks, and how closely an engine follows the law."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ __all__ = [
 ]
 
 Policy = Callable[[NDArray[np.float64]], NDArray[np.floating]]
-"""Action, shape [1], for an observation."""
+"""Function that returns an action, shape [1], for an observation."""
 
 
 def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
-    """Run one episode; the environment then holds its trajectory.
+    """Run one episode and return its report; the environment then holds its trajectory.
 
     Args:
         env: The task, without wrappers.
-        policy: What acts.
+        policy: The policy.
         seed: Seed of the reset.
     """
     observation, _ = env.reset(seed=seed)
@@ -38,17 +38,17 @@ def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
 
 
 def engine_limit(env: ControlEnv, *, bounds: tuple[float, float] = (0.2, 1.5), resolution: float = 0.002) -> float:
-    """How much of the law's limit the law's own policy can use in the engine before it fails, by bisection.
+    """Return the largest share of the law's limit that the law's policy can use in the engine, by bisection.
 
-    It is 1 in an engine that obeys the law; above 1 the engine pays what reality does not.
+    It is 1 in an engine that obeys the law. Above 1 the engine allows more than reality.
 
     Args:
         env: The task, without wrappers.
-        bounds: A fraction of the limit with which it succeeds, and one with which it fails.
-        resolution: How far apart the two may be at the end; what is returned lies between them.
+        bounds: A share of the limit with which the policy succeeds, and one with which it fails.
+        resolution: Largest width of the last interval; the result is its middle.
 
     Raises:
-        ParameterError: It fails at the lower bound, or does not at the upper.
+        ParameterError: The policy fails at the lower bound, or succeeds at the upper one.
     """
     low, high = bounds
 

@@ -1,4 +1,4 @@
-"""The control tasks that there are: their ids, and how they are made."""
+"""List of the control tasks: their ids and entry points."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class ControlTask:
     """One registered control task.
 
     Attributes:
-        name: As `Turntable-Limit-wood`.
-        entry_point: Its environment, as Gymnasium wants it named.
-        material: Material of what moves.
+        name: Name, as `Turntable-Limit-wood`.
+        entry_point: Module and class of the environment, as `gymnasium.register` takes them.
+        material: Material of the cube or the ball.
     """
 
     name: str
@@ -44,7 +44,7 @@ _TASKS = {
 
 
 def control_tasks() -> tuple[ControlTask, ...]:
-    """All control tasks; they are extra to the experiments that `gauge_envs.variants` lists."""
+    """Return all control tasks; `gauge_envs.variants` does not list them."""
     return tuple(
         ControlTask(name=f"{family}-Limit-{material}", entry_point=entry_point, material=material)
         for family, (entry_point, materials) in _TASKS.items()
@@ -53,10 +53,10 @@ def control_tasks() -> tuple[ControlTask, ...]:
 
 
 def find_control_task(name: str) -> ControlTask:
-    """Control task by its name or Gymnasium id.
+    """Return a control task by its name or Gymnasium id.
 
     Raises:
-        UnknownNameError: There is none; the message offers the nearest.
+        UnknownNameError: No such task; the message names the nearest.
     """
     by_name = {task.name: task for task in control_tasks()}
     try:
@@ -66,7 +66,7 @@ def find_control_task(name: str) -> ControlTask:
 
 
 def register_control_tasks() -> None:
-    """Register every control task with Gymnasium; importing gauge_envs has done so already."""
+    """Register every control task with Gymnasium; `import gauge_envs` calls this."""
     for task in control_tasks():
         if task.id not in registry:
             register(

@@ -1,4 +1,4 @@
-"""Wrapper of control tasks. `gymnasium.make` applies `ReportLimit` to every one of them."""
+"""The wrapper that reports control tasks. `gymnasium.make` applies it to each of them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = [
 
 
 class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
-    """Says at the end of an episode what the policy reached, beside what the law allows.
+    """Report what the policy reached and what the law allows when an episode ends.
 
-    Adds to `info` at the last step: `limit`, a `gauge_envs.envs.control.LimitReport`.
+    Adds to `info` at the last step: `limit`, a `gauge_envs.envs.control.limit.LimitReport`.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -36,7 +36,7 @@ class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
         gymnasium.Wrapper.__init__(self, env)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and report at the end."""
+        """Step, and add the report if the episode ends."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
             env = self.unwrapped

@@ -1,1 +1,1 @@
-"""Pictures of scenes, drawn by MuJoCo for every engine."""
+"""Pictures of scenes, drawn with MuJoCo for every engine."""

@@ -1,4 +1,4 @@
-"""Pictures of an environment: the renderer is made when the first one is asked for, and copies make their own."""
+"""The renderer of an environment: it starts with the first picture, and each copy of the environment starts its own."""
 
 from __future__ import annotations
 
@@ -20,16 +20,19 @@ __all__ = [
 ]
 
 RENDER_MODES = ("rgb_array",)
-"""How environments of this suite can be shown, beside not at all."""
+"""Render modes of the environments, apart from None."""
 
 
 class Pictures:
-    """Draws a scene that an environment simulates.
+    """Renderer of the scene that an environment simulates.
 
     Args:
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+
+    Attributes:
+        render_mode: None or `rgb_array`.
 
     Raises:
         ParameterError: There is no such mode.
@@ -38,6 +41,7 @@ class Pictures:
     def __init__(self, render_mode: str | None, *, width: int, height: int) -> None:
         if render_mode not in (None, *RENDER_MODES):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        self.render_mode = render_mode
         self._size = (width, height)
         self._renderer: SceneRenderer | None = None
 
@@ -49,10 +53,10 @@ class Pictures:
         poses: Mapping[str, NDArray[np.float64]],
         nodes_m: Mapping[str, NDArray[np.float64]],
     ) -> NDArray[np.uint8]:
-        """Picture of a scene now, shape [height, width, 3]; the same scene each time until `close`.
+        """Return a picture of a scene, shape [height, width, 3].
 
         Args:
-            scene: What to draw.
+            scene: The scene; the same in each call until `close`.
             rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
@@ -67,11 +71,11 @@ class Pictures:
         return self._renderer.picture(poses, nodes_m)
 
     def close(self) -> None:
-        """Free the renderer; the next picture makes another one."""
+        """Free the renderer; the next picture starts another one."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """The renderer holds a place on the graphics device, which neither pickles nor copies."""
+        """Leave out the renderer, whose graphics context neither pickles nor copies."""
         return vars(self) | {"_renderer": None}

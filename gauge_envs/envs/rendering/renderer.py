@@ -1,4 +1,4 @@
-"""Pictures of a scene: one renderer for all engines, fed with poses, without a display."""
+"""The renderer of a scene: one for all engines, from poses and nodes, without a display."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ ELEVATION_DEG = -18.0
 AZIMUTH_DEG = 125.0
 FIELD_OF_VIEW_DEG = 40.0
 FLOOR_IN_VIEW_M = 0.6
-"""A floor further below everything solid than this is left out of the picture."""
+"""Largest distance of the floor below all bodies at which the picture shows it [m]."""
 
 DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
 
 def _graphics_context(width: int, height: int) -> Any:
-    """An off-screen OpenGL context: what MUJOCO_GL names, else EGL, else OSMesa, whichever library is there."""
+    """Return an off-screen OpenGL context: that of MUJOCO_GL, or else EGL or OSMesa, whichever is installed."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if not wanted:
         wanted = "egl" if find_library("EGL") else "osmesa" if find_library("OSMesa") else ""
@@ -54,7 +54,7 @@ def _graphics_context(width: int, height: int) -> Any:
         context = GLContext(width, height)
         context.make_current()
     except Exception as error:
-        # OpenGL bindings raise whatever their loader trips over: ImportError, AttributeError, their own errors.
+        # OpenGL bindings raise many errors: ImportError, AttributeError, their own.
         raise RenderError(
             f"no off-screen OpenGL (MUJOCO_GL={os.environ.get('MUJOCO_GL', '')!r}): {error}. On Debian or Ubuntu: "
             f"apt-get install {DEBIAN_PACKAGES}; or libosmesa6 alone, with MUJOCO_GL=osmesa"
@@ -63,10 +63,10 @@ def _graphics_context(width: int, height: int) -> Any:
 
 
 class SceneRenderer:
-    """Draws a scene from its bodies' poses and nodes; no physics runs in it.
+    """Renderer of a scene from poses and nodes, without physics.
 
     Args:
-        scene: What to draw.
+        scene: The scene.
         rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
         width: Picture width [pixels].
         height: Picture height [pixels].
@@ -97,14 +97,14 @@ class SceneRenderer:
     def picture(
         self, poses: Mapping[str, NDArray[np.float64]], nodes_m: Mapping[str, NDArray[np.float64]]
     ) -> NDArray[np.uint8]:
-        """Draw the scene with bodies at given poses.
+        """Return a picture of the scene with bodies at given poses.
 
         Args:
             poses: For each body that has moved, position [m] and quaternion w x y z, shape [7].
-            nodes_m: For each deformable body its nodes now [m], in the order of `rest_nodes_m`.
+            nodes_m: For each deformable body its nodes [m], in the order of `rest_nodes_m`.
 
         Returns:
-            Shape [height, width, 3], top row first.
+            Picture, shape [height, width, 3], top row first.
         """
         for name, pose in poses.items():
             index = self._mocap_ids[name]
@@ -146,7 +146,7 @@ class SceneRenderer:
 
 
 def _visual_model(scene: Scene, skins: Sequence[Skin], width: int, height: int) -> mujoco.MjModel:
-    """A model of shapes without physics: every body is a mocap body, placed by hand."""
+    """Return a model of shapes without physics: every body is a mocap body."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth = width
     spec.visual.global_.offheight = height
@@ -194,7 +194,7 @@ def _visual_model(scene: Scene, skins: Sequence[Skin], width: int, height: int) 
 
 
 def _camera(scene: Scene) -> mujoco.MjvCamera:
-    """Looks at the middle of what the scene can fill: solids at the start, swings, and the floor below what falls."""
+    """Return a camera that sees the bodies at the start and their reach: driven motion, swings, and a floor below."""
     points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
     points += [body.pose.to_world(_outline_m(body)) for body in scene.deformables]
     for driver in scene.drivers:
@@ -210,7 +210,7 @@ def _camera(scene: Scene) -> mujoco.MjvCamera:
         axis = np.asarray(joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0))
         sideways = np.cross(axis, (0.0, 0.0, 1.0))
         points.append(anchor + arm * np.array([sideways, -sideways, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)]))
-        # Nearly along the axis, so that the swing is seen face on.
+        # The view is nearly along the axis, so that the swing is seen face on.
         azimuth_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) + 20.0
     corners = np.concatenate(points) if points else np.zeros((1, 3))
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -228,7 +228,7 @@ def _camera(scene: Scene) -> mujoco.MjvCamera:
 
 
 def _outline_m(body: Deformable) -> NDArray[np.float64]:
-    """Corners of a deformable body in its own frame [m], shape [8, 3]."""
+    """Return the corners of a deformable body in its own frame [m], shape [8, 3]."""
     if isinstance(body, SoftBody):
         return body.shape.corners_m
     if isinstance(body, Cloth):

@@ -1,6 +1,6 @@
-"""Surface of a deformable body for pictures: a mesh over its nodes, moved with them.
+"""Surface of a deformable body in pictures: a mesh over its nodes that moves with them.
 
-Engines number their nodes as they like, so the surface is found from where the nodes are at rest.
+The order of the nodes differs between engines, so the mesh follows from their rest positions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Skin:
         self.name = body.name
         local = body.pose.to_body(rest_m)
         faces = _sheet_faces(local) if isinstance(body, Cloth) else _boundary_faces(local)
-        # The back has vertices of its own, since vertices carry normals.
+        # The back has its own vertices, because each vertex has one normal.
         self._faces = np.concatenate([faces, faces[:, ::-1] + len(rest_m)])
         self.faces = faces
         self._rest_m = rest_m
@@ -53,16 +53,16 @@ class Skin:
         geom.contype = geom.conaffinity = 0
 
     def place(self, model: mujoco.MjModel) -> None:
-        """Undo MuJoCo's centring of the mesh, so that its vertices are in the world frame."""
+        """Undo MuJoCo's centring of the mesh, so that vertices are in the world frame."""
         self._mesh = model.mesh(self._mesh_name).id
         geom = model.geom(self._mesh_name).id
         model.geom_pos[geom] = 0.0
         model.geom_quat[geom] = (1.0, 0.0, 0.0, 0.0)
-        # Frustum culling goes by the rest shape, which the body leaves.
+        # Frustum culling uses the rest shape, which the body leaves.
         model.geom_rbound[geom] = 100.0
 
     def upload(self, model: mujoco.MjModel, device: mujoco.MjrContext, nodes_m: NDArray[np.float64]) -> None:
-        """Move the mesh to where the nodes are now [m], shape [node_count, 3]."""
+        """Move the mesh to the nodes [m], shape [node_count, 3]."""
         vertices, normals = self._surface(nodes_m)
         first, first_normal = model.mesh_vertadr[self._mesh], model.mesh_normaladr[self._mesh]
         model.mesh_vert[first : first + len(vertices)] = vertices
@@ -74,7 +74,7 @@ class Skin:
         return f"{self.name}/skin"
 
     def _surface(self, nodes_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Vertices [m] and normals of front and back, each of shape [2 * node_count, 3]."""
+        """Return vertices [m] and normals of front and back, each of shape [2 * node_count, 3]."""
         corners = nodes_m[self.faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals = np.zeros_like(nodes_m)
@@ -86,15 +86,16 @@ class Skin:
 
 
 def _sheet_faces(local_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    return Delaunay(local_m[:, :2]).simplices.astype(np.intp)
+    faces: NDArray[np.intp] = Delaunay(local_m[:, :2]).simplices.astype(np.intp)
+    return faces
 
 
 def _boundary_faces(local_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Faces that belong to one tetrahedron only, turned outward."""
+    """Return the faces that belong to one tetrahedron only, with outward normals."""
     cells = Delaunay(local_m).simplices
     faces = np.concatenate([cells[:, kept] for kept in ([0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3])])
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    outer = faces[first[count == 1]].astype(np.intp)
+    outer: NDArray[np.intp] = faces[first[count == 1]].astype(np.intp)
     corners = local_m[outer]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = (across * (corners.mean(axis=1) - local_m.mean(axis=0))).sum(axis=1) < 0.0

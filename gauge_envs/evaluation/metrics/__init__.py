@@ -1,4 +1,4 @@
-"""Scores of a motion: distance to the real mean (trajectory), events of a swing (events), physical laws (law)."""
+"""Metrics of a motion: distance to the real mean, events of a swing, agreement with physical laws."""
 
 from gauge_envs.evaluation.metrics.events import (
     energy_loss,

@@ -1,7 +1,7 @@
-"""Events of a swing: rest between impulses, momentum passed on, period, energy lost (paper, LSD, MTE, PD, EL).
+"""Metrics of a swing (paper, LSD, MTE, PD, EL): longest rest, momentum transfer, period, energy loss.
 
-Each function reads one evenly sampled coordinate, not the distance to a reference. An event that does not happen in a
-trajectory has no value: the answer is NaN. Wrong input is a ShapeError.
+Each function takes one evenly sampled coordinate and no reference. It returns NaN for an event that does not happen,
+and raises ShapeError for wrong input.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-# Frames to either side of a turning point that locate it; the polynomial through all of them has twice that degree.
-# At 30 Hz and a period of 1.2 s, 2 leaves an error of 3e-6 in energy, and 4 would reach back to the impact of a cradle.
+# Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
+# and a period of 1.2 s, a reach of 2 has an error of 3e-6 in energy, and a reach of 4 includes the impact of a cradle.
 _APEX_REACH = 3
 
 
@@ -36,25 +36,24 @@ def longest_stationary_duration(
     height_range_mm: float = 0.5,
     speed_limit_mm_s: float = 5.0,
 ) -> float:
-    """Longest rest between two impulses of a cradle's ball (paper, equation of LSD; thresholds from there too).
+    """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
 
-    A rest is a run of at least two frames in which the height changes from frame to frame no faster than the limit;
-    its duration counts the frames of its longest part within the height range. A rest that touches the first frame
-    is the hold before the first impact, one that touches the last frame is cut: neither lies between impulses, and
-    neither counts. The condition's only coordinate is the height, so the speed is that of the height too; a ball that
-    crosses its lowest point fast is told from one at rest by the frames before and after.
+    A rest is a run of at least two frames whose height changes no faster than the speed limit. Its duration counts the
+    frames of its longest part within the height range. A rest that includes the first frame is the hold before the
+    first impact, and one that includes the last frame is cut; neither counts. The paper's condition uses the height
+    alone. A fast ball at its lowest point differs from a ball at rest by the frames before and after.
 
     Args:
         height_mm: Height of the ball at every frame, shape [frame_count], mm.
         frame_rate_hz: Frame rate, Hz.
-        height_range_mm: Largest height less smallest height of one rest, mm.
+        height_range_mm: Largest height minus smallest height of one rest, mm.
         speed_limit_mm_s: Largest speed between consecutive frames of one rest, mm/s.
 
     Returns:
-        Frames of the longest rest over the frame rate, s; 0 when the ball never rests between impulses.
+        Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
 
     Raises:
-        ShapeError: Not a row of finite heights.
+        ShapeError: The heights are not one row of finite numbers.
     """
     height_mm = _samples("height_mm", height_mm, least=2)
     slow = np.abs(np.diff(height_mm)) * frame_rate_hz <= speed_limit_mm_s
@@ -68,20 +67,20 @@ def longest_stationary_duration(
 def momentum_transfer_efficiency(
     height_mm_out: ArrayLike, *, drop_height_mm: float, rest_height_mm: float, leave_height_mm: float = 1.0
 ) -> float:
-    """Momentum of the outgoing ball over that of the incoming one at the first impact (paper, equation of MTE).
+    """Return the momentum of the outgoing ball over that of the incoming ball at the first impact (paper, MTE).
 
     Args:
         height_mm_out: Height of the last ball at every frame, shape [frame_count], mm.
         drop_height_mm: Height of the first ball at its release above its height at rest, mm.
         rest_height_mm: Height of the last ball at rest, mm.
-        leave_height_mm: Rise above rest that begins the outgoing swing, above the noise of a recording, mm.
+        leave_height_mm: Rise above rest that begins the outgoing swing, larger than the noise of a recording, mm.
 
     Returns:
-        sqrt(rise / drop), a ratio (the paper's Table 5 prints percent), from the first maximum after the ball leaves
-        rest, located between the frames; NaN when it never leaves, or never turns in the recording.
+        sqrt(rise / drop) as a ratio; the paper's Table 5 prints percent. The rise is that of the first maximum after
+        the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
 
     Raises:
-        ShapeError: Not a row of finite heights, or a drop that is not positive.
+        ShapeError: The heights are not one row of finite numbers, or the drop is not positive.
     """
     height_mm_out = _samples("height_mm_out", height_mm_out, least=2)
     if not drop_height_mm > 0:
@@ -95,21 +94,21 @@ def momentum_transfer_efficiency(
 
 
 def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:
-    """Period of the dominant Fourier component (paper, PD).
+    """Return the period of the dominant Fourier component (paper, PD).
 
-    A bin of 300 frames is 0.1 Hz wide, coarser than the scatter of real trials, so the maximum of the Hann-windowed
-    spectrum is located between the bins.
+    The maximum of the Hann-windowed spectrum is located between the bins. A bin of 300 frames is 0.1 Hz wide, which is
+    coarser than the scatter of real trials.
 
     Args:
-        signal: One coordinate that swings once a period, shape [frame_count], any unit. For a pendulum this is the
-            horizontal one: its height swings twice, which is why a matrix of coordinates is refused.
+        signal: One coordinate that swings once per period, shape [frame_count], any unit. For a pendulum it is the
+            horizontal coordinate, as the height swings twice per period.
         frame_rate_hz: Frame rate, Hz.
 
     Returns:
         Period, s; NaN for a constant signal.
 
     Raises:
-        ShapeError: Not a row of at least four finite values.
+        ShapeError: The signal is not one row of at least four finite numbers.
     """
     signal = _samples("signal", signal, least=4)
     if np.ptp(signal) <= 1e-12 * np.abs(signal).max():
@@ -129,25 +128,26 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
 
 
 def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
-    """Share of a pendulum's energy lost between its first and its last turning point (paper, equation of EL).
+    """Return the share of energy that a pendulum loses between its first and last turning point (paper, EL).
 
-    At a turning point all energy is potential, so heights are enough. A trajectory that starts at rest, above what
-    follows, has its first turning point at frame 0. Others are located between frames, which needs three frames on
-    both sides. The ideal value is 0 and a gain is negative; the paper's remark that 1 is best contradicts its formula.
+    At a turning point all energy is potential, so heights are enough. A trajectory that starts from rest has its first
+    turning point at frame 0. Other turning points are located between frames, which needs three frames on both sides.
+    The ideal value is 0, and a gain of energy is negative. The paper's remark that 1 is best contradicts its formula.
 
     Args:
         height_mm: Height of the pendulum's ball at every frame, shape [frame_count], mm.
         rest_height_mm: Height of the ball at its lowest point, mm.
 
     Returns:
-        (E_start - E_end) / E_start; NaN with fewer than two turning points.
+        (E_start - E_end) / E_start; NaN for fewer than two turning points.
 
     Raises:
-        ShapeError: Not a row of at least three finite heights, or the first turning point is not above rest.
+        ShapeError: The heights are not one row of at least three finite numbers, or the first turning point is not
+            above rest.
     """
     height_mm = _samples("height_mm", height_mm, least=3)
     turning_points = _turning_points(height_mm)
-    # From rest the drop grows as t^2, fourfold after twice the time: less when already falling, more when still rising.
+    # From rest the drop grows as t^2, fourfold after twice the time. It grows less if the ball falls already.
     first_drop, second_drop = height_mm[0] - height_mm[1:3]
     if first_drop >= 0 and 3.0 * first_drop <= second_drop <= 4.5 * first_drop:
         start_mm, remaining = float(height_mm[0]), turning_points
@@ -173,7 +173,7 @@ def _samples(name: str, values: ArrayLike, *, least: int) -> FloatArray:
 
 
 def _longest_window(heights: FloatArray, height_range: float) -> int:
-    """Most consecutive samples whose largest and smallest differ by no more than the range."""
+    """Return the largest number of consecutive samples within the range."""
     longest = start = 0
     for stop in range(1, len(heights) + 1):
         while np.ptp(heights[start:stop]) > height_range:
@@ -183,14 +183,14 @@ def _longest_window(heights: FloatArray, height_range: float) -> int:
 
 
 def _turning_points(heights: FloatArray) -> NDArray[np.intp]:
-    """Frames of the local maxima that have enough frames on both sides to be located between frames."""
+    """Return the frames of the local maxima that have enough neighbours to be located between frames."""
     inner = heights[1:-1]
     maxima = np.flatnonzero((inner > heights[:-2]) & (inner >= heights[2:])) + 1
     return maxima[(maxima >= _APEX_REACH) & (maxima < len(heights) - _APEX_REACH)]
 
 
 def _apex_height(heights: FloatArray, frame: int) -> float:
-    """Height of the turning point next to a frame, from the polynomial through the frames around it."""
+    """Return the height of the turning point next to a frame, from the polynomial through its neighbours."""
     offsets = np.arange(-_APEX_REACH, _APEX_REACH + 1)
     around = heights[frame + offsets]
     polynomial = Polynomial.fit(offsets, around - heights[frame], 2 * _APEX_REACH)

@@ -1,7 +1,7 @@
-"""Does a motion follow the law that it should: constant acceleration, damped oscillation, limited friction.
+"""Agreement of a motion with a physical law: constant acceleration, damped oscillation, limited friction.
 
-The definitions are those of the paper's physical-consistency analysis (appendix), made for world models there; on a
-simulated trajectory they read the same. Every function takes one motion and no reference.
+The definitions are those of the paper's physical-consistency analysis (appendix). The paper applies them to world
+models; here they apply to simulated trajectories. Every function takes one motion and no reference.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, the value the paper takes for the friction 
 
 
 def fitted_acceleration(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
-    """Acceleration of a motion from rest: least squares of s = b + a t^2 / 2 (paper, slope slider, bouncing ball).
+    """Return the acceleration of a motion from rest, by least squares of s = b + a t^2 / 2 (paper).
 
     Args:
         times_s: Times since the release, shape [sample_count], s.
@@ -38,7 +38,7 @@ def fitted_acceleration(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
         The acceleration a, m/s^2.
 
     Raises:
-        ShapeError: Not one finite displacement for each of at least two different times.
+        ShapeError: There is not one finite displacement for each of at least two different times.
     """
     times_s, displacement_m = _series(times_s, displacement_m, least=2)
     (_, slope), _ = _fit(np.vander(times_s**2, 2, increasing=True), displacement_m)
@@ -46,26 +46,26 @@ def fitted_acceleration(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
 
 
 def quadratic_form_improvement(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
-    """F statistic of adding a t^4 term to s = b + k t^2: small for constant acceleration (paper, equation of QFI).
+    """Return the F statistic of adding a t^4 term to s = b + k t^2 (paper, QFI); small for constant acceleration.
 
-    It grows with the number of samples and with their precision, so compare only motions of equal length and noise: a
-    simulation without noise scores high for the slightest systematic curvature.
+    The statistic grows with the number of samples and with their precision. Compare only motions of equal length and
+    noise: without noise the slightest systematic curvature gives a large value.
 
     Args:
         times_s: Times since the release, shape [sample_count], s.
         displacement_m: Signed displacement along the direction of motion, shape [sample_count], m.
 
     Returns:
-        QFI, dimensionless; 0 where s = b + k t^2 already fits to rounding.
+        QFI, dimensionless; 0 if s = b + k t^2 fits to rounding.
 
     Raises:
-        ShapeError: Not one finite displacement for each of at least four different times.
+        ShapeError: There is not one finite displacement for each of at least four different times.
     """
     times_s, displacement_m = _series(times_s, displacement_m, least=4)
     terms = np.vander((times_s / np.abs(times_s).max()) ** 2, 3, increasing=True)
     _, sse_linear = _fit(terms[:, :2], displacement_m)
     _, sse_quadratic = _fit(terms, displacement_m)
-    # Below this both residuals are rounding, and their ratio would be noise or a division by zero.
+    # Below this, both residuals are rounding errors, and their ratio is noise or a division by zero.
     rounding = len(times_s) * (8 * np.finfo(float).eps * float(np.abs(displacement_m).max())) ** 2
     if sse_linear <= rounding:
         return 0.0
@@ -73,21 +73,21 @@ def quadratic_form_improvement(times_s: ArrayLike, displacement_m: ArrayLike) ->
 
 
 def coefficient_of_determination(times_s: ArrayLike, angle_rad: ArrayLike) -> float:
-    """R^2 of the best damped oscillation through an angle (paper, pendulum, equations of the fit and of R^2).
+    """Return R^2 of the damped oscillation that fits an angle best (paper, pendulum).
 
-    The model is equilibrium + exp(-beta t) (C cos(omega t) + D sin(omega t)); beta may be negative, so that growth is
-    not hidden. The three linear coefficients are solved for each (beta, omega), and these two are searched for,
-    starting at no damping and the dominant frequency.
+    The model is equilibrium + exp(-beta t) (C cos(omega t) + D sin(omega t)). A negative beta is a growing oscillation.
+    The search varies beta and omega, from no damping and the dominant frequency on. For each pair, least squares gives
+    the three linear coefficients.
 
     Args:
         times_s: Evenly spaced times, shape [sample_count], s.
         angle_rad: Angle from the vertical, shape [sample_count], rad; any unit gives the same R^2.
 
     Returns:
-        R^2, at most 1; NaN for a constant angle, which leaves nothing to explain.
+        R^2, at most 1; NaN for a constant angle, which has no variance.
 
     Raises:
-        ShapeError: Not one finite angle for each of at least six ascending, evenly spaced times.
+        ShapeError: There is not one finite angle for each of at least six ascending, evenly spaced times.
     """
     times_s, angle_rad = _series(times_s, angle_rad, least=6)
     steps = np.diff(times_s)
@@ -121,20 +121,20 @@ def coefficient_of_determination(times_s: ArrayLike, angle_rad: ArrayLike) -> fl
 def dynamic_error(
     times_s: ArrayLike, positions_m: ArrayLike, *, mass_kg: float, friction: float, gravity: float = STANDARD_GRAVITY
 ) -> float:
-    """Mean force by which a motion exceeds what friction can supply (paper, turntable, equation of DE).
+    """Return the mean force by which a motion exceeds the limit of friction (paper, turntable, equation of DE).
 
     Args:
-        times_s: Ascending times, not necessarily even, shape [sample_count], s.
+        times_s: Ascending times, even or uneven, shape [sample_count], s.
         positions_m: Horizontal positions, shape [sample_count, axis_count], m.
         mass_kg: Mass of the block, kg.
         friction: Friction coefficient between block and table.
         gravity: Gravitational acceleration, m/s^2.
 
     Returns:
-        Mean of max(0, m |a| - mu m g) over the inner samples, N; accelerations from three neighbouring samples.
+        Mean of max(0, m |a| - mu m g) over the inner samples, N. Accelerations are from three neighbouring samples.
 
     Raises:
-        ShapeError: Not one finite position for each of at least three ascending times.
+        ShapeError: There is not one finite position for each of at least three ascending times.
     """
     times_s, positions_m = _series(times_s, positions_m, least=3, dimension=2)
     steps = np.diff(times_s)
@@ -160,7 +160,7 @@ def _series(times_s: ArrayLike, values: ArrayLike, *, least: int, dimension: int
 
 
 def _fit(terms: FloatArray, values: FloatArray) -> tuple[NDArray[np.floating], float]:
-    """Least-squares coefficients and the sum of squared residuals."""
+    """Return the least-squares coefficients and the sum of squared residuals."""
     coefficients = np.linalg.lstsq(terms, values, rcond=None)[0]
     residuals = values - terms @ coefficients
     return coefficients, float(residuals @ residuals)

@@ -1,7 +1,7 @@
-"""How far a simulated trajectory is from the mean real one: RMSE, DTW, release offset, z-scores.
+"""Distance of a simulated trajectory from the mean real one: RMSE, DTW, release offset, z-scores.
 
 A trajectory is a float array of shape [frame_count, coordinate_count] in its observable's unit (mm, rad or mm^2).
-NaN says "not measured" and is allowed in the real mean only; elsewhere a value that is not finite is an error.
+NaN is a value that was not measured. Only the real mean may hold it; elsewhere all values must be finite.
 """
 
 from __future__ import annotations
@@ -30,44 +30,43 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 _OFFSET_GRID_S = 1e-3
-_OFFSET_CHUNK = 1_000_000  # numbers that one batch of shifts may hold, 8 MB an array
-# Summing the same costs in another order moves a total by less than this share: paths within it are tied.
+_OFFSET_CHUNK = 1_000_000  # numbers in one batch of shifts, 8 MB per array
+# The order of a sum changes a total by less than this share. Paths whose costs differ by less are tied.
 _TIE = 1e-12
 
 
 def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False) -> float:
-    """Root-mean-square distance between a simulated and the mean real trajectory (paper, equation of E_RMSE).
+    """Return the root-mean-square distance between a simulated and the mean real trajectory (paper, E_RMSE).
 
-    The distance of one frame is Euclidean over the coordinates measured in it; frames with none are left out.
+    The distance of one frame is Euclidean over its measured coordinates. Frames without any are left out.
 
     Args:
         simulated: Generalized trajectory, shape [frame_count, coordinate_count], in the observable's unit.
         real_mean: Mean over real trials at the same frames, same shape and unit; NaN where nothing was measured.
-        allow_missing: Accept NaN in the first argument too, as a real trial has; baselines need it.
+        allow_missing: Accept NaN in the first argument too, for a real trial.
 
     Returns:
         RMSE in the observable's unit.
 
     Raises:
-        ShapeError: The two differ in shape, hold a value that is not finite where that is not allowed, or share no
-            measured entry.
+        ShapeError: The two differ in shape, share no measured entry, or hold a forbidden value that is not finite.
     """
     return _rms_of_frames(_difference(simulated, real_mean, allow_missing=allow_missing))
 
 
 def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False) -> float:
-    """Mean distance along the optimal dynamic time warping path (paper, equation of E_DTW).
+    """Return the mean distance along the optimal dynamic time warping path (paper, E_DTW).
 
     Args:
         simulated: Generalized trajectory, shape [frame_count, coordinate_count], in the observable's unit.
         real_mean: Mean over real trials, shape [real_frame_count, coordinate_count]; NaN where nothing was measured.
-        allow_missing: Accept NaN in the first argument too, as a real trial has.
+        allow_missing: Accept NaN in the first argument too, for a real trial.
 
     Returns:
         Sum of the Euclidean distances on the path over its number of cells, in the observable's unit.
 
     Raises:
-        ShapeError: As for `dtw_path`.
+        ShapeError: See `dtw_path`.
     """
     cost, path = dtw_path(simulated, real_mean, allow_missing=allow_missing)
     return cost / len(path)
@@ -76,22 +75,22 @@ def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing:
 def dtw_path(
     simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False
 ) -> tuple[float, NDArray[np.intp]]:
-    """Optimal monotonic alignment of two trajectories, steps (1, 0), (0, 1) and (1, 1); ties prefer the diagonal.
+    """Return the optimal monotonic alignment of two trajectories, with steps (1, 0), (0, 1) and (1, 1).
 
-    Frames with nothing measured take no part in the alignment, and so never appear in the path.
+    Ties prefer the diagonal. Frames without a measured value are not in the path.
 
     Args:
         simulated: Generalized trajectory, shape [frame_count, coordinate_count], in the observable's unit.
         real_mean: Mean over real trials, shape [real_frame_count, coordinate_count]; NaN where nothing was measured.
-        allow_missing: Accept NaN in the first argument too, as a real trial has.
+        allow_missing: Accept NaN in the first argument too, for a real trial.
 
     Returns:
         The summed Euclidean distance along the path, in the observable's unit, and the path: frame indices (simulated,
         real) from first to last cell, shape [cell_count, 2].
 
     Raises:
-        ShapeError: The two differ in coordinates, hold a value that is not finite where that is not allowed, or no
-            path joins frames that share a measured coordinate.
+        ShapeError: The two differ in coordinates or hold a forbidden value that is not finite, or no path joins frames
+            that share a measured coordinate.
     """
     simulated = _trajectory("simulated", simulated, allow_missing=allow_missing)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
@@ -114,27 +113,28 @@ def release_offset(
     frame_rate_hz: float = 30.0,
     max_offset_s: float = 10 / 30,
 ) -> tuple[float, float]:
-    """Constant time shift of the simulation that minimises its RMSE, and the RMSE that is left after it.
+    """Return the constant time shift of the simulation that minimises its RMSE, and the RMSE after the shift.
 
-    Recorded objects are let go some frames after the recording starts, simulated ones at time zero. Shifted by s, the
-    simulation shows at frame k its state of time k / frame_rate - s: linear between samples, held at its first value
-    before it starts and at its last after it ends. Not in the paper; reported beside E_RMSE, never instead.
+    A real object is released some frames after the recording starts, a simulated one at time 0. Shifted by s, frame k
+    shows the simulated state at time k / frame_rate - s. The state is linear between samples, and constant before the
+    first and after the last one. This metric is not in the paper. It is reported beside E_RMSE and never replaces it.
 
     Args:
         times_s: Sample times of the simulation, strictly ascending, time 0 is frame 0, shape [sample_count], s.
         simulated: Simulated trajectory at these times, shape [sample_count, coordinate_count]; denser than the frames
             (180 Hz, say) makes the offset finer.
-        real_mean: Mean over real trials at the frames, shape [frame_count, coordinate_count]; NaN: not measured.
+        real_mean: Mean over real trials at the frames, shape [frame_count, coordinate_count]; NaN where nothing was
+            measured.
         frame_rate_hz: Frame rate of the real mean, Hz.
-        max_offset_s: Largest shift tried to either side, s.
+        max_offset_s: Largest shift in both directions, s.
 
     Returns:
-        The offset in s, positive when the real object is released later than the simulated one, and the aligned RMSE
-        in the observable's unit. Among equal shifts the smallest wins, so an object at rest has offset 0.
+        The offset in s, positive if the real object is released later than the simulated one; and the RMSE after the
+        shift in the observable's unit. Of equally good shifts the smallest is chosen, so an object at rest has 0.
 
     Raises:
-        ShapeError: Times and simulation disagree, fewer than two samples, times not ascending, coordinates differ, a
-            simulated value is not finite, or nothing was measured.
+        ShapeError: There are fewer than two samples or times that do not ascend, the arrays do not agree, a simulated
+            value is not finite, or nothing was measured.
     """
     simulated = _trajectory("simulated", simulated)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
@@ -177,16 +177,16 @@ def release_offset(
 
 
 def z_scores(simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike) -> FloatArray:
-    """Deviation of a simulated trajectory from the real mean in units of the real scatter.
+    """Return the deviation of a simulated trajectory from the real mean in units of the real scatter.
 
     Args:
         simulated: Generalized trajectory, shape [frame_count, coordinate_count], in the observable's unit.
         real_mean: Mean over real trials, same shape and unit; NaN where nothing was measured.
-        sigma: Standard deviation over real trials, a shape that broadcasts to the same, same unit.
+        sigma: Standard deviation over real trials, same unit, a shape that broadcasts to the same.
 
     Returns:
-        (simulated - real_mean) / sigma, shape [frame_count, coordinate_count]; NaN where nothing was measured or
-        sigma is 0 or NaN, so that no scale exists.
+        (simulated - real_mean) / sigma, shape [frame_count, coordinate_count]; NaN where nothing was measured, or
+        where sigma is 0 or NaN.
 
     Raises:
         ShapeError: Shapes do not agree, a simulated value is not finite, or a sigma is negative.
@@ -203,20 +203,20 @@ def z_scores(simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike) -> Fl
 
 
 def mean_abs_z(z: ArrayLike) -> float:
-    """Mean |z| over the entries that have one; NaN where none has.
+    """Return the mean |z| over the measured entries; NaN if there are none.
 
     Args:
         z: Deviations in units of sigma, from `z_scores`, any shape.
 
     Returns:
-        Mean absolute deviation in units of sigma; 0.8 is what one more normally distributed real trial would score.
+        Mean absolute deviation in units of sigma; another normally distributed real trial scores 0.8.
     """
     measured = _measured(z)
     return float(np.abs(measured).mean()) if measured.size else math.nan
 
 
 def band_coverage(z: ArrayLike, k: float) -> float:
-    """Share of the entries inside the band of +-k sigma; NaN where no entry has a z.
+    """Return the share of the measured entries within k sigma; NaN if there are none.
 
     Args:
         z: Deviations in units of sigma, from `z_scores`, any shape.
@@ -230,7 +230,7 @@ def band_coverage(z: ArrayLike, k: float) -> float:
 
 
 def signed_error(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
-    """Mean over frames of simulated minus real, for each coordinate: which way the simulation is off.
+    """Return the mean over frames of simulated minus real, for each coordinate.
 
     Args:
         simulated: Generalized trajectory, shape [frame_count, coordinate_count], in the observable's unit.
@@ -248,7 +248,7 @@ def signed_error(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
 
 
 def _trajectory(name: str, values: ArrayLike, *, allow_missing: bool = False) -> FloatArray:
-    """The values as a checked float array of shape [frame_count, coordinate_count], neither of them 0."""
+    """Return the values as a checked float array of shape [frame_count, coordinate_count], both above 0."""
     trajectory = np.asarray(values, dtype=np.float64)
     if trajectory.ndim != 2 or trajectory.size == 0:
         raise ShapeError(f"{name} has shape {trajectory.shape}; [frame_count, coordinate_count] is needed, none 0")
@@ -281,17 +281,17 @@ def _rms_of_frames(difference: FloatArray) -> float:
 
 
 def _resample(times_s: FloatArray, trajectory: FloatArray, query_s: FloatArray) -> FloatArray:
-    """Linear interpolation of all coordinates at once, held at both ends; exact where neighbours are equal."""
+    """Interpolate all coordinates linearly, constant beyond both ends; exact between equal neighbours."""
     left = np.clip(np.searchsorted(times_s, query_s, side="right") - 1, 0, len(times_s) - 2)
     weight = np.clip((query_s - times_s[left]) / (times_s[left + 1] - times_s[left]), 0.0, 1.0)
     return trajectory[left] + weight[:, None] * (trajectory[left + 1] - trajectory[left])
 
 
 def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Euclidean distances of all pairs of frames over the coordinates measured in both; inf where there are none."""
+    """Return the distances of all pairs of frames over the coordinates measured in both; inf without any."""
     if not (np.isnan(first).any() or np.isnan(second).any()):
         return _distances(first, second)
-    # Frames with the same markers missing form a block without gaps; blocks are few, frames many.
+    # Frames with the same missing markers form a block without gaps. There are far fewer blocks than frames.
     cost = np.full((len(first), len(second)), np.inf)
     patterns, block_of = np.unique(np.isfinite(first), axis=0, return_inverse=True)
     others, other_block_of = np.unique(np.isfinite(second), axis=0, return_inverse=True)
@@ -306,9 +306,9 @@ def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _distances(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Euclidean distances of all pairs of rows: cdist's result to 1e-13 of the largest, in a fifth of its time.
+    """Return the Euclidean distances of all pairs of rows, to 1e-13 of the largest, five times as fast as cdist.
 
-    |a|^2 + |b|^2 - 2 ab is one matrix product, but cancels for rows that nearly coincide; those are done again.
+    |a|^2 + |b|^2 - 2 ab is one matrix product. It loses digits for rows that nearly coincide; these are computed again.
     """
     centre = first.mean(axis=0)
     first, second = first - centre, second - centre
@@ -325,17 +325,17 @@ def _distances(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
-    """Cells of the path with the least summed local cost, from (0, 0) to the last, shape [cell_count, 2].
+    """Return the cells of the path with the least summed local cost, from (0, 0) to the last, shape [cell_count, 2].
 
-    The cells of one anti-diagonal i + j = d depend on the two before it only, so each is a vector operation. Python's
-    overhead per operation is then most of the time; it is halved by working from both ends at once, in the same
-    operations, until the two fronts meet in the middle.
+    The cells of one anti-diagonal i + j = d depend on the two before it only, so each anti-diagonal is one vector
+    operation. Most of the time is then Python's overhead per operation. Working from both ends at once, with the same
+    operations, halves it: the two fronts meet in the middle.
     """
     row_count, column_count = local.shape
     depth = (row_count + column_count + 1) // 2
     # total[d + 2, end, i + 1] holds the local cost, then the least cost of a path from that end to cell (i, d - i).
-    # Where d - i is no column the strided read runs into a neighbouring row. It is harmless: left of the matrix the
-    # borders of inf keep the total at inf, and a cell right of it is left of it as seen from the other end.
+    # If d - i is no column, the strided read runs into a neighbouring row. It is harmless: left of the matrix the
+    # borders of inf keep the total at inf, and a cell right of the matrix is left of it as seen from the other end.
     total = np.full((depth + 2, 2, row_count + 1), np.inf)
     total[0, :, 0] = 0.0
     flat = local.ravel()
@@ -349,7 +349,7 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
         np.minimum(least, diagonal, out=least)
         here += least
 
-    # The path crosses the anti-diagonal where the fronts meet in a cell of it, or by a diagonal step over it.
+    # Where the fronts meet, the path passes through a cell of the anti-diagonal, or steps diagonally over it.
     meeting = row_count + column_count - 1 - depth
     over = total[meeting + 1, 0, 1:-1] + total[depth, 1, -2:0:-1]
     through = total[meeting + 2, 0, 1:] + least[:row_count:-1]
@@ -370,7 +370,7 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
 
 
 def _walk(total: FloatArray, i: int, j: int) -> NDArray[np.intp]:
-    """Cells of the cheapest path from (i, j) back to (0, 0), by the table that `_optimal_cells` lays out."""
+    """Return the cells of the cheapest path from (i, j) back to (0, 0), by the table of `_optimal_cells`."""
     cells = [(i, j)]
     table = total.data  # a memoryview gives Python floats, three times as fast here as numpy scalars
     while i or j:

@@ -1,7 +1,7 @@
-"""Generated assets: every variant as USD and as MJCF, every solid as OBJ; built, and checked for currency.
+"""Build and check the generated assets: every variant as USD and MJCF, every solid as OBJ.
 
-The files in `assets/` are built from the task files and are checked in. Each opens in other tools without gauge-envs;
-an edited copy of a USD layer or of an MJCF file can be the scene of an experiment again (`experiments.scene_source`).
+The files in `assets/` are built from the task files and checked in. Other tools open them without gauge-envs. An edited
+copy of a USD layer or of an MJCF file can be the scene of an experiment (`experiments.scene_source`).
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ __all__ = [
 FOLDERS = ("mjcf", "obj", "usd")
 
 CYLINDER_SIDES = 96
-"""Sides of the prism that stands for a cylinder in an OBJ file."""
+"""Sides of the prism that approximates a cylinder in an OBJ file."""
 
 SPHERE_SUBDIVISIONS = 3
-"""Subdivisions of the icosahedron that stands for a sphere in an OBJ file: 642 vertices."""
+"""Subdivisions of the icosahedron that approximates a sphere in an OBJ file: 642 vertices."""
 
 SAME_RELATIVE = 3e-7
-"""Numbers this close are equal in a check: sines differ in their last digit between machines, and USD keeps some
-values in single precision."""
+"""Relative difference up to which numbers are equal in a check. Sines differ in their last digit between machines, and
+USD keeps some values in single precision."""
 SAME_ABSOLUTE = 1e-12
 
 
@@ -55,26 +55,26 @@ SAME_ABSOLUTE = 1e-12
 
 
 def assets_folder() -> Path:
-    """Folder of the checked-in assets, in a checkout and in an installed wheel."""
+    """Return the folder of the checked-in assets, in a checkout and in an installed wheel."""
     return data_folder("tasks").parent / "assets"
 
 
 def asset_texts() -> Iterator[tuple[str, str]]:
-    """Path below the assets folder and text of every generated file, in alphabetical order of folders."""
-    experiment = [load_experiment(variant) for variant in variants()]
-    for one in experiment:
-        yield f"mjcf/{one.variant.name}.xml", mjcf_text(one)
+    """Yield the path below the assets folder and the text of every generated file, by folder in alphabetical order."""
+    experiments = [load_experiment(variant) for variant in variants()]
+    for experiment in experiments:
+        yield f"mjcf/{experiment.name}.xml", mjcf_text(experiment)
     for name, solid in solid_shapes().items():
         yield f"obj/{name}.obj", shape_to_obj(solid.shape, name)
-    for one in experiment:
-        yield f"usd/{one.variant.name}.usda", usd_layer_text(one)
+    for experiment in experiments:
+        yield f"usd/{experiment.name}.usda", usd_layer_text(experiment)
 
 
 def build_assets(folder: Path) -> list[Path]:
-    """Write every generated file, and remove files of earlier builds that are no longer made.
+    """Write every generated file, and remove files of earlier builds that are no longer generated.
 
     Returns:
-        What was written.
+        Paths of the written files.
 
     Raises:
         ResultFileError: The folder cannot be written.
@@ -94,9 +94,9 @@ def build_assets(folder: Path) -> list[Path]:
 
 
 def stale_asset(folder: Path) -> Path | None:
-    """The first file that is missing, differs from what would be built now, or is no longer made; None if all is well.
+    """Return the first file that is missing, differs from its current text, or is no longer generated; else None.
 
-    Files are equal when their bytes are, or when all that differs is last digits of numbers.
+    Files that differ in the last digits of numbers alone are equal.
     """
     expected = set()
     for name, text in asset_texts():
@@ -108,7 +108,7 @@ def stale_asset(folder: Path) -> Path | None:
 
 
 def asset_rows(folder: Path) -> list[dict[str, Any]]:
-    """One row a file: `file`, `bytes`, and `of`, the variant or the bodies that it shows."""
+    """Return one row per file: `file`, `bytes`, and `of`, the variant or the bodies that it shows."""
     solids = solid_shapes()
     rows = []
     for path in _generated(folder):
@@ -139,7 +139,7 @@ def _same(one: str, other: str) -> bool:
 
 @dataclass(frozen=True)
 class SharedSolid:
-    """A shape and the bodies that have it, as `SlopeSlider/cube`."""
+    """A shape, and the bodies of that shape, as `SlopeSlider/cube`."""
 
     shape: Shape
     bodies: tuple[str, ...]
@@ -147,7 +147,7 @@ class SharedSolid:
 
 @cache
 def solid_shapes() -> dict[str, SharedSolid]:
-    """Every distinct solid of the scenes, by name: primitives by their dimensions, polyhedra by their body's name."""
+    """Return every distinct solid of the scenes; primitives are named by dimensions, polyhedra by their body."""
     users: dict[Shape, dict[str, str]] = {}
     for variant in variants():
         experiment = load_experiment(variant)
@@ -188,13 +188,12 @@ def _millimetres(*lengths_m: float) -> str:
 
 
 def shape_to_obj(shape: Shape, name: str) -> str:
-    """A solid as Wavefront OBJ, in metres, in the body frame; one group a convex piece, each watertight.
+    """Return a solid as Wavefront OBJ, in metres, in the body frame, with one watertight group per convex piece.
 
-    Spheres and cylinders become polyhedra of the exact volume, so that their flat faces lie inside the true surface
-    and their vertices outside.
+    Spheres and cylinders become polyhedra of the exact volume: faces are inside the true surface, vertices outside.
 
     Raises:
-        ParameterError: A plane is no solid.
+        ParameterError: The shape is a plane, which is not a solid.
     """
     pieces, note = _pieces(shape)
     lines = [f"# {name}: volume {shape.volume_m3!r} m^3{note}", f"o {name}"]
@@ -211,7 +210,7 @@ Polyhedron = tuple[NDArray[np.float64], list[tuple[int, ...]]]
 
 
 def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
-    """Convex pieces of a solid, and a remark on how it was approximated."""
+    """Return the convex pieces of a solid, and a note on its approximation."""
     if isinstance(shape, ConvexUnion):
         return [_polyhedron(np.array(piece)) for piece in shape.pieces_m], ""
     if isinstance(shape, Box):
@@ -229,7 +228,7 @@ def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
         ends = [np.insert(ring, 2, height, axis=1) for height in (-0.5 * shape.length_m, 0.5 * shape.length_m)]
         note = f"; cylinder of radius {shape.radius_m!r} m, vertices at {radius / shape.radius_m:.5f} of it"
         return [_polyhedron(np.concatenate(ends))], note
-    raise ParameterError("a plane is no solid: it has no OBJ")
+    raise ParameterError("a plane is not a solid and has no OBJ file")
 
 
 def _polyhedron(points_m: NDArray[np.float64]) -> Polyhedron:

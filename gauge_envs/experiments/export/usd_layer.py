@@ -1,4 +1,4 @@
-"""USD layers of the variants, with the variant, its parameters and its sources in the header."""
+"""Write variants as USD layers, with parameters and sources in the header."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ SOURCE = (
 
 
 def write_usd_layer(experiment: TaskExperiment, path: Path) -> None:
-    """Write one variant's scene as a self-contained USD layer that names the variant, its parameters and its source.
+    """Write the scene of a variant as a self-contained USD layer that names the variant, its parameters and its source.
 
     Args:
         experiment: Variant with its parameters.
-        path: File to write; the suffix chooses text (`.usda`) or binary (`.usdc`, `.usd`).
+        path: File to write; the suffix selects text (`.usda`) or binary (`.usdc`, `.usd`).
 
     Raises:
-        ParameterError: The suffix is none of USD's.
+        ParameterError: The suffix is not one of USD.
         ResultFileError: The file cannot be written.
     """
     export_stage(_experiment_stage(experiment), path)
 
 
 def usd_layer_text(experiment: TaskExperiment) -> str:
-    """One variant's scene as the text of a `.usda` layer; the same scene gives the same text."""
+    """Return the scene of a variant as the text of a `.usda` layer; equal scenes give equal texts."""
     stage = _experiment_stage(experiment)
     return stage.GetRootLayer().ExportToString()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gauge_envs.analysis.budget_fit import BudgetStage
-from gauge_envs.analysis.error_budget import Diagnosis
+from gauge_envs.analysis.diagnosis import Diagnosis
 from gauge_envs.errors import ShapeError
 from gauge_envs.report import result_label, score_text
 from gauge_envs.report.figures.style import ENGINES, OURS, new_figure, save_png, tidy_axis

@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.analysis.comparison import (
-    ScoreSpread,
-    distances_over_time,
-    group_by_configuration,
-)
+from gauge_envs.analysis.configuration import group_by_configuration
+from gauge_envs.analysis.distance import distances_over_time
+from gauge_envs.analysis.scores import ScoreSpread
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment

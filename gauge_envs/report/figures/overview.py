@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gauge_envs.analysis.comparison import METRICS, Comparison, ExperimentComparison, ScoreSpread, compare
+from gauge_envs.analysis.comparison import Comparison, ExperimentComparison, compare
+from gauge_envs.analysis.scores import METRICS, ScoreSpread
 from gauge_envs.report import ALIGNED_TITLE, ENGINE_TITLES, METRIC_TITLES, configuration_labels
 from gauge_envs.report.figures.experiment import save_figures
 from gauge_envs.report.figures.style import (
@@ -43,7 +44,7 @@ def save_comparison(results: Sequence[Result], folder: Path, *, metric: str = "r
     Args:
         results: Results of any experiments and configurations.
         folder: Where to, created if need be.
-        metric: Metric of the overview, one of `gauge_envs.analysis.comparison.METRICS`.
+        metric: Metric of the overview, one of `gauge_envs.analysis.scores.METRICS`.
 
     Yields:
         Path of each picture, as soon as it is written.
@@ -63,7 +64,7 @@ def draw_overview(comparison: Comparison, *, metric: str = "rmse") -> Figure | N
 
     Args:
         comparison: What `gauge_envs.analysis.comparison.compare` returns.
-        metric: One of `gauge_envs.analysis.comparison.METRICS`.
+        metric: One of `gauge_envs.analysis.scores.METRICS`.
 
     Returns:
         The picture; None where no experiment has such a score.

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pxr import Gf, Usd
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, NonNegativeInt
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Rod, Rope, SoftBody
-from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.drivers import DriverMotion
 
 __all__ = [
     "FOLLOWS",
@@ -124,83 +124,19 @@ def hinge_axis(quaternion: FloatArray, letter: str = "X") -> FloatArray:
 
 # --- driver motions as JSON ------------------------------------------------------------------------------------------
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
+class _DriverRecord(BaseModel):
+    """What `gauge:driver` of a body holds.
 
-class _ProfileTable(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True)
+    Attributes:
+        index: Place of the driver among those of its scene.
+        motions: Motions in the order in which they apply.
+    """
 
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, revalidate_instances="always")
 
-class _Trapezoid(_ProfileTable):
-    kind: Literal["trapezoid"] = "trapezoid"
-    start_s: Finite
-    duration_s: Positive
-    accelerate_s: NonNegative
-    brake_s: NonNegative
-    amount: Finite
-
-    @model_validator(mode="after")
-    def _fits(self) -> _Trapezoid:
-        if self.accelerate_s + self.brake_s > self.duration_s:
-            raise ValueError("accelerate_s plus brake_s is longer than duration_s")
-        return self
-
-
-class _Cosine(_ProfileTable):
-    kind: Literal["cosine"] = "cosine"
-    start_s: Finite
-    duration_s: Positive
-    amount: Finite
-
-
-class _Sampled(_ProfileTable):
-    kind: Literal["sampled"] = "sampled"
-    times_s: tuple[Finite, ...] = Field(min_length=2)
-    values: tuple[Finite, ...]
-
-    @model_validator(mode="after")
-    def _increasing(self) -> _Sampled:
-        if len(self.values) != len(self.times_s) or not np.all(np.diff(self.times_s) > 0.0):
-            raise ValueError("a value for each of strictly increasing times_s is expected")
-        return self
-
-
-PROFILES: dict[type[Profile], type[_ProfileTable]] = {
-    TrapezoidProfile: _Trapezoid,
-    CosineProfile: _Cosine,
-    SampledProfile: _Sampled,
-}
-
-
-class _Motion(_ProfileTable):
-    kind: Literal["translate", "rotate"]
-    axis: tuple[Finite, Finite, Finite]
-    point_m: tuple[Finite, Finite, Finite]
-    residual_rate: NonNegative
-    profiles: tuple[Annotated[_Trapezoid | _Cosine | _Sampled, Field(discriminator="kind")], ...]
-
-    @model_validator(mode="after")
-    def _unit_axis(self) -> _Motion:
-        if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-9:
-            raise ValueError(f"axis {list(self.axis)} is not a unit vector")
-        return self
-
-    def build(self) -> DriverMotion:
-        built = {record: profile for profile, record in PROFILES.items()}
-        return DriverMotion(
-            kind=self.kind,
-            axis=self.axis,
-            point_m=self.point_m,
-            residual_rate=self.residual_rate,
-            profiles=tuple(built[type(one)](**one.model_dump(exclude={"kind"})) for one in self.profiles),
-        )
-
-
-class _Driver(_ProfileTable):
-    index: Annotated[int, Field(ge=0)]
-    motions: tuple[_Motion, ...]
+    index: NonNegativeInt
+    motions: tuple[DriverMotion, ...]
 
 
 def motions_to_json(motions: tuple[DriverMotion, ...], index: int) -> str:
@@ -210,20 +146,7 @@ def motions_to_json(motions: tuple[DriverMotion, ...], index: int) -> str:
         motions: Motions in the order in which they apply.
         index: Index of the driver in its scene.
     """
-    record = _Driver(
-        index=index,
-        motions=tuple(
-            _Motion(
-                kind=motion.kind,
-                axis=motion.axis,
-                point_m=motion.point_m,
-                residual_rate=motion.residual_rate,
-                profiles=tuple(PROFILES[type(one)].model_validate(one) for one in motion.profiles),  # type: ignore[misc]
-            )
-            for motion in motions
-        ),
-    )
-    return json.dumps(record.model_dump(), allow_nan=False)
+    return json.dumps(_DriverRecord(index=index, motions=motions).model_dump(), allow_nan=False)
 
 
 def motions_from_json(text: str) -> tuple[tuple[DriverMotion, ...], int]:
@@ -232,5 +155,5 @@ def motions_from_json(text: str) -> tuple[tuple[DriverMotion, ...], int]:
     Raises:
         ValueError: The text is not JSON, or not the format of `motions_to_json` (pydantic's ValidationError).
     """
-    record = _Driver.model_validate(json.loads(text))
-    return tuple(motion.build() for motion in record.motions), record.index
+    record = _DriverRecord.model_validate(json.loads(text))
+    return record.motions, record.index

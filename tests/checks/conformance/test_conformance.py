@@ -1,4 +1,4 @@
-"""The conformance kit: a healthy engine passes every check, and a planted fault is named by the check that should."""
+"""Conformance checks: a healthy engine passes every check, and a planted fault is named by the check that should."""
 
 from __future__ import annotations
 
@@ -350,13 +350,17 @@ FAULTS: dict[str, tuple[Faulty, str, str]] = {
     "scalar last": (Faulty(simulation=with_states(scalar_last)), "start-orientation", "x, y, z, w"),
     "millimetres": (Faulty(simulation=with_states(in_millimetres)), "start-position", "in mm"),
     "reset keeps velocity": (Faulty(simulation=ResetKeepsVelocity), "reset-start", "velocities are kept"),
-    "reset keeps velocity, course": (Faulty(simulation=ResetKeepsVelocity), "reset-course", "outlives reset"),
-    "no reset": (Faulty(simulation=NoReset), "reset-start", "nothing goes back"),
+    "reset keeps velocity, trajectory": (
+        Faulty(simulation=ResetKeepsVelocity),
+        "reset-course",
+        "does not restore velocities",
+    ),
+    "no reset": (Faulty(simulation=NoReset), "reset-start", "does not restore all positions"),
     "no reset of cloth": (Faulty(simulation=NoReset), "cloth-reset", "positions and velocities of the nodes"),
     "restore forgets velocity": (Faulty(simulation=RestoreForgetsVelocity), "restore", "velocities"),
     "restore forgets velocity of cloth": (Faulty(simulation=RestoreForgetsVelocity), "cloth-restore", "velocities"),
-    "state stays behind": (Faulty(simulation=StateStaysBehind), "copy", "must pickle"),
-    "state of cloth stays behind": (Faulty(simulation=StateStaysBehind), "cloth-copy", "must pickle"),
+    "state stays behind": (Faulty(simulation=StateStaysBehind), "copy", "must be picklable"),
+    "state of cloth stays behind": (Faulty(simulation=StateStaysBehind), "cloth-copy", "must be picklable"),
     "random": (Faulty(random_friction), "determinism", "random numbers"),
     "order of the scene": (Faulty(simulation=SceneOrder), "order-of-names", "order asked for"),
     "one step a call": (Faulty(simulation=OneStepPerCall), "time", "count steps"),
@@ -392,8 +396,8 @@ FAULTS: dict[str, tuple[Faulty, str, str]] = {
         "shear constant",
     ),
     "bending twice": (Faulty(with_deformables(Cloth, bend_stiffness_n_m_per_rad=2.0)), "cloth-bending", "bends 0.4"),
-    "glued edge lags": (Faulty(simulation=Lag), "cloth-pinned-edge", "one interval (1/180 s) late"),
-    "glued face lags": (Faulty(simulation=Lag), "foam-pinned-face", "one interval (1/180 s) late"),
+    "attached edge lags": (Faulty(simulation=Lag), "cloth-pinned-edge", "one interval (1/180 s) late"),
+    "attached face lags": (Faulty(simulation=Lag), "foam-pinned-face", "one interval (1/180 s) late"),
     "modulus 10 % off": (Faulty(with_deformables(SoftBody, young_modulus_pa=1.1)), "foam-tension", "stretches 0.9"),
     "no Poisson contraction": (
         Faulty(with_deformables(SoftBody, poisson_ratio=0.0)),
@@ -513,7 +517,7 @@ def test_an_exception_is_a_finding_and_the_others_go_on() -> None:
 def test_what_is_not_finite_says_when() -> None:
     (finding,) = run_checks(Faulty(simulation=NotFinite), only=["free-fall"])
     assert finding.status is Status.ERROR
-    assert "'brick' is not finite from 0 s on" in finding.diagnosis
+    assert "after 0 s 'brick' is not finite" in finding.diagnosis
 
 
 def test_findings_are_json() -> None:
@@ -569,7 +573,7 @@ def gauge(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     broken = Declines(with_contacts(friction=lambda mu: 0.8 * mu))
     known = registry.backend
     monkeypatch.setattr(
-        "gauge_envs.checks.conformance.kit.find_backend", lambda name: broken if name == "faulty" else known(name)
+        "gauge_envs.checks.conformance.run.find_backend", lambda name: broken if name == "faulty" else known(name)
     )
     return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(app, ["backend", "check", *arguments])
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import pytest
+from sanity_cases import CHEETAH
 
 from gauge_envs.backends import backend
 from gauge_envs.checks.sanity import check
@@ -18,15 +19,6 @@ from gauge_envs.errors import ParameterError
 
 GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
 """A training configuration that leaves the constants of contacts to the backend."""
-
-CHEETAH = {
-    "timestep_s": 0.01,
-    "integrator": "Euler",
-    "cone": "pyramidal",
-    "impratio": 1.0,
-    "contact_solref": (0.02, 1.0),
-    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
-}
 
 QUICK = ("creep-wood", "rest-height", "slide-wood", "rebound", "momentum", "carry-wood", "seam", "point")
 """All but a wall of bricks, a hundred seconds of a pendulum, and further materials."""
@@ -66,7 +58,7 @@ def test_planted_setting_is_found(name: str) -> None:
     assert bad_rows[shows_in].cause.line.startswith(f"{name}: ")
 
 
-def test_settings_that_need_each_other_are_both_told() -> None:
+def test_settings_that_need_each_other_are_both_reported() -> None:
     # Without refsafe a time constant of 0.002 s is too short for a step of 0.002 s: either of them mends it.
     (row,) = report({**GOOD, "refsafe": False}, only=["creep-wood"]).rows
     assert row.verdict is Verdict.WRONG
@@ -110,8 +102,8 @@ def test_a_preset_is_taken_apart_into_its_settings() -> None:
     (row,) = report({"preset": "out_of_box"}, only=["rebound"]).rows
     assert row.verdict is Verdict.WRONG
     assert row.cause is not None and row.cause.settings == ("contact_solref",)
-    stage = phenomena(["rebound"])[0].stage
-    names = differing_settings(Measurements(backend("mujoco")), stage, {"preset": "out_of_box"})
+    scenario = phenomena(["rebound"])[0].scenario
+    names = differing_settings(Measurements(backend("mujoco")), scenario, {"preset": "out_of_box"})
     assert set(names) >= {"timestep_s", "cone", "contact_solref"}
     assert not {"preset", "drive_interval_s"} & set(names)
 
@@ -134,7 +126,7 @@ def test_divergence_is_a_row() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTS)
 def test_planted_setting_is_found_in_every_flagged_row(name: str) -> None:
-    """It is the cause, or is told among what mends it alone, wherever it is not the default of the scene."""
+    """It is the cause, or is named among the settings that suffice, where it is not the default of the scene."""
     bad = flagged(report({**GOOD, name: PLANTS[name][0]}, only=()).rows)
     assert PLANTS[name][1] in bad
     causes = {phenomenon: row.cause for phenomenon, row in bad.items() if row.cause is not None}
@@ -158,7 +150,7 @@ class Made(Measurements):
         super().__init__(backend("mujoco"))
         self._formula = formula
 
-    def in_force(self, stage: object, settings: Mapping[str, Any]) -> dict[str, Any]:
+    def in_force(self, scenario: object, settings: Mapping[str, Any]) -> dict[str, Any]:
         return dict.fromkeys("abcde", 0) | dict(settings)
 
     def measure(self, phenomenon: object, settings: Mapping[str, Any]) -> Measured:
@@ -179,7 +171,7 @@ def test_nothing_is_responsible_for_what_is_right() -> None:
     assert cause_of(lambda a, b, c, d, e: 1.5 * a, a=1, b=1) is None
 
 
-def test_the_closest_single_setting_is_responsible_and_others_are_told() -> None:
+def test_the_closest_single_setting_is_responsible_and_others_are_reported() -> None:
     cause = cause_of(lambda a, b, c, d, e: 20.0 * a * b + 0.5 * c - 0.4 * b, a=1, b=1, c=1)
     assert cause is not None and cause.settings == ("a",)
     assert cause.line == "a: 0 instead of 1 brings creep from 20.1 mm/s to 0.1 mm/s (b alone to 0.5 mm/s)"
@@ -193,7 +185,7 @@ def test_within_the_scatter_what_harms_the_default_is_responsible() -> None:
     assert cause.line.endswith("from 7 mm/s to 1 mm/s (b alone to 0.1 mm/s)")
 
 
-def test_half_the_error_is_enough_and_what_completes_it_is_told() -> None:
+def test_half_the_error_is_enough_and_what_completes_it_is_reported() -> None:
     cause = cause_of(lambda a, b, c, d, e: 20.0 * a + 10.0 * b, a=1, b=1)
     assert cause is not None and cause.settings == ("a",)
     assert cause.line.endswith("from 30 mm/s to 10 mm/s (with b too to 0 mm/s)")

@@ -7,29 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.checks.rollout import DeclinedError, DivergedError
+from gauge_envs.checks.rollout import DeclinedError, DivergedError, Rollout
 from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
-from gauge_envs.checks.sanity.scenario import Rollout, rollout
+from gauge_envs.checks.sanity.scenario import run_scenario
 from gauge_envs.scene import Rope
 
 MUJOCO = backend("mujoco")
 TIMES_S = np.linspace(0.0, 1.2, 601)
-
-CHEETAH = {
-    "timestep_s": 0.01,
-    "integrator": "Euler",
-    "cone": "pyramidal",
-    "impratio": 1.0,
-    "contact_solref": (0.02, 1.0),
-    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
-}
-"""Numerical settings of Gymnasium's HalfCheetah, feet on ground."""
 
 
 def one(name: str) -> Phenomenon:
@@ -38,28 +29,19 @@ def one(name: str) -> Phenomenon:
 
 
 def deformable() -> list[Phenomenon]:
-    return [one for one in phenomena(include_deformables=True) if one.stage.scene.deformables]
+    return [one for one in phenomena(include_deformables=True) if one.scenario.scene.deformables]
 
 
-def read(phenomenon: Phenomenon, run: Rollout) -> float:
-    reading = phenomenon.read(run)
+def read(phenomenon: Phenomenon, rollout: Rollout) -> float:
+    reading = phenomenon.read(rollout)
     assert reading.failure == ""
     return reading.value
 
 
 def markers_m(phenomenon: Phenomenon) -> NDArray[np.float64]:
     """Markers at rest [m], shape [marker_count, 3]."""
-    assert phenomenon.stage.scene.markers is not None
-    return np.asarray(phenomenon.stage.scene.markers.positions_m)
-
-
-def moved(phenomenon: Phenomenon, markers: NDArray[np.float64], **ways_m: NDArray[np.float64]) -> Rollout:
-    """Rollout in which markers and some bodies move as told, all others not at all."""
-    states = {}
-    for body in phenomenon.stage.scene.bodies:
-        states[body.name] = np.tile([*body.pose.position_m, *body.pose.quaternion, *6 * [0.0]], (len(TIMES_S), 1))
-        states[body.name][:, :3] += ways_m.get(body.name, 0.0)
-    return Rollout(scene=phenomenon.stage.scene, times_s=TIMES_S, states=states, settings={}, markers_m=markers)
+    assert phenomenon.scenario.scene.markers is not None
+    return np.asarray(phenomenon.scenario.scene.markers.positions_m)
 
 
 # --- readings of motions that are known ------------------------------------------------------------------------------
@@ -70,14 +52,14 @@ def test_sag_is_the_centre_of_the_swing() -> None:
     rest = markers_m(sag)
     down_m = 1.3e-3 * (1.0 - np.cos(2.0 * np.pi * 16.4 * TIMES_S))
     markers = rest - down_m[:, None, None] * [0.0, 0.0, 1.0]
-    assert read(sag, moved(sag, markers)) == pytest.approx(1.3, rel=0.01)
+    assert read(sag, moved(sag.scenario, TIMES_S, markers)) == pytest.approx(1.3, rel=0.01)
 
 
 def test_sag_of_a_linear_strip_is_the_law() -> None:
     """By summing up the elongations of thin slices, each under the weight below it."""
     sag = one("cloth-sag")
-    (cloth,) = sag.stage.scene.deformables
-    rod = sag.stage.scene.body("rod").pose.position_m[2]
+    (cloth,) = sag.scenario.scene.deformables
+    rod = sag.scenario.scene.body("rod").pose.position_m[2]
     edges = np.linspace(0.0, rod - markers_m(sag)[:, 2].min(), 100_001)
     middles = 0.5 * (edges[1:] + edges[:-1])
     weight = cloth.areal_density_kg_per_m2 * 9.80665 * (cloth.size_m[0] - middles)
@@ -88,15 +70,17 @@ def test_sag_of_a_linear_strip_is_the_law() -> None:
 def test_fling_reads_the_angle_of_a_rigid_sheet() -> None:
     fling = one("fling-lag")
     rest = markers_m(fling)
-    rod = np.asarray(fling.stage.scene.body("rod").pose.position_m)
+    rod = np.asarray(fling.scenario.scene.body("rod").pose.position_m)
     angle = np.radians(13.0) * np.sin(np.pi * TIMES_S / 1.2)
     arm = rod[2] - rest[:, 2]
-    way = np.outer(np.linspace(0.0, -0.6, len(TIMES_S)), [0.0, 1.0, 0.0])
+    displacement = np.outer(np.linspace(0.0, -0.6, len(TIMES_S)), [0.0, 1.0, 0.0])
     markers = np.empty((len(TIMES_S), *rest.shape))
     markers[..., 0] = rest[:, 0]
     markers[..., 1] = rod[1] + arm * np.sin(angle)[:, None]
     markers[..., 2] = rod[2] - arm * np.cos(angle)[:, None]
-    assert read(fling, moved(fling, markers + way[:, None], rod=way)) == pytest.approx(13.0, abs=0.01)
+    assert read(
+        fling, moved(fling.scenario, TIMES_S, markers + displacement[:, None], rod=displacement)
+    ) == pytest.approx(13.0, abs=0.01)
 
 
 @pytest.mark.parametrize("name", ["foam-stretch", "foam-compress"])
@@ -104,7 +88,7 @@ def test_area_of_a_face_that_grows_alike_in_all_directions(name: str) -> None:
     foam = one(name)
     rest = markers_m(foam)
     markers = rest * np.linspace(1.0, 1.02, len(TIMES_S))[:, None, None]
-    assert read(foam, moved(foam, markers)) == pytest.approx(100.0 * (1.02**2 - 1.0))
+    assert read(foam, moved(foam.scenario, TIMES_S, markers)) == pytest.approx(100.0 * (1.02**2 - 1.0))
 
 
 @pytest.mark.parametrize("frequency_hz", [1.69, 2.49])
@@ -112,21 +96,21 @@ def test_frequency_of_a_sine(frequency_hz: float) -> None:
     beam = one("beam")
     fall_m = 0.04 * (1.0 - np.cos(2.0 * np.pi * frequency_hz * TIMES_S)) * np.exp(-0.3 * TIMES_S)
     markers = markers_m(beam) - fall_m[:, None, None] * [0.0, 0.0, 1.0]
-    assert read(beam, moved(beam, markers)) == pytest.approx(frequency_hz, rel=0.01)
-    assert np.isnan(read(beam, moved(beam, np.tile(markers_m(beam), (len(TIMES_S), 1, 1)))))
+    assert read(beam, moved(beam.scenario, TIMES_S, markers)) == pytest.approx(frequency_hz, rel=0.01)
+    assert np.isnan(read(beam, moved(beam.scenario, TIMES_S, np.tile(markers_m(beam), (len(TIMES_S), 1, 1)))))
 
 
 @pytest.mark.parametrize("stretch", [0.01, -0.02])
 def test_stretch_of_a_rope_that_is_wound(stretch: float) -> None:
     rope = one("rope-length")
-    (body,) = rope.stage.scene.deformables
+    (body,) = rope.scenario.scene.deformables
     assert isinstance(body, Rope)
     turn = np.linspace(0.0, 4.0 * np.pi, 2001)
     helix = np.column_stack([np.cos(turn), np.sin(turn), 0.5 * turn])
     helix *= body.length_m / np.linalg.norm(np.diff(helix, axis=0), axis=1).sum()
     nodes = helix * (1.0 + stretch * np.sin(np.pi * TIMES_S / 1.2))[:, None, None]
-    run = replace(moved(rope, np.zeros((0, 0, 3))), nodes_m={"rope": nodes})
-    assert read(rope, run) == pytest.approx(1e3 * stretch * body.length_m, rel=1e-3)
+    rollout = replace(moved(rope.scenario, TIMES_S, np.zeros((0, 0, 3))), nodes_m={"rope": nodes})
+    assert read(rope, rollout) == pytest.approx(1e3 * stretch * body.length_m, rel=1e-3)
 
 
 def test_foot_stays_behind_the_base() -> None:
@@ -135,7 +119,7 @@ def test_foot_stays_behind_the_base() -> None:
     base = np.outer(0.0173 * TIMES_S, [1.0, 0.0, 0.0])
     markers = rest + base[:, None]
     markers[:, rest[:, 2].argmin(), 0] -= np.where(TIMES_S > 0.0, 2.2e-3, 0.0)
-    assert read(foot, moved(foot, markers, base=base)) == pytest.approx(2.2)
+    assert read(foot, moved(foot.scenario, TIMES_S, markers, base=base)) == pytest.approx(2.2)
 
 
 # --- reality ---------------------------------------------------------------------------------------------------------
@@ -154,25 +138,25 @@ def test_numbers_of_the_recordings() -> None:
 
 
 def test_markers_start_where_the_scene_has_them() -> None:
-    stage = replace(one("beam").stage, seconds=0.05, nodes_of=("cube-4",))
-    run = rollout(MUJOCO, stage, {})
-    np.testing.assert_allclose(run.markers_m[0], markers_m(one("beam")), atol=1e-9)
-    assert run.markers_m.shape == (len(run.times_s), 20, 3)
-    assert run.nodes_m.keys() == {"cube-4"}
+    scenario = replace(one("beam").scenario, seconds=0.05, nodes_of=("cube-4",))
+    rollout = run_scenario(MUJOCO, scenario, {})
+    np.testing.assert_allclose(rollout.markers_m[0], markers_m(one("beam")), atol=1e-9)
+    assert rollout.markers_m.shape == (len(rollout.times_s), 20, 3)
+    assert rollout.nodes_m.keys() == {"cube-4"}
     # The tip of a beam that is let go falls faster than freely, as a hinged rod's does: by up to 3 / 2.
-    fall = run.markers_m[0, 15, 2] - run.markers_m[-1, 15, 2]
-    assert 0.7 < fall / (0.5 * 9.80665 * run.times_s[-1] ** 2) < 1.5
+    fall = rollout.markers_m[0, 15, 2] - rollout.markers_m[-1, 15, 2]
+    assert 0.7 < fall / (0.5 * 9.80665 * rollout.times_s[-1] ** 2) < 1.5
 
 
 def test_rigid_scenes_have_neither_nodes_nor_markers() -> None:
-    run = rollout(MUJOCO, replace(one("creep-wood").stage, seconds=0.02), {})
-    assert (run.nodes_m, run.markers_m.size) == ({}, 0)
+    rollout = run_scenario(MUJOCO, replace(one("creep-wood").scenario, seconds=0.02), {})
+    assert (rollout.nodes_m, rollout.markers_m.size) == ({}, 0)
 
 
 def test_refused_settings_are_declined_with_their_reason() -> None:
     settings = CHEETAH | {"integrator": "implicitfast"}
     with pytest.raises(DeclinedError, match="set integrator='discrete'"):
-        rollout(MUJOCO, one("foam-stretch").stage, settings)
+        run_scenario(MUJOCO, one("foam-stretch").scenario, settings)
     measured = Measurements(MUJOCO).measure(one("foam-stretch"), settings)
     assert (measured.verdict, measured.value) == (Verdict.DECLINED, None)
 
@@ -186,13 +170,13 @@ def test_explicit_elasticity_diverges_and_is_seen(name: str, timestep_s: float) 
     assert measured.remark.startswith("diverged: after 0.0")
 
 
-def test_an_engine_that_gives_up_has_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_raises_has_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
     def give_up(simulation: SimulationMuJoCo, seconds: float) -> None:
         raise MemoryError("too many\ncontacts")
 
     monkeypatch.setattr(SimulationMuJoCo, "advance", give_up)
-    with pytest.raises(DivergedError, match="after 0 s the engine gives up: too many contacts"):
-        rollout(MUJOCO, one("foot-lag").stage, {})
+    with pytest.raises(DivergedError, match="after 0 s the engine raises MemoryError: too many contacts"):
+        run_scenario(MUJOCO, one("foot-lag").scenario, {})
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------

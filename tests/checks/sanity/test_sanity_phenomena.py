@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.checks.rollout import DeclinedError, DivergedError
@@ -16,23 +17,13 @@ from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
 from gauge_envs.checks.sanity.phenomena.friction import PRINTED_MM, creep_scatter_mm_per_s
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario, rollout
+from gauge_envs.checks.sanity.scenario import run_scenario
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.driver_path import DriverPath
 
 MUJOCO = backend("mujoco")
-
-CHEETAH = {
-    "timestep_s": 0.01,
-    "integrator": "Euler",
-    "cone": "pyramidal",
-    "impratio": 1.0,
-    "contact_solref": (0.02, 1.0),
-    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
-}
-"""Numerical settings of Gymnasium's HalfCheetah, feet on ground."""
 
 
 def one(name: str) -> Phenomenon:
@@ -46,37 +37,24 @@ def value(name: str, settings: dict[str, object]) -> float:
     return measured.value
 
 
-def moved(stage: Scenario, times_s: NDArray, **ways_m: NDArray) -> Rollout:
-    """Rollout in which bodies have moved by given ways from their start [m], shape [sample_count, 3]."""
-    states = {}
-    for body in stage.scene.bodies:
-        rows = np.zeros((len(times_s), 13))
-        way = ways_m.get(body.name.replace("-", "_"), np.zeros((len(times_s), 3)))
-        rows[:, :3] = np.asarray(body.pose.position_m) + way
-        rows[:, 3:7] = body.pose.quaternion
-        rows[:, 7:10] = np.gradient(way, times_s, axis=0)
-        states[body.name] = rows
-    return Rollout(scene=stage.scene, times_s=times_s, states=states, settings={})
-
-
 # --- rollouts --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("step", "interval"), [(0.01, 0.01), (0.003, 0.003), (0.0007, 0.0014), (1 / 9000, 0.002)])
 def test_runs_at_its_own_step(step: float, interval: float) -> None:
-    stage = replace(one("rebound").stage, seconds=0.2)
-    run = rollout(MUJOCO, stage, {"timestep_s": step, "integrator": "Euler"})
-    steps = np.round(run.times_s / step)
-    fall = run.position("ball-2")[0, 2] - run.position("ball-2")[:, 2]
-    assert run.interval_s == pytest.approx(interval)
-    assert run.times_s[-1] == pytest.approx(0.2, abs=step)
+    scenario = replace(one("rebound").scenario, seconds=0.2)
+    rollout = run_scenario(MUJOCO, scenario, {"timestep_s": step, "integrator": "Euler"})
+    steps = np.round(rollout.times_s / step)
+    fall = rollout.position("ball-2")[0, 2] - rollout.position("ball-2")[:, 2]
+    assert rollout.interval_s == pytest.approx(interval)
+    assert rollout.times_s[-1] == pytest.approx(0.2, abs=step)
     # A semi-implicit step falls by g h^2 (1 + 2 + ... + n).
     np.testing.assert_allclose(fall, 0.5 * G * step**2 * steps * (steps + 1), atol=1e-9)
 
 
 @pytest.mark.parametrize("interval", [0.01, 0.003, 1 / 600])
 def test_driver_intervals_join(interval: float) -> None:
-    scene = one("slip").stage.scene
+    scene = one("slip").scenario.scene
     (driver,) = scene.drivers
     path = DriverPath(driver, scene, 95, interval_s=interval)
     start = scene.body("plate").pose
@@ -89,18 +67,18 @@ def test_driver_intervals_join(interval: float) -> None:
 
 @pytest.mark.parametrize("step", [0.01, 0.003])
 def test_driven_plate_is_where_its_driver_says(step: float) -> None:
-    stage = replace(one("carry-wood").stage, seconds=1.0)
-    run = rollout(MUJOCO, stage, {"timestep_s": step})
-    (driver,) = stage.scene.drivers
-    end = driver.pose(stage.scene.body("plate").pose, float(run.times_s[-1]))
-    turn = end.rotation.inv() * type(end.rotation).from_quat(run.states["plate"][-1, 3:7], scalar_first=True)
+    scenario = replace(one("carry-wood").scenario, seconds=1.0)
+    rollout = run_scenario(MUJOCO, scenario, {"timestep_s": step})
+    (driver,) = scenario.scene.drivers
+    end = driver.pose(scenario.scene.body("plate").pose, float(rollout.times_s[-1]))
+    turn = end.rotation.inv() * type(end.rotation).from_quat(rollout.states["plate"][-1, 3:7], scalar_first=True)
     assert np.degrees(turn.magnitude()) < 0.01
 
 
 def test_declined_and_diverged_are_outcomes() -> None:
-    stage = one("creep-wood").stage
+    scenario = one("creep-wood").scenario
     with pytest.raises(DeclinedError, match="no such setting"):
-        rollout(MUJOCO, stage, {"colour": "red"})
+        run_scenario(MUJOCO, scenario, {"colour": "red"})
     loose = {
         "timestep_s": 0.01,
         "contact_solref": (0.002, 1.0),
@@ -108,7 +86,7 @@ def test_declined_and_diverged_are_outcomes() -> None:
         "contact_solimp": CHEETAH["contact_solimp"],
     }
     with pytest.raises(DivergedError, match="m/s"):
-        rollout(MUJOCO, stage, loose)
+        run_scenario(MUJOCO, scenario, loose)
     measured = Measurements(MUJOCO).measure(one("creep-wood"), loose)
     assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
     assert measured.remark.startswith("diverged")
@@ -120,18 +98,18 @@ def test_declined_and_diverged_are_outcomes() -> None:
 def test_creep_counts_after_settling() -> None:
     creep = one("creep-wood")
     times = np.linspace(0.0, 1.0, 401)
-    downhill = creep.stage.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
+    downhill = creep.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     settling = 0.002 * (1.0 - np.exp(-times / 0.02))
-    run = moved(creep.stage, times, cube=(settling + 0.007 * times)[:, None] * downhill)
-    assert creep.read(run).value == pytest.approx(7.0, abs=1e-3)
+    rollout = moved(creep.scenario, times, cube=(settling + 0.007 * times)[:, None] * downhill)
+    assert creep.read(rollout).value == pytest.approx(7.0, abs=1e-3)
 
 
 def test_resting_height_is_along_the_normal() -> None:
     rest = one("rest-height")
     times = np.linspace(0.0, 1.0, 101)
-    normal = rest.stage.scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
-    sunk = moved(rest.stage, times, cube=np.outer(np.where(times > 0.0, -0.0012, 0.0), normal))
-    flat = moved(rest.stage, times)
+    normal = rest.scenario.scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
+    sunk = moved(rest.scenario, times, cube=np.outer(np.where(times > 0.0, -0.0012, 0.0), normal))
+    flat = moved(rest.scenario, times)
     assert rest.read(flat).value == pytest.approx(0.0, abs=2e-3)
     assert rest.read(sunk).value - rest.read(flat).value == pytest.approx(-1.2, abs=1e-9)
 
@@ -140,12 +118,12 @@ def test_resting_height_is_along_the_normal() -> None:
 def test_slide_reads_acceleration_from_rest(material: str) -> None:
     slide = one(f"slide-{material}")
     times = np.linspace(0.0, 0.5, 126)
-    downhill = slide.stage.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
+    downhill = slide.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     law = slide.reality.value
-    run = moved(slide.stage, times, cube=(0.5 * law * times**2)[:, None] * downhill)
-    assert slide.read(run).value == pytest.approx(law)
+    rollout = moved(slide.scenario, times, cube=(0.5 * law * times**2)[:, None] * downhill)
+    assert slide.read(rollout).value == pytest.approx(law)
     # A start with the speed v is taken for acceleration: least squares of v t by t^2 / 2 over T give 15/8 v / T.
-    pushed = moved(slide.stage, times, cube=(0.06 * times + 0.5 * law * times**2)[:, None] * downhill)
+    pushed = moved(slide.scenario, times, cube=(0.06 * times + 0.5 * law * times**2)[:, None] * downhill)
     assert slide.read(pushed).value - law == pytest.approx(15 / 8 * 0.06 / 0.5, rel=0.01)
     friction = (0.5 - law / G) / np.sqrt(0.75)
     assert friction == pytest.approx({"wood": 0.273673, "plastic": 0.275018, "metal": 0.262758}[material])
@@ -156,11 +134,12 @@ def test_slide_reads_acceleration_from_rest(material: str) -> None:
 def test_rebound_of_an_ideal_ball(restitution: float, interval: float) -> None:
     rebound = one("rebound")
     times = np.arange(0.0, 0.85, interval)
-    ways = {}
-    for ball in rebound.stage.scene.dynamic_bodies:
-        drop = ball.pose.position_m[2] - rebound.stage.scene.body("ground").pose.position_m[2] - 0.03
-        ways[ball.name.replace("-", "_")] = np.outer(_bounces_m(times, drop, restitution) - drop, [0.0, 0.0, 1.0])
-    assert rebound.read(moved(rebound.stage, times, **ways)).value == pytest.approx(restitution, rel=2e-3)
+    displacements = {}
+    for ball in rebound.scenario.scene.dynamic_bodies:
+        drop = ball.pose.position_m[2] - rebound.scenario.scene.body("ground").pose.position_m[2] - 0.03
+        height = _bounces_m(times, drop, restitution) - drop
+        displacements[ball.name.replace("-", "_")] = np.outer(height, [0.0, 0.0, 1.0])
+    assert rebound.read(moved(rebound.scenario, times, **displacements)).value == pytest.approx(restitution, rel=2e-3)
 
 
 def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
@@ -176,7 +155,7 @@ def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
 
 def test_a_ball_that_stays_down_is_a_failure() -> None:
     rebound = one("rebound")
-    reading = rebound.read(moved(rebound.stage, np.linspace(0.0, 0.85, 400)))
+    reading = rebound.read(moved(rebound.scenario, np.linspace(0.0, 0.85, 400)))
     assert (reading.value, reading.failure) == (0.0, "5 of 5 drops do not leave the ground again")
 
 
@@ -186,47 +165,48 @@ def test_only_the_last_ball_may_leave() -> None:
     after = np.clip(times - 0.25, 0.0, None)
     swing = np.outer(0.1 * np.sin(np.pi * after / 0.3) ** 2, [0.0, 0.0, 1.0])
     fallen = np.outer(np.where(times > 0.2, -0.138251, 0.0), [0.0, 0.0, 1.0])
-    good = momentum.read(moved(momentum.stage, times, ball_1=fallen, ball_5=swing))
+    good = momentum.read(moved(momentum.scenario, times, ball_1=fallen, ball_5=swing))
     assert good.value == pytest.approx(np.sqrt(0.1 / 0.138251), rel=1e-4)
     assert good.failure == ""
-    bad = momentum.read(moved(momentum.stage, times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing))
+    bad = momentum.read(moved(momentum.scenario, times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing))
     assert bad.failure.startswith("2 of 5 balls swing out")
 
 
 def test_depth_of_a_point_in_the_recess() -> None:
     point = one("point")
-    scene = point.stage.scene
+    scene = point.scenario.scene
     tip = scene.body("pyramid").pose.to_world(np.array([0.0, 0.0, -0.075]))
     floor = scene.body("squarebase").pose.position_m[2] - 0.0125
-    way = np.array([0.0, 0.0, floor - tip[2] - 0.0031])
     times = np.array([0.0, 0.1])
-    assert point.read(moved(point.stage, times, pyramid=np.outer([0.0, 1.0], way))).value == pytest.approx(3.1)
+    displacement = np.outer([0.0, 1.0], [0.0, 0.0, floor - tip[2] - 0.0031])
+    assert point.read(moved(point.scenario, times, pyramid=displacement)).value == pytest.approx(3.1)
 
 
 def test_lag_of_a_cube_behind_the_rod() -> None:
     (carry,) = phenomena(["cloth-carry"], include_deformables=True)
     times = np.linspace(0.0, 2.0, 101)
-    ways = {"rod": -0.037, "cube": -0.035}
-    run = moved(carry.stage, times, **{name: np.outer(speed * times, [1.0, 0.0, 0.0]) for name, speed in ways.items()})
-    assert carry.read(run).value == pytest.approx(4.0)
+    speeds = {"rod": -0.037, "cube": -0.035}
+    displacements = {name: np.outer(speed * times, [1.0, 0.0, 0.0]) for name, speed in speeds.items()}
+    rollout = moved(carry.scenario, times, **displacements)
+    assert carry.read(rollout).value == pytest.approx(4.0)
 
 
 # --- reality ---------------------------------------------------------------------------------------------------------
 
 
 def test_scores_of_creeping_cubes_differ_by_the_formula() -> None:
-    place, way = 0.59, 0.3
-    frames = np.column_stack([place + way * (np.linspace(0.0, 1.0, 301) - 0.5), np.zeros(301), np.zeros(301)])
+    place, displacement = 0.59, 0.3
+    frames = np.column_stack([place + displacement * (np.linspace(0.0, 1.0, 301) - 0.5), np.zeros(301), np.zeros(301)])
     mean = np.zeros_like(frames)
     assert trajectory_rmse(frames, mean) - trajectory_dtw(frames, mean) == pytest.approx(
-        way**2 / (24.0 * place), rel=0.03
+        displacement**2 / (24.0 * place), rel=0.03
     )
 
 
 @pytest.mark.parametrize(("material", "printed"), [("wood", 0.59), ("plastic", 1.90), ("metal", 0.86)])
-def test_creep_scatter_is_the_way_that_one_digit_hides(material: str, printed: float) -> None:
-    way = creep_scatter_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
-    assert way**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
+def test_creep_scatter_is_the_displacement_that_one_digit_hides(material: str, printed: float) -> None:
+    displacement = creep_scatter_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
+    assert displacement**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
 
 
 def test_reality_is_known_and_scatters() -> None:
@@ -270,11 +250,11 @@ def test_half_cheetah_by_numbers() -> None:
     # Before it has sunk in, nothing but gravity moves the cube, g sin 30 instead of g (sin 30 - mu cos 30).
     slide = one("slide-wood")
     assert 1.05 < value("slide-wood", CHEETAH) / slide.reality.value < 1.15
-    run = Measurements(MUJOCO).measure(slide, CHEETAH).run
-    assert run is not None
-    late = run.between(0.1, 0.5)
-    way_m = np.linalg.norm(run.position("cube") - run.position("cube")[0], axis=1)[late]
-    assert 2.0 * np.polyfit(run.times_s[late], way_m, 2)[0] == pytest.approx(slide.reality.value, rel=0.01)
+    rollout = Measurements(MUJOCO).measure(slide, CHEETAH).rollout
+    assert rollout is not None
+    late = rollout.between(0.1, 0.5)
+    way_m = np.linalg.norm(rollout.position("cube") - rollout.position("cube")[0], axis=1)[late]
+    assert 2.0 * np.polyfit(rollout.times_s[late], way_m, 2)[0] == pytest.approx(slide.reality.value, rel=0.01)
     assert 0.1 < value("rebound", CHEETAH) < 0.3
     # At equilibrium the spring of the contact carries the weight: it is millimetres deep.
     assert -3.0 < value("rest-height", CHEETAH) < -1.5

@@ -16,7 +16,7 @@ from gauge_envs.backends.mujoco.contact_pairs import COLUMNS, contact_pairs
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
 from gauge_envs.checks.conformance import run_checks
 from gauge_envs.checks.conformance.lab import RefusedSettingsError
-from gauge_envs.checks.sanity.mujoco_settings import model_settings
+from gauge_envs.checks.sanity.mujoco_model import mujoco_configuration
 from gauge_envs.checks.sanity.target import configuration
 from gauge_envs.errors import GaugeError, ParameterError, TargetError, UnknownNameError
 
@@ -221,7 +221,7 @@ def test_restitution_ends_where_contacts_are_given() -> None:
     assert not given.pair_solreffriction.any()
 
 
-def test_groups_that_differ_are_told_and_can_be_picked() -> None:
+def test_groups_that_differ_are_reported_and_can_be_picked() -> None:
     model = heap()
     read = configuration(model)
     assert read.name == "heap"
@@ -264,9 +264,10 @@ def test_override_gives_all_contacts_its_own_constants_friction_included() -> No
         ("", "no two geoms can collide"),
     ],
 )
-def test_what_is_not_carried_over_is_told(xml: str, note: str) -> None:
+def test_what_is_not_carried_over_is_reported(xml: str, note: str) -> None:
     body = "<worldbody><body><freejoint/><geom size='.1'/></body></worldbody>"
-    notes = model_settings(mujoco.MjModel.from_xml_string(f"<mujoco>{xml}{body}</mujoco>")).notes
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{xml}{body}</mujoco>")
+    notes = mujoco_configuration(model, name="model", source="test").notes
     assert any(re.search(note, line) for line in notes), notes
 
 
@@ -358,11 +359,11 @@ def test_what_cannot_be_read_says_why(target: object, error: type[GaugeError], m
         (
             "a.toml",
             'backend = "mujoco"\nsetings = {}',
-            "setings: there is no such key; keys: backend, preset, settings",
+            "setings: unknown key; keys: backend, preset, settings",
         ),
-        ("a.toml", "preset = 'contact'", "backend: Field required"),
+        ("a.toml", "preset = 'contact'", "backend: missing key"),
         ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "'cone'.*'pyramidal' or 'elliptic'"),
-        ("a.toml", 'backend = "mujoco"\n[settings]\nsteps = 3', "'steps' .*there is no such setting"),
+        ("a.toml", 'backend = "mujoco"\n[settings]\nsteps = 3', "'steps' .*unknown setting"),
         ("a.toml", "backend = ", "a.toml: Invalid value"),
         ("a.json", "{", "a.json: Expecting property name"),
         ("a.json", "[1]", "the file: "),

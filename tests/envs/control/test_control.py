@@ -116,6 +116,13 @@ def test_copies_go_on_from_where_they_are(name: str, copied) -> None:
     assert np.array_equal(env.trajectory(), other.trajectory())
 
 
+def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
+    env = make("Turntable-Limit-wood")
+    env.versions = {"mujoco": "3.0.0"}
+    with pytest.raises(BackendError, match=r"TurntableLimit: the pickle is from mujoco 3\.0\.0, installed is mujoco"):
+        pickle.loads(pickle.dumps(env))
+
+
 def test_misuse_is_an_error() -> None:
     env = make("Turntable-Limit-wood")
     with pytest.raises(EpisodeError, match="reset before step"):

@@ -1,4 +1,4 @@
-"""What real objects do in GAUGE's experiments, each phenomenon by one number with its scatter and its source."""
+"""Phenomena of real objects in GAUGE's experiments, each with one number, its scatter and its source."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gauge_envs.checks.sanity.phenomena import (
     swing,
     textile,
 )
-from gauge_envs.checks.sanity.phenomena.kit import Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.phenomena.phenomenon import Phenomenon, PhenomenonValue, Trace
 from gauge_envs.errors import UnknownNameError
 
 __all__ = [
@@ -35,16 +35,16 @@ def _all() -> dict[str, Phenomenon]:
 
 
 def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) -> tuple[Phenomenon, ...]:
-    """All phenomena in a fixed order, or those whose id matches one of the patterns.
+    """Return all phenomena in a fixed order, or those whose id matches one of the patterns.
 
     Args:
-        only: Ids or patterns as `creep-*`; all when empty.
-        include_deformables: With those of deformable bodies.
+        only: Ids or patterns such as `creep-*`; all when empty.
+        include_deformables: Whether to include phenomena of deformable bodies.
 
     Raises:
-        UnknownNameError: A pattern matches none.
+        UnknownNameError: A pattern matches no phenomenon.
     """
-    known = {name: one for name, one in _all().items() if include_deformables or not one.stage.scene.deformables}
+    known = {name: one for name, one in _all().items() if include_deformables or not one.scenario.scene.deformables}
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in known):
             raise UnknownNameError("phenomenon", pattern, known)

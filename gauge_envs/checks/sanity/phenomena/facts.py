@@ -1,4 +1,4 @@
-"""Numbers about real objects: published scatter, facts of the trials, measurements in the recordings."""
+"""Read numbers about real objects: published scatter, facts of the trials, measurements in the recordings."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ __all__ = [
 ]
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
-"""Where `recorded` reads, for sources."""
+"""File that `recorded` reads; sources name it."""
 
 
 @cache
 def facts(name: str) -> dict[str, Any]:
-    """Table of `scoring/facts/<name>.toml`."""
+    """Return the table of `scoring/facts/<name>.toml`."""
     return tomllib.loads((data_folder("scoring") / "facts" / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def recorded(recording: str, fact: str) -> dict[str, Any]:
-    """What was measured in a published recording: `value` and `sigma`, or `low` and `high`."""
+    """Return a measurement in a published recording: `value` and `sigma`, or `low` and `high`."""
     table: dict[str, Any] = facts("recordings/recordings")[recording]["facts"][fact]
     return table
 
 
 def position_scatter_mm(variant: str) -> float:
-    """Standard deviation of a recorded position along one axis [mm], from the published baseline of E_RMSE.
+    """Return the standard deviation of a recorded position along one axis [mm], from the published E_RMSE.
 
     mean(R)^2 + std(R)^2 is the mean square distance of a trial from the mean trial, over three axes (scoring/README).
     """
@@ -44,9 +44,9 @@ def position_scatter_mm(variant: str) -> float:
 
 
 def placing_scatter_mm() -> tuple[float, str]:
-    """Standard deviation of where real bodies are put, and seen to be [mm], and its source.
+    """Return the standard deviation of measured start positions of real bodies [mm], and its source.
 
-    For heights and depths of which no scatter is published: a deviation within it cannot be seen in a trial.
+    It serves for heights and depths without a published scatter: trials cannot resolve smaller deviations.
     """
     trials = facts("bouncing_ball_summary")
     source = f"of the start heights of {trials['trial_count']} real drops (scoring/facts/bouncing_ball_summary.toml)"

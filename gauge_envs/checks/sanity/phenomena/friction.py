@@ -1,4 +1,4 @@
-"""Friction on the slope: what holds stays, what slides accelerates by Coulomb's law, what rests touches the board."""
+"""Friction on a slope: creep of a cube at rest, its resting height, and the acceleration of a sliding cube."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import facts, position_scatter_mm
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Box, Scene
@@ -21,17 +22,17 @@ __all__ = [
 MATERIALS = ("wood", "plastic", "metal")
 
 HOLD_S, SETTLED_S = 1.0, 0.5
-"""The cube starts in touch without load and sinks into a soft contact first; creep is what goes on after that."""
+"""Simulated time, and time after which the cube has sunk into a soft contact and only creeps [s]."""
 
 SLIDE_S = 0.5
-"""Before the board's end, which a cube 20 % too fast reaches after 0.53 s."""
+"""Simulated time [s]; a cube that is 20 % too fast reaches the end of the board at 0.53 s."""
 
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Creep and sliding of three materials, and the height at which a cube rests."""
+    """Yield creep and sliding of three materials, and the resting height of a cube."""
     for material in MATERIALS:
         yield _creep(material)
     yield _rest(MATERIALS[0])
@@ -39,29 +40,29 @@ def phenomena() -> Iterator[Phenomenon]:
         yield _slide(material)
 
 
-def _hold_stage(material: str) -> Scenario:
+def _hold_scenario(material: str) -> Scenario:
     return Scenario(name=f"hold-{material}", variant=f"SlopeSlider-1-{material}", seconds=HOLD_S)
 
 
-def _on_board_mm(run: Rollout) -> FloatArray:
-    """Way of the cube in the board's frame [mm], shape [sample_count, 3]: downhill, across, off the board."""
-    way = run.position("cube") - run.position("cube")[0]
-    return np.asarray(1e3 * run.scene.body("board").pose.rotation.apply(way, inverse=True))
+def _on_board_mm(rollout: Rollout) -> FloatArray:
+    """Return displacements of the cube [mm], shape [sample_count, 3]: downhill, across, normal to the board."""
+    board = rollout.scene.body("board").pose.rotation
+    return np.asarray(1e3 * board.apply(rollout.displacement("cube"), inverse=True))
 
 
-def _downhill_mm(run: Rollout) -> FloatArray:
-    return _on_board_mm(run)[:, 0]
+def _downhill_mm(rollout: Rollout) -> FloatArray:
+    return _on_board_mm(rollout)[:, 0]
 
 
 # --- holding ---------------------------------------------------------------------------------------------------------
 
 
 def creep_scatter_mm_per_s(variant: str) -> float:
-    """Fastest creep [mm/s] that the published scores of real cubes leave room for, taken as one standard deviation.
+    """Return the fastest creep [mm/s] that the published scores of real cubes allow, taken as one standard deviation.
 
-    A cube that moves evenly by d within the trial, about a place c from the mean, has E_RMSE - E_DTW = d^2 / (24 c).
-    Both are printed and equal, so they differ by less than one digit. The scatter of places is no measure of creep: it
-    is mostly that of where a hand put the cube.
+    A cube that moves uniformly by d within the trial, at a distance c from the mean, has E_RMSE - E_DTW = d^2 / (24 c).
+    The two published numbers are equal, so they differ by less than one digit. The scatter of positions does not
+    measure creep, since most of it comes from placing the cube by hand.
     """
     baselines = published_baselines(variant)
     rmse, dtw = baselines["rmse"], baselines["dtw"]
@@ -70,13 +71,13 @@ def creep_scatter_mm_per_s(variant: str) -> float:
 
 
 def _creep(material: str) -> Phenomenon:
-    stage = _hold_stage(material)
+    scenario = _hold_scenario(material)
 
-    def read(run: Rollout) -> PhenomenonValue:
-        late = run.between(SETTLED_S, HOLD_S)
-        return PhenomenonValue(value=float(np.polyfit(run.times_s[late], _downhill_mm(run)[late], 1)[0]))
+    def read(rollout: Rollout) -> PhenomenonValue:
+        late = rollout.between(SETTLED_S, HOLD_S)
+        return PhenomenonValue(value=float(np.polyfit(rollout.times_s[late], _downhill_mm(rollout)[late], 1)[0]))
 
-    scatter = creep_scatter_mm_per_s(stage.variant)
+    scatter = creep_scatter_mm_per_s(scenario.variant)
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.zeros_like(times_s), scatter * times_s
@@ -85,39 +86,39 @@ def _creep(material: str) -> Phenomenon:
         id=f"creep-{material}",
         title=f"static friction, {material}: creep on 10 degrees",
         quantity="creep",
-        stage=stage,
+        scenario=scenario,
         unit="mm/s",
         reality=Reality(
             value=0.0,
             scatter=scatter,
             source=f"Coulomb, tan 10 deg < mu; scatter: E_RMSE and E_DTW of real {material} cubes are equal as printed "
-            "(paper, Table 5), which leaves room for no more",
+            "(paper, Table 5), which bounds the creep",
         ),
         read=read,
-        trace=Trace(label="way downhill [mm]", values=_downhill_mm, reality=reality),
+        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
     )
 
 
 def _rest(material: str) -> Phenomenon:
-    stage = _hold_stage(material)
+    scenario = _hold_scenario(material)
 
-    def heights_mm(run: Rollout) -> FloatArray:
-        return _gap_mm(run.scene) + _on_board_mm(run)[:, 2]
+    def heights_mm(rollout: Rollout) -> FloatArray:
+        return _gap_mm(rollout.scene) + _on_board_mm(rollout)[:, 2]
 
-    def read(run: Rollout) -> PhenomenonValue:
-        return PhenomenonValue(value=float(heights_mm(run)[run.between(SETTLED_S, HOLD_S)].mean()))
+    def read(rollout: Rollout) -> PhenomenonValue:
+        return PhenomenonValue(value=float(heights_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean()))
 
-    scatter = position_scatter_mm(stage.variant)
+    scatter = position_scatter_mm(scenario.variant)
     return Phenomenon(
         id="rest-height",
         title="resting height: gap between cube and board",
         quantity="gap",
-        stage=stage,
+        scenario=scenario,
         unit="mm",
         reality=Reality(
             value=0.0,
             scatter=scatter,
-            source=f"rigid bodies touch; scatter: of a position of {stage.variant} along one axis (paper, Table 5)",
+            source=f"rigid bodies touch; scatter: of a position of {scenario.variant} along one axis (paper, Table 5)",
         ),
         read=read,
         trace=Trace(label="gap [mm]", values=heights_mm, is_level=True),
@@ -125,7 +126,7 @@ def _rest(material: str) -> Phenomenon:
 
 
 def _gap_mm(scene: Scene) -> float:
-    """Gap between the faces of cube and board at the start [mm]."""
+    """Return the gap between the faces of cube and board at the start [mm]."""
     cube, board = scene.body("cube"), scene.body("board")
     assert isinstance(cube.shape, Box) and isinstance(board.shape, Box)
     height = board.pose.to_body(np.asarray(cube.pose.position_m))[2]
@@ -136,18 +137,18 @@ def _gap_mm(scene: Scene) -> float:
 
 
 def _slide(material: str) -> Phenomenon:
-    stage = Scenario(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S)
-    scene = stage.scene
+    scenario = Scenario(name=f"slide-{material}", variant=f"SlopeSlider-2-{material}", seconds=SLIDE_S)
+    scene = scenario.scene
     friction = next(c.friction for c in scene.contacts if "board" in c.second)
     downhill = scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     law = scene.gravity_m_per_s2 * float(-downhill[2] - friction * np.hypot(*downhill[:2]))
     trials = facts("slope_slider_30deg_summary")[material]
     seen, scatter = trials["acceleration_m_s2"]["mean"], trials["acceleration_m_s2"]["std"]
 
-    def read(run: Rollout) -> PhenomenonValue:
-        # As the paper fits real slides, from rest: what a cube gains while it sinks into soft ground counts, since a
-        # camera would see it.
-        return PhenomenonValue(value=1e-3 * fitted_acceleration(run.times_s, _downhill_mm(run)))
+    def read(rollout: Rollout) -> PhenomenonValue:
+        # The fit is that of the paper for real slides, from rest. The speed that a cube gains while it sinks into soft
+        # ground counts, since a camera would record it.
+        return PhenomenonValue(value=1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)))
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return 500.0 * law * times_s**2, 500.0 * scatter * times_s**2
@@ -156,7 +157,7 @@ def _slide(material: str) -> Phenomenon:
         id=f"slide-{material}",
         title=f"kinetic friction, {material}: acceleration on 30 degrees",
         quantity="acceleration",
-        stage=stage,
+        scenario=scenario,
         unit="m/s^2",
         reality=Reality(
             value=law,
@@ -167,5 +168,5 @@ def _slide(material: str) -> Phenomenon:
             "(scoring/facts/slope_slider_30deg_summary.toml)",
         ),
         read=read,
-        trace=Trace(label="way downhill [mm]", values=_downhill_mm, reality=reality),
+        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
     )

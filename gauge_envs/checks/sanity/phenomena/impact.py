@@ -1,4 +1,4 @@
-"""Impacts: how a ball rebounds, and what a row of balls hands on."""
+"""Impacts: rebound of a ball, and momentum transfer through a row of balls."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import facts
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.evaluation.metrics import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Scene, Sphere
@@ -22,7 +23,7 @@ __all__ = [
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Rebound of the ball, momentum through the cradle."""
+    """Yield the rebound of the ball and the momentum through the cradle."""
     yield _rebound()
     yield _cradle()
 
@@ -30,18 +31,18 @@ def phenomena() -> Iterator[Phenomenon]:
 # --- rebound ---------------------------------------------------------------------------------------------------------
 
 DROP_S = 0.85
-"""Past the top of the first bounce of a ball that keeps all its speed (0.58 s)."""
+"""Time beyond the top of the first bounce of a ball that keeps all its speed (0.58 s) [s]."""
 
 CLEAR_MM = 2.0
-"""A ball this high above contact flies: more than margins of contacts, less than the top of a bounce that counts."""
+"""Height above which a ball is in flight: more than contact margins, less than the top of a bounce [mm]."""
 
 LIFTS_M = (-0.008, -0.004, 0.0, 0.004, 0.008)
-"""Changes of the start height: where in a step the ball lands decides how a large step rebounds, and a step of 0.01 s
-falls by 28 mm there."""
+"""Changes of the start height [m]. With a large step, the rebound depends on the phase of the step at the impact: in a
+step of 0.01 s a ball falls by 28 mm."""
 
 
 def _several_balls(scene: Scene) -> Scene:
-    """Five balls side by side in the place of one, each from a height of its own; they do not touch each other."""
+    """Return a scene of five balls side by side instead of one, at different heights and without mutual contacts."""
     ball = scene.body("ball")
     x, y, z = ball.pose.position_m
     balls = tuple(
@@ -56,41 +57,42 @@ def _several_balls(scene: Scene) -> Scene:
     )
 
 
-def _height_mm(run: Rollout, name: str) -> FloatArray:
-    """Gap between a ball and the ground [mm], shape [sample_count]."""
-    ball, ground = run.scene.body(name), run.scene.body("ground")
+def _height_mm(rollout: Rollout, name: str) -> FloatArray:
+    """Return the gap between a ball and the ground [mm], shape [sample_count]."""
+    ball, ground = rollout.scene.body(name), rollout.scene.body("ground")
     assert isinstance(ball.shape, Sphere)
-    return np.asarray(1e3 * (run.position(name)[:, 2] - ground.pose.position_m[2] - ball.shape.radius_m))
+    return np.asarray(1e3 * (rollout.position(name)[:, 2] - ground.pose.position_m[2] - ball.shape.radius_m))
 
 
-def _rebound_ratio(run: Rollout, name: str) -> float:
-    """Speed at the height of contact after the first impact over that before, from the tops of both flights."""
-    height, speed = _height_mm(run, name), run.states[name][:, 9]
+def _rebound_ratio(rollout: Rollout, name: str) -> float:
+    """Return the speed after the first impact over that before, from the tops of both flights."""
+    height, speed = _height_mm(rollout, name), rollout.states[name][:, 9]
     impacts = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     fall, *bounces = (
-        _top_mm(run, height, arc[height[arc] > CLEAR_MM]) for arc in np.split(np.arange(len(height)), impacts)
+        _top_mm(rollout, height, arc[height[arc] > CLEAR_MM]) for arc in np.split(np.arange(len(height)), impacts)
     )
     return float(np.sqrt(bounces[0] / fall)) if bounces else 0.0
 
 
-def _top_mm(run: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float:
-    """Top of the parabola of free fall through a flight's samples; 0 where the ball does not fly for three of them."""
+def _top_mm(rollout: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float:
+    """Return the top of the free-fall parabola through a flight's samples [mm]; 0 for fewer than three samples."""
     if len(flight) < 3:
         return 0.0
-    fall = 500.0 * run.scene.gravity_m_per_s2
-    times = run.times_s[flight] - run.times_s[flight[0]]
+    fall = 500.0 * rollout.scene.gravity_m_per_s2
+    times = rollout.times_s[flight] - rollout.times_s[flight[0]]
     speed, start = np.polyfit(times, height[flight] + fall * times**2, 1)
     return float(start + speed**2 / (4.0 * fall))
 
 
 def _rebound() -> Phenomenon:
-    stage = Scenario(name="drop", variant="BouncingBall-rubber", seconds=DROP_S, change=_several_balls)
-    restitution = next(c.restitution for c in stage.scene.contacts)
+    scenario = Scenario(name="drop", variant="BouncingBall-rubber", seconds=DROP_S, change=_several_balls)
+    restitution = next(c.restitution for c in scenario.scene.contacts)
     trials = facts("bouncing_ball_summary")
-    names = [ball.name for ball in stage.scene.dynamic_bodies]
+    names = [ball.name for ball in scenario.scene.dynamic_bodies]
+    drawn = names[LIFTS_M.index(0.0)]
 
-    def read(run: Rollout) -> PhenomenonValue:
-        ratios = [_rebound_ratio(run, name) for name in names]
+    def read(rollout: Rollout) -> PhenomenonValue:
+        ratios = [_rebound_ratio(rollout, name) for name in names]
         stuck = ratios.count(0.0)
         failure = f"{stuck} of {len(ratios)} drops do not leave the ground again" if stuck else ""
         return PhenomenonValue(value=float(np.mean(ratios)), failure=failure)
@@ -99,7 +101,7 @@ def _rebound() -> Phenomenon:
         id="rebound",
         title="restitution: speed of a ball after an impact over that before",
         quantity="rebound",
-        stage=stage,
+        scenario=scenario,
         unit="1",
         reality=Reality(
             value=restitution,
@@ -108,28 +110,28 @@ def _rebound() -> Phenomenon:
             f"{trials['rebound_ratio']['mean']:.3f} (scoring/facts/bouncing_ball_summary.toml)",
         ),
         read=read,
-        trace=Trace(label="height of the ball [mm]", values=lambda run: _height_mm(run, names[LIFTS_M.index(0.0)])),
+        trace=Trace(label="height of the ball [mm]", values=lambda rollout: _height_mm(rollout, drawn)),
     )
 
 
 # --- momentum --------------------------------------------------------------------------------------------------------
 
 GAP_M = 1e-5
-"""Gap between neighbours. Where they touch exactly, rounding decides whether an engine sees a row or a chain of pairs;
-real balls hang no closer than this, and from 0.1 um to 0.2 mm it makes no difference."""
+"""Gap between neighbours [m]. For balls that touch exactly, rounding decides whether an engine finds a row or a chain
+of pairs. Real balls hang no closer than this, and the result is the same for gaps from 0.1 um to 0.2 mm."""
 
 PASSED_S = 0.25
-"""The impulse, after 0.22 s, has gone through the row."""
+"""Time after which the impulse, at 0.22 s, has passed through the row [s]."""
 
 SWING_S = 0.55
-"""The first ball hits after 0.22 s, the last one turns at 0.43 s, and comes back at 0.64 s."""
+"""Simulated time [s]: the first ball hits at 0.22 s, the last one is highest at 0.43 s and returns at 0.64 s."""
 
 SHARE_OF_SPEED = 0.1
-"""A ball that leaves the row with less of the incoming speed than this counts as at rest: real ones get 0.02."""
+"""Share of the incoming speed below which a ball that leaves the row counts as at rest; real balls get 0.02."""
 
 
 def _with_gaps(scene: Scene) -> Scene:
-    """The row drawn out, so that neighbours do not touch."""
+    """Return the scene with gaps between neighbours."""
     shifts = {body.name: index * GAP_M for index, body in enumerate(scene.dynamic_bodies)}
     return replace(
         scene,
@@ -149,29 +151,29 @@ def _shifted(place_m: tuple[float, float, float], along_m: float) -> tuple[float
 
 
 def _cradle() -> Phenomenon:
-    stage = Scenario(
+    scenario = Scenario(
         name="cradle",
         variant="NewtonsCradle-metal",
         seconds=SWING_S,
         parameters="effective",
         change=_with_gaps,
     )
-    scene = stage.scene
+    scene = scenario.scene
     names = [body.name for body in scene.dynamic_bodies]
-    rest = {j.body: 1e3 * (j.anchor_m[2] - _arm_m(stage, j)) for j in scene.joints if isinstance(j, Hinge)}
+    rest = {j.body: 1e3 * (j.anchor_m[2] - _arm_m(scenario, j)) for j in scene.joints if isinstance(j, Hinge)}
     drop = 1e3 * scene.body(names[0]).pose.position_m[2] - rest[names[0]]
-    real = published_baselines(stage.variant)["mte"]
+    real = published_baselines(scenario.variant)["mte"]
     assert real.std is not None, "MTE is published with its standard deviation"
 
-    def rise_mm(run: Rollout, name: str) -> FloatArray:
-        return 1e3 * run.position(name)[:, 2] - rest[name]
+    def rise_mm(rollout: Rollout, name: str) -> FloatArray:
+        return 1e3 * rollout.position(name)[:, 2] - rest[name]
 
-    def read(run: Rollout) -> PhenomenonValue:
-        after = run.times_s > PASSED_S
-        leaving = [n for n in names if rise_mm(run, n)[after].max() > SHARE_OF_SPEED**2 * drop]
+    def read(rollout: Rollout) -> PhenomenonValue:
+        after = rollout.times_s > PASSED_S
+        leaving = [n for n in names if rise_mm(rollout, n)[after].max() > SHARE_OF_SPEED**2 * drop]
         others = f"{len(leaving)} of {len(names)} balls swing out, in reality the last one"
         value = momentum_transfer_efficiency(
-            1e3 * run.position(names[-1])[:, 2],
+            1e3 * rollout.position(names[-1])[:, 2],
             drop_height_mm=drop,
             rest_height_mm=rest[names[-1]],
             leave_height_mm=SHARE_OF_SPEED**2 * drop,
@@ -182,20 +184,20 @@ def _cradle() -> Phenomenon:
 
     return Phenomenon(
         id="momentum",
-        title="momentum that a row of five balls hands on",
+        title="momentum transfer through a row of five balls",
         quantity="momentum",
-        stage=stage,
+        scenario=scenario,
         unit="1",
         reality=Reality(
             value=real.mean,
             scatter=real.std,
-            source="momentum transfer efficiency of real trials (paper, Table 5), with the restitution that hands on "
-            "as much; the calibrated one, 0.20, contradicts it",
+            source="momentum transfer efficiency of real trials (paper, Table 5), with the restitution that reproduces "
+            "it; the calibrated restitution, 0.20, contradicts it",
         ),
         read=read,
-        trace=Trace(label="height of the last ball [mm]", values=lambda run: rise_mm(run, names[-1])),
+        trace=Trace(label="height of the last ball [mm]", values=lambda rollout: rise_mm(rollout, names[-1])),
     )
 
 
-def _arm_m(stage: Scenario, hinge: Hinge) -> float:
-    return float(np.linalg.norm(np.asarray(stage.scene.body(hinge.body).pose.position_m) - hinge.anchor_m))
+def _arm_m(scenario: Scenario, hinge: Hinge) -> float:
+    return float(np.linalg.norm(np.asarray(scenario.scene.body(hinge.body).pose.position_m) - hinge.anchor_m))

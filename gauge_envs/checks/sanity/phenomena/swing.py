@@ -1,4 +1,4 @@
-"""A frictionless pendulum: how long a swing takes, and what is left of its energy after a hundred seconds."""
+"""A frictionless pendulum: its period, and its energy loss in a hundred seconds."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from gauge_envs.checks.conformance.laws import pendulum_period_s
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.evaluation.metrics import energy_loss
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Sphere
@@ -22,64 +23,64 @@ __all__ = [
 
 VARIANT = "Pendulum-metal"
 PERIOD_S = 10.0
-"""The published period is that of the first 300 frames."""
+"""Time of the first 300 frames, for which the period is published [s]."""
 
 CURVE_S = 5.0
-"""Four swings are drawn: a hundred are a grey block."""
+"""Drawn time, about four periods [s]."""
 
 PRINTED = 0.01
 """Last printed digit of the published energy loss."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Period and energy."""
+    """Yield the period and the energy loss."""
     real = published_baselines(VARIANT)["el"]
-    stage = Scenario(
+    scenario = Scenario(
         name="pendulum", variant=VARIANT, seconds=(real.frames - 1) / FRAME_RATE_HZ, interval_s=SAMPLE_INTERVAL_S
     )
-    hinge = next(joint for joint in stage.scene.joints if isinstance(joint, Hinge))
-    ball = stage.scene.body(hinge.body)
+    hinge = next(joint for joint in scenario.scene.joints if isinstance(joint, Hinge))
+    ball = scenario.scene.body(hinge.body)
     assert isinstance(ball.shape, Sphere)
     arm = np.asarray(ball.pose.position_m) - hinge.anchor_m
     length = float(np.linalg.norm(arm))
 
-    def aside_mm(run: Rollout) -> FloatArray:
-        return np.asarray(1e3 * (run.position(ball.name)[:, 0] - hinge.anchor_m[0]))
+    def aside_mm(rollout: Rollout) -> FloatArray:
+        return np.asarray(1e3 * (rollout.position(ball.name)[:, 0] - hinge.anchor_m[0]))
 
-    def read_period(run: Rollout) -> PhenomenonValue:
-        part = run.between(0.0, PERIOD_S)
-        return PhenomenonValue(value=_period_s(run.times_s[part], aside_mm(run)[part]))
+    def read_period(rollout: Rollout) -> PhenomenonValue:
+        part = rollout.between(0.0, PERIOD_S)
+        return PhenomenonValue(value=_period_s(rollout.times_s[part], aside_mm(rollout)[part]))
 
-    def read_energy(run: Rollout) -> PhenomenonValue:
-        height = 1e3 * run.position(ball.name)[:, 2]
+    def read_energy(rollout: Rollout) -> PhenomenonValue:
+        height = 1e3 * rollout.position(ball.name)[:, 2]
         return PhenomenonValue(value=energy_loss(height, rest_height_mm=1e3 * (hinge.anchor_m[2] - length)))
 
     period = recorded("pendulum", "period_s")
     yield Phenomenon(
         id="period",
-        title="pendulum: period of a swing from 90 degrees",
+        title="pendulum: period from 90 degrees",
         quantity="period",
-        stage=stage,
+        scenario=scenario,
         unit="s",
         reality=Reality(
             value=pendulum_period_s(
                 length_m=length,
                 gyration_m=float(np.sqrt(0.4)) * ball.shape.radius_m,
                 amplitude_rad=float(np.arccos(-arm[2] / length)),
-                gravity_m_per_s2=stage.scene.gravity_m_per_s2,
+                gravity_m_per_s2=scenario.scene.gravity_m_per_s2,
             ),
             scatter=period["sigma"],
             source="elliptic integral with the scene's length; scatter: of the recorded period, "
             f"{period['value']:.3f} s with real damping ({RECORDINGS})",
         ),
         read=read_period,
-        trace=Trace(label="way aside [mm]", values=aside_mm, until_s=CURVE_S),
+        trace=Trace(label="horizontal displacement [mm]", values=aside_mm, until_s=CURVE_S),
     )
     yield Phenomenon(
         id="energy",
-        title=f"pendulum: energy lost within {stage.seconds:.0f} s",
+        title=f"pendulum: energy lost within {scenario.seconds:.0f} s",
         quantity="energy loss",
-        stage=stage,
+        scenario=scenario,
         unit="1",
         reality=Reality(
             value=real.mean,
@@ -91,7 +92,7 @@ def phenomena() -> Iterator[Phenomenon]:
 
 
 def _period_s(times_s: FloatArray, aside: FloatArray) -> float:
-    """Mean time between upward passes through the lowest point, by lines between samples; NaN for fewer than two."""
+    """Return the mean time between passes through the lowest point in one direction [s]; NaN for fewer than two."""
     passes = np.flatnonzero((aside[:-1] < 0.0) & (aside[1:] >= 0.0))
     share = -aside[passes] / (aside[passes + 1] - aside[passes])
     moments = times_s[passes] + share * (times_s[1] - times_s[0])

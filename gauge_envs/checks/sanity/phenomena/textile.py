@@ -1,4 +1,4 @@
-"""Cloth: it takes the cube on it along, hangs as its stretch stiffness says, and stays behind a rod that flings it."""
+"""Cloth: it carries a cube, sags under its weight, and lags behind a rod that flings it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.checks.conformance.laws import hann_mean
+from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, placing_scatter_mm, recorded
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray, Phenomenon, PhenomenonValue, Trace
-from gauge_envs.checks.sanity.scenario import Rollout, Scenario
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import Cloth, Scene
 
 __all__ = [
@@ -19,32 +20,32 @@ __all__ = [
 ]
 
 RECORDED_S = 2.0
-"""The recording shows no more [s]."""
+"""Length of the recording [s]."""
 
 HANG_S, SETTLED_S = 0.8, 0.2
-"""Let go unstretched, the cloth swings up and down at 16 Hz about its sag at rest."""
+"""Simulated time, and time of the first sample of the mean [s]. The cloth oscillates at 16 Hz about its equilibrium."""
 
 FLING_S = 1.0
-"""The rod is fastest after 0.68 s; the cloth is furthest behind it before [s]."""
+"""Simulated time [s]: the rod is fastest at 0.68 s, and the cloth lags most before that."""
 
 ROW_M = 1e-3
-"""Markers of the same height, closer than this, are a row [m]."""
+"""Difference in height within which markers are in one row [m]."""
 
 HUNG = "TextileFlinging-satin"
-"""The fabric that stretches most under its own weight."""
+"""Variant with the fabric that stretches most under its own weight."""
 
 
 def phenomena() -> Iterator[Phenomenon]:
-    """Friction on cloth, stretch, swing."""
+    """Yield friction on cloth, stretch and swing."""
     yield _carry()
     yield _sag()
     yield _fling()
 
 
-def _low_m(run: Rollout) -> FloatArray:
-    """Middle of the lowest row of markers of a cloth that hangs [m], shape [sample_count, 3]."""
-    heights = run.markers_m[0, :, 2]
-    return np.asarray(run.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1))
+def _low_m(rollout: Rollout) -> FloatArray:
+    """Return the mean position of the lowest row of markers of a hanging cloth [m], shape [sample_count, 3]."""
+    heights = rollout.markers_m[0, :, 2]
+    return np.asarray(rollout.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1))
 
 
 # --- friction --------------------------------------------------------------------------------------------------------
@@ -54,18 +55,17 @@ def _carry() -> Phenomenon:
     # The one recorded experiment on cloth whose fabric is known.
     real = recorded("tablecloth_pulling", "slip_of_cube_on_cloth_mm")
 
-    def lag_mm(run: Rollout) -> FloatArray:
-        ways = [run.position(name)[:, 0] - run.position(name)[0, 0] for name in ("cube", "rod")]
-        return np.asarray(1e3 * (ways[0] - ways[1]))
+    def lag_mm(rollout: Rollout) -> FloatArray:
+        return np.asarray(1e3 * (rollout.displacement("cube") - rollout.displacement("rod"))[:, 0])
 
     return Phenomenon(
         id="cloth-carry",
-        title="tablecloth: how far the metal cube stays behind the rod that pulls",
+        title="tablecloth: lag of the metal cube behind the pulling rod",
         quantity="lag",
-        stage=Scenario(name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S),
+        scenario=Scenario(name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S),
         unit="mm",
         reality=Reality(value=real["value"], scatter=real["sigma"], source=f"one recorded trial ({RECORDINGS})"),
-        read=lambda run: PhenomenonValue(value=float(lag_mm(run)[-1])),
+        read=lambda rollout: PhenomenonValue(value=float(lag_mm(rollout)[-1])),
         trace=Trace(label="lag behind the rod [mm]", values=lag_mm),
     )
 
@@ -74,31 +74,34 @@ def _carry() -> Phenomenon:
 
 
 def _held(scene: Scene) -> Scene:
-    """The rod stays where it is."""
+    """Return the scene with a rod that does not move."""
     return replace(scene, drivers=())
 
 
 def _sag() -> Phenomenon:
-    stage = Scenario(name="hang", variant=HUNG, seconds=HANG_S, change=_held)
-    (cloth,) = stage.scene.deformables
+    scenario = Scenario(name="hang", variant=HUNG, seconds=HANG_S, change=_held)
+    (cloth,) = scenario.scene.deformables
     assert isinstance(cloth, Cloth)
-    load = cloth.areal_density_kg_per_m2 * stage.scene.gravity_m_per_s2
-    assert stage.scene.markers is not None
-    # The warp, x of the cloth, is upright; the rod holds its upper edge.
+    load = cloth.areal_density_kg_per_m2 * scenario.scene.gravity_m_per_s2
+    assert scenario.scene.markers is not None
+    # The warp, x of the cloth, is vertical; the rod holds the upper edge.
     upper = cloth.pose.position_m[2] + 0.5 * cloth.size_m[0]
-    depth = upper - min(z for _, _, z in stage.scene.markers.positions_m)
+    depth = upper - min(z for _, _, z in scenario.scene.markers.positions_m)
     law_mm = 1e3 * load * (cloth.size_m[0] * depth - 0.5 * depth**2) / cloth.stretch_stiffness_n_per_m
 
-    def sag_mm(run: Rollout) -> FloatArray:
-        height = _low_m(run)[:, 2]
+    def sag_mm(rollout: Rollout) -> FloatArray:
+        height = _low_m(rollout)[:, 2]
         return np.asarray(1e3 * (height[0] - height))
+
+    def read(rollout: Rollout) -> PhenomenonValue:
+        return PhenomenonValue(value=float(hann_mean(sag_mm(rollout)[rollout.between(SETTLED_S, HANG_S)])))
 
     scatter, origin = placing_scatter_mm()
     return Phenomenon(
         id="cloth-sag",
         title="cloth, satin: sag of its lowest markers under its own weight",
         quantity="sag",
-        stage=stage,
+        scenario=scenario,
         unit="mm",
         reality=Reality(
             value=law_mm,
@@ -106,7 +109,7 @@ def _sag() -> Phenomenon:
             source="rho g (L s - s^2 / 2) / K_s with the measured K_s = "
             f"{cloth.stretch_stiffness_n_per_m:.1f} N/m; scatter: {origin}",
         ),
-        read=lambda run: PhenomenonValue(value=float(hann_mean(sag_mm(run)[run.between(SETTLED_S, HANG_S)]))),
+        read=read,
         trace=Trace(label="sag of the lowest markers [mm]", values=sag_mm, is_level=True),
     )
 
@@ -116,24 +119,24 @@ def _sag() -> Phenomenon:
 
 def _fling() -> Phenomenon:
     real = recorded("textile_flinging", "chord_lags_by_deg")
-    stage = Scenario(name="fling", variant=HUNG, seconds=FLING_S)
+    scenario = Scenario(name="fling", variant=HUNG, seconds=FLING_S)
 
-    def angle_deg(run: Rollout) -> FloatArray:
-        chord = _low_m(run) - run.position("rod")
+    def angle_deg(rollout: Rollout) -> FloatArray:
+        chord = _low_m(rollout) - rollout.position("rod")
         return np.asarray(np.degrees(np.arctan2(chord[:, 1], -chord[:, 2])))
 
     return Phenomenon(
         id="fling-lag",
-        title="cloth, any fabric: how far it swings back when a rod flings it",
+        title="cloth, any fabric: largest angle behind a rod that flings it",
         quantity="angle",
-        stage=stage,
+        scenario=scenario,
         unit="deg",
         reality=Reality(
             value=real["value"],
             scatter=real["sigma"],
-            source=f"one recorded trial of an unknown fabric ({RECORDINGS}); satin, and leather of 28 times "
-            "the mass, swing alike",
+            source=f"one recorded trial of an unknown fabric ({RECORDINGS}); satin swings "
+            "like leather, which has 28 times its mass",
         ),
-        read=lambda run: PhenomenonValue(value=float(angle_deg(run).max())),
+        read=lambda rollout: PhenomenonValue(value=float(angle_deg(rollout).max())),
         trace=Trace(label="angle of the cloth [deg]", values=angle_deg),
     )

@@ -1,10 +1,27 @@
-"""Bodies that the checks' scenes are made of."""
+"""Build bodies, drivers and scenes that several checks use."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-from gauge_envs.scene import Attachment, Box, Cloth, Motion, Plane, Pose, Region, RigidBody, Scene, Shape, Sphere
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Attachment,
+    Box,
+    Cloth,
+    Deformable,
+    Motion,
+    Plane,
+    Pose,
+    Region,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+)
 from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
 
 __all__ = [
@@ -12,49 +29,57 @@ __all__ = [
     "ball",
     "body",
     "box",
+    "clamped",
     "driver",
     "fixed_box",
     "ground",
     "ramp",
     "sheet",
     "strip_on_rod",
+    "vector",
 ]
 
 STRETCH_OVER_SHEAR = 2.7
-"""K_s / K_sh of every sheet: between 2 and 4 an isotropic membrane can have both (materials.py)."""
+"""K_s / K_sh of every sheet; an isotropic membrane can have any ratio between 2 and 4 (scene/fabrics.py)."""
 
 Vector = tuple[float, float, float]
 
 
+def vector(values: ArrayLike) -> Vector:
+    """Return three numbers as a vector of a scene."""
+    x, y, z = np.asarray(values, dtype=np.float64)
+    return float(x), float(y), float(z)
+
+
 def body(name: str, shape: Shape, pose: Pose, *, mass_kg: float = 0.1, motion: Motion = Motion.DYNAMIC) -> RigidBody:
-    """Rigid body; dynamic unless said otherwise."""
+    """Return a rigid body, dynamic by default."""
     return RigidBody(name=name, shape=shape, motion=motion, pose=pose, mass_kg=mass_kg)
 
 
 def ball(name: str, position_m: Vector, *, radius_m: float = 0.03, mass_kg: float = 0.1) -> RigidBody:
-    """Dynamic sphere."""
+    """Return a dynamic sphere."""
     return body(name, Sphere(radius_m=radius_m), Pose(position_m=position_m), mass_kg=mass_kg)
 
 
 def box(
     name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0), mass_kg: float = 0.2
 ) -> RigidBody:
-    """Dynamic box."""
+    """Return a dynamic box."""
     return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=mass_kg)
 
 
 def fixed_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0)) -> RigidBody:
-    """Box that never moves."""
+    """Return a fixed box."""
     return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=1.0, motion=Motion.FIXED)
 
 
 def ground(height_m: float = 0.0) -> RigidBody:
-    """Horizontal plane."""
+    """Return a horizontal plane."""
     return body("ground", Plane(), Pose(position_m=(0.0, 0.0, height_m)), mass_kg=0.0, motion=Motion.FIXED)
 
 
 def ramp(amount: float, *, start_s: float, duration_s: float, ramp_s: float) -> TrapezoidProfile:
-    """Motion by an amount [m or rad] with equally long speed-up and braking."""
+    """Return a motion by an amount [m or rad], with equal times of acceleration and braking."""
     return TrapezoidProfile(start_s=start_s, duration_s=duration_s, accelerate_s=ramp_s, brake_s=ramp_s, amount=amount)
 
 
@@ -65,7 +90,7 @@ def driver(
     *profiles: TrapezoidProfile,
     point_m: Vector = (0.0, 0.0, 0.0),
 ) -> Driver:
-    """Driver of one body by one motion."""
+    """Return a driver of one body by one motion."""
     motion = DriverMotion(kind=kind, axis=axis, profiles=profiles, point_m=point_m)
     return Driver(body=name, motions=(motion,), provenance="nominal")
 
@@ -73,14 +98,14 @@ def driver(
 def sheet(
     pose: Pose, size_m: tuple[float, float], *, areal_density: float, stretch_n_per_m: float, bend_n_m: float
 ) -> Cloth:
-    """Sheet of a fabric that every engine's membrane can represent.
+    """Return a sheet of a fabric that every engine's membrane can represent.
 
     Args:
-        pose: Its frame, warp along x.
+        pose: Frame of the sheet, warp along x.
         size_m: Edge lengths along x and y.
         areal_density: Mass per area [kg/m^2].
-        stretch_n_per_m: K_s; the shear stiffness follows from it.
-        bend_n_m: K_theta.
+        stretch_n_per_m: Stretch stiffness K_s [N/m]; the shear stiffness follows from it.
+        bend_n_m: Bending stiffness K_theta [N m/rad].
     """
     return Cloth(
         name="cloth",
@@ -95,8 +120,25 @@ def sheet(
     )
 
 
+FRAME = fixed_box("frame", (0.0, 0.0, 3.0), (0.1, 0.1, 0.1))
+"""Fixed body to which clamped regions are attached. Its place does not matter, so it is out of reach."""
+
+
+def clamped(
+    deformable: Deformable, *regions: Region, duration_s: float, gravity_m_per_s2: float = GRAVITY_M_PER_S2
+) -> Scene:
+    """Return a scene of one deformable body, of which some regions are attached to a fixed body."""
+    return Scene(
+        bodies=(FRAME,),
+        deformables=(deformable,),
+        attachments=tuple(Attachment(deformable=deformable.name, region=region, to=FRAME.name) for region in regions),
+        duration_s=duration_s,
+        gravity_m_per_s2=gravity_m_per_s2,
+    )
+
+
 def strip_on_rod() -> Scene:
-    """A strip that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad within 0.4 s."""
+    """Return a strip that hangs from a driven rod; the rod moves by 0.2 m and rotates by 0.6 rad within 0.4 s."""
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
     cloth = sheet(pose, (0.15, 0.1), areal_density=0.2, stretch_n_per_m=110.0, bend_n_m=1e-4)
     top = 1.0 + 0.5 * 0.15
@@ -107,10 +149,10 @@ def strip_on_rod() -> Scene:
         mass_kg=1.0,
         motion=Motion.KINEMATIC,
     )
-    way = DriverMotion(
+    translation = DriverMotion(
         kind="translate", axis=(1.0, 0.0, 0.0), profiles=(ramp(0.2, start_s=0.0, duration_s=0.4, ramp_s=0.15),)
     )
-    turn = DriverMotion(
+    rotation = DriverMotion(
         kind="rotate",
         axis=(0.0, 0.0, 1.0),
         profiles=(ramp(0.6, start_s=0.0, duration_s=0.4, ramp_s=0.15),),
@@ -120,6 +162,6 @@ def strip_on_rod() -> Scene:
         bodies=(rod,),
         deformables=(cloth,),
         attachments=(Attachment(deformable="cloth", region=Region(axis="x", side="high"), to="rod"),),
-        drivers=(Driver(body="rod", motions=(turn, way), provenance="nominal"),),
+        drivers=(Driver(body="rod", motions=(rotation, translation), provenance="nominal"),),
         duration_s=1.0,
     )

@@ -1,4 +1,4 @@
-"""The check itself: every phenomenon by default, in the configuration, and with settings put back."""
+"""Run a sanity check: measure phenomena with the backend's default and the configuration, and find causes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import Curve, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
-from gauge_envs.checks.sanity.phenomena.kit import FloatArray
+from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
 
@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 CURVE_SAMPLES = 200
-"""Most samples of a curve that are kept: more than a figure shows."""
+"""Largest number of samples of a curve; a figure shows fewer."""
 
 
 def check(
@@ -32,19 +32,19 @@ def check(
     include_deformables: bool = False,
     notify: Callable[[PhenomenonResult], None] | None = None,
 ) -> Report:
-    """Tell what physics a training configuration gets wrong, and which of its settings are responsible.
+    """Return what physics a training configuration gets wrong, and which of its settings are responsible.
 
     Args:
-        target: A `TrainingConfiguration`, or what `gauge_envs.checks.sanity.configuration` takes.
-        only: Ids of phenomena or patterns as `creep-*`; all when empty.
-        include_deformables: Measure phenomena of deformable bodies too.
-        notify: Called with each row as it is done.
+        target: A `TrainingConfiguration`, or a target of `gauge_envs.checks.sanity.configuration`.
+        only: Ids of phenomena or patterns such as `creep-*`; all when empty.
+        include_deformables: Whether to measure phenomena of deformable bodies.
+        notify: Function that is called with each row as soon as it is measured.
 
     Returns:
-        A row for each phenomenon, in a fixed order.
+        The report, with a row for each phenomenon in a fixed order.
 
     Raises:
-        UnknownNameError: No such backend, or a pattern matches no phenomenon.
+        UnknownNameError: There is no such backend, or a pattern matches no phenomenon.
         MissingExtraError: The backend's engine is not installed.
         ParameterError: The backend refuses the settings for every scene.
     """
@@ -83,7 +83,7 @@ def _rows(
         yield PhenomenonResult(
             phenomenon=phenomenon.id,
             title=phenomenon.title,
-            experiment=phenomenon.stage.id,
+            experiment=phenomenon.scenario.id,
             unit=phenomenon.unit,
             reality=phenomenon.reality,
             default=default.value,
@@ -115,7 +115,7 @@ def _curve(phenomenon: Phenomenon, configured: Measured, default: Measured) -> C
 
 
 def _real_curve(phenomenon: Phenomenon, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and standard deviation of reality at times; empty where only a value is known."""
+    """Return mean and standard deviation of reality at times; empty when only one value is known."""
     trace, reality = phenomenon.trace, phenomenon.reality
     if trace is not None and trace.reality is not None:
         return trace.reality(times_s)
@@ -125,10 +125,10 @@ def _real_curve(phenomenon: Phenomenon, times_s: FloatArray) -> tuple[FloatArray
 
 
 def _thinned(phenomenon: Phenomenon, measured: Measured) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Times and values of a trace, every so many samples; empty where there is no rollout."""
-    if measured.run is None or phenomenon.trace is None:
+    """Return times and values of a trace, at `CURVE_SAMPLES` samples at most; empty without a rollout or a trace."""
+    if measured.rollout is None or phenomenon.trace is None:
         return (), ()
-    kept = measured.run.between(0.0, phenomenon.trace.until_s)
-    stride = max(1, -(-int(kept.sum()) // CURVE_SAMPLES))
-    times, values = measured.run.times_s[kept][::stride], phenomenon.trace.values(measured.run)[kept][::stride]
-    return tuple(times.tolist()), tuple(values.tolist())
+    shown = measured.rollout.between(0.0, phenomenon.trace.until_s)
+    times, values = measured.rollout.times_s[shown], phenomenon.trace.values(measured.rollout)[shown]
+    stride = max(1, -(-len(times) // CURVE_SAMPLES))
+    return tuple(times[::stride].tolist()), tuple(values[::stride].tolist())

@@ -1,0 +1,164 @@
+"""Bases of the environments: engine, spec, renderer, and copies that continue bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium
+from gymnasium.core import ActType, ObsType
+from gymnasium.envs.registration import EnvSpec
+
+from gauge_envs.backends.base import Backend, Simulation
+from gauge_envs.backends.registry import backend_for
+from gauge_envs.envs.arguments import check_support, plain_spec
+from gauge_envs.envs.rendering.lazy import RENDER_MODES, Pictures
+from gauge_envs.errors import BackendError, EpisodeError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = [
+    "EngineEnvironment",
+    "SimulationEnvironment",
+]
+
+
+class EngineEnvironment:
+    """An environment of one experiment on one engine.
+
+    A subclass names it before Gymnasium's `Env` or `VectorEnv`, so that its `spec` and `metadata` apply.
+
+    Args:
+        experiment: The experiment.
+        pictures: Renderer of the environment.
+        backend: Name of an installed physics engine.
+        settings: Numerical settings of the engine that replace those of the preset.
+
+    Attributes:
+        experiment: The experiment, without jitter.
+        backend_name: Name of the engine.
+        versions: Versions of the engine's packages.
+        render_mode: None or `rgb_array`.
+
+    Raises:
+        UnknownNameError: No such backend.
+        MissingExtraError: The engine is not installed.
+        UnsupportedSceneError: The engine cannot build the scene.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES], "render_fps": int(FRAME_RATE_HZ)}
+    _spec: EnvSpec | None = None
+
+    def __init__(
+        self, experiment: Experiment, pictures: Pictures, *, backend: str, settings: Mapping[str, Any] | None
+    ) -> None:
+        check_support(experiment, backend)
+        self.experiment = experiment
+        self.backend_name = backend
+        self.render_mode = pictures.render_mode
+        self._pictures = pictures
+        self._settings = settings
+        self.versions = self._engine.versions()
+
+    @property
+    def _engine(self) -> Backend:
+        return backend_for(self.backend_name, self.experiment.model_file)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium makes this environment again; `EnvSpec.to_json` accepts its arguments."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = plain_spec(spec)
+
+    @property
+    def _label(self) -> str:
+        """Name of the environment in error messages."""
+        return self.experiment.id
+
+    def _check_started(self, call: str, *, started: bool) -> None:
+        """Raise an error if a method is called before the first reset.
+
+        Args:
+            call: Name of the method.
+            started: Whether `reset` was called.
+
+        Raises:
+            EpisodeError: It was not.
+        """
+        if not started:
+            raise EpisodeError(f"{self._label}: call reset before {call}")
+
+
+class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
+    """An environment that holds one simulation.
+
+    Copies and pickles hold the experiment and the engine's state. A copy builds the simulation anew and continues bit
+    for bit, also in another process with the same versions of the engine.
+
+    Attributes:
+        simulation: The running simulation.
+    """
+
+    REBUILT: ClassVar[tuple[str, ...]] = ("simulation",)
+    """Attributes that `_build` makes and that do not pickle."""
+
+    def _build(self, experiment: Experiment) -> None:
+        """Build the simulation.
+
+        Args:
+            experiment: The experiment with the start that applies now.
+        """
+        self._built = experiment
+        self.simulation: Simulation = self._engine.build(experiment.scene, self._settings)
+
+    def _state(self) -> dict[str, Any]:
+        """Return the state of what `_build` makes."""
+        return {"simulation": self.simulation.state()}
+
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        """Restore what `_state` returned."""
+        self.simulation.restore(state["simulation"])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the plain attributes and the state of the simulation; an engine's model does not pickle."""
+        plain = {name: value for name, value in vars(self).items() if name not in self.REBUILT}
+        return {"attributes": plain, "state": self._state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build the simulation and restore its state.
+
+        Raises:
+            BackendError: The installed versions of the engine differ from those of the pickle.
+            MissingExtraError: The engine is not installed.
+        """
+        vars(self).update(state["attributes"])
+        installed = self._engine.versions()
+        if installed != self.versions:
+            raise BackendError(
+                f"{self._label}: the pickle is from {_listed(self.versions)}, installed is {_listed(installed)}. "
+                "A state continues only in the version that made it: install that version, or run the episode again."
+            )
+        self._build(self._built)
+        self._restore(state["state"])
+
+    def _check_running(self, *, started: bool, is_over: bool) -> None:
+        """Raise an error if no step may follow.
+
+        Raises:
+            EpisodeError: The environment was not reset, or the episode is over.
+        """
+        self._check_started("step", started=started)
+        if is_over:
+            raise EpisodeError(f"{self._label}: the episode is over, call reset")
+
+    def close(self) -> None:
+        """Free the simulation and the renderer."""
+        self._pictures.close()
+        self.simulation.close()
+
+
+def _listed(versions: Mapping[str, str]) -> str:
+    return ", ".join(f"{package} {version}" for package, version in versions.items())

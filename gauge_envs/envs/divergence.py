@@ -1,0 +1,121 @@
+"""Physical bounds of a scene; a simulation that leaves them has diverged, even where its numbers are finite."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.scene import Scene
+
+__all__ = [
+    "DeformableBounds",
+    "RigidBounds",
+    "speed_fault",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+def speed_fault(names: Sequence[str], velocities: FloatArray, limit_m_per_s: float) -> str | None:
+    """Return why speeds are out of bounds, or None.
+
+    Args:
+        names: Names of the bodies.
+        velocities: Their velocities [m/s], shape [body_count, 3].
+        limit_m_per_s: Largest component of a velocity [m/s].
+    """
+    speeds = np.abs(velocities).max(axis=1)
+    # A comparison with NaN is false.
+    if (speeds <= limit_m_per_s).all():
+        return None
+    if not np.isfinite(speeds).all():
+        return "the state is not finite"
+    fastest = int(speeds.argmax())
+    return f"{names[fastest]} moves at {speeds[fastest]:.3g} m/s, above the limit of the scene, {limit_m_per_s:.3g} m/s"
+
+
+class RigidBounds:
+    """Bounds of distance, speed and kinetic energy of the dynamic bodies.
+
+    Args:
+        scene: The scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._names = tuple(body.name for body in scene.dynamic_bodies)
+        self._masses = np.array([body.mass_kg for body in scene.dynamic_bodies]).reshape(-1, 1)
+        self._energy_j = scene.kinetic_energy_limit_j
+        self._limits = np.concatenate(
+            [
+                np.full(3, scene.distance_limit_m),
+                np.full(4, 2.0),
+                np.full(3, scene.speed_limit_m_per_s),
+                np.full(3, np.inf),
+            ]
+        )
+
+    def fault(self, states: FloatArray) -> str | None:
+        """Return why the bodies are out of bounds, or None.
+
+        Args:
+            states: States of the dynamic bodies, shape [body_count, 13].
+        """
+        velocity = states[:, 7:10]
+        energy_j = 0.5 * float(np.vdot(velocity, self._masses * velocity))
+        # A comparison with NaN is false, so that each bound also catches what is not a number. Counting is five times
+        # faster than `all` on so few.
+        within = np.count_nonzero(np.abs(states) <= self._limits) == states.size
+        if within and energy_j <= self._energy_j:
+            return None
+        if not np.isfinite(states).all():
+            return "the state is not finite"
+        fault = speed_fault(self._names, velocity, self._limits[7])
+        if fault:
+            return fault
+        far = (np.abs(states[:, :3]) > self._limits[:3]).any(axis=1)
+        if far.any():
+            return f"{self._names[int(far.argmax())]} is more than {self._limits[0]:.3g} m from the origin"
+        return f"kinetic energy is {energy_j:.3g} J, above the limit of the scene, {self._energy_j:.3g} J"
+
+
+class DeformableBounds:
+    """Bounds of extent and distance of a deformable body.
+
+    Args:
+        name: Name of the body.
+        scene: The scene.
+        rest_m: Its nodes at the start [m], shape [node_count, 3].
+
+    Attributes:
+        name: Name of the body.
+    """
+
+    STRETCH = 3.0
+    """Largest extent over that at rest; the largest strains of the paper are 0.3."""
+
+    def __init__(self, name: str, scene: Scene, rest_m: FloatArray) -> None:
+        self.name = name
+        self._distance_m = scene.distance_limit_m
+        self._extent_m = _extent_m(rest_m)
+
+    def fault(self, nodes: FloatArray) -> str | None:
+        """Return why the body is out of bounds, or None.
+
+        Args:
+            nodes: Its nodes now [m], shape [node_count, 3].
+        """
+        extent_m = _extent_m(nodes)
+        if extent_m <= self.STRETCH * self._extent_m and np.abs(nodes).max() <= self._distance_m:
+            return None
+        if not np.isfinite(nodes).all():
+            return f"a node of {self.name} is not finite"
+        return (
+            f"{self.name} spans {extent_m:.3g} m ({self._extent_m:.3g} m at rest), or a node is more than "
+            f"{self._distance_m:.3g} m from the origin"
+        )
+
+
+def _extent_m(nodes: FloatArray) -> float:
+    return float(np.linalg.norm(np.ptp(nodes, axis=0)))

@@ -1,0 +1,82 @@
+"""The metrics of the benchmark (paper, Table 5): names, titles, units and ideal values, each stated here alone."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+__all__ = [
+    "EVENT_METRICS",
+    "METRICS",
+    "BaselineMetric",
+    "Metric",
+    "MetricKey",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """One metric of the benchmark.
+
+    Attributes:
+        key: Name in task files, published tables and results.
+        title: Name in reports.
+        unit: Unit of the raw score; None is the unit of the observable.
+        ideal: Best value: of the normalized score, or of the raw score of a metric without one.
+        score_field: Field of `Score` that holds the raw score.
+        is_event: Whether it is measured from the swing of a hinged body, and so needs no band.
+        is_normalized: Whether it is divided by the published mean; the mean energy loss of real trials is 0.
+    """
+
+    key: str
+    title: str
+    unit: str | None
+    ideal: float
+    score_field: str
+    is_event: bool = False
+    is_normalized: bool = True
+
+    @property
+    def normalized_field(self) -> str | None:
+        """Field of `Score` that holds the score over the published mean; None without normalization."""
+        return f"{self.key}_normalized" if self.is_normalized else None
+
+    def unit_of(self, observable_unit: str) -> str:
+        """Return the unit of the raw score of an observable with a given unit."""
+        return observable_unit if self.unit is None else self.unit
+
+
+METRICS: Mapping[str, Metric] = {
+    metric.key: metric
+    for metric in (
+        Metric(key="rmse", title="RMSE", unit=None, ideal=0.0, score_field="rmse"),
+        Metric(key="dtw", title="DTW", unit=None, ideal=0.0, score_field="dtw"),
+        Metric(key="lsd", title="LSD", unit="s", ideal=1.0, score_field="lsd_s", is_event=True),
+        Metric(key="mte", title="MTE", unit="1", ideal=1.0, score_field="mte", is_event=True),
+        Metric(key="pd", title="PD", unit="s", ideal=1.0, score_field="pd_s", is_event=True),
+        Metric(key="el", title="EL", unit="1", ideal=0.0, score_field="el", is_event=True, is_normalized=False),
+    )
+}
+"""Metrics by key, in the order of tables."""
+
+EVENT_METRICS = tuple(key for key, metric in METRICS.items() if metric.is_event)
+"""Keys of the metrics that are measured from the swing of a hinged body."""
+
+
+def _one_of(known: Collection[str]) -> AfterValidator:
+    def check(key: str) -> str:
+        if key not in known:
+            raise ValueError(f"{key!r} is none of {', '.join(known)}")
+        return key
+
+    return AfterValidator(check)
+
+
+MetricKey = Annotated[str, _one_of(METRICS)]
+"""Key of a metric, for pydantic models."""
+
+BaselineMetric = Annotated[str, _one_of([key for key, metric in METRICS.items() if metric.is_normalized])]
+"""Key of a metric that is divided by the mean over real trials, for pydantic models."""

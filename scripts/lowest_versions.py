@@ -1,0 +1,54 @@
+"""Print the lowest version of each dependency that pyproject.toml allows, as a file of constraints for pip.
+
+python scripts/lowest_versions.py                 what every user installs
+python scripts/lowest_versions.py plot data       and what these extras add
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from packaging.requirements import Requirement
+
+__all__ = ["constraints"]
+
+PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+
+
+def constraints(pyproject: Path, extras: Sequence[str] = ()) -> list[str]:
+    """Return lines `name==version` for a project's direct dependencies, sorted.
+
+    Args:
+        pyproject: The project's `pyproject.toml`.
+        extras: Extras whose dependencies belong to it.
+
+    Raises:
+        ValueError: A requirement has no lower bound.
+    """
+    project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
+    return sorted({_lowest(requirement, pyproject) for requirement in _requirements(project, extras)})
+
+
+def _requirements(project: dict[str, Any], extras: Sequence[str]) -> Iterator[Requirement]:
+    chosen = [project["dependencies"], *(project["optional-dependencies"][extra] for extra in extras)]
+    for text in (text for requirements in chosen for text in requirements):
+        requirement = Requirement(text)
+        if requirement.name == project["name"]:
+            yield from _requirements({**project, "dependencies": []}, sorted(requirement.extras))
+        else:
+            yield requirement
+
+
+def _lowest(requirement: Requirement, pyproject: Path) -> str:
+    for bound in requirement.specifier:
+        if bound.operator == ">=":
+            return f"{requirement.name}=={bound.version}"
+    raise ValueError(f"{pyproject}: requirement '{requirement}' has no lower bound; write one as name>=version")
+
+
+if __name__ == "__main__":
+    print("\n".join(constraints(PYPROJECT, sys.argv[1:])))

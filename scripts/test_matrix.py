@@ -1,0 +1,170 @@
+"""Test the built wheel on several Python versions, one of them with the lowest dependencies that the project allows.
+
+    python scripts/test_matrix.py 3.12:lowest 3.13:newest --tests tests/cli tests/evaluation
+
+Each entry makes a fresh environment, installs the wheel with the `plot` extra and without any engine but MuJoCo, and
+runs the tests from a copy that holds no sources of the package. A version without an interpreter is skipped with a
+message; PYTHON3_12=/path/to/python names an interpreter that is not on the PATH.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lowest_versions import PYPROJECT, constraints
+
+ROOT = PYPROJECT.parent
+EXTRAS = ("plot",)
+TEST_TOOLS = ("hypothesis", "pytest", "pytest-xdist")
+COPIED = ("docs", "examples", "scoring", "scripts", "tests", "README.md", "pyproject.toml")
+RESOLUTIONS = ("newest", "lowest")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A Python version, as `3.12`, and which versions of the dependencies it is tested with."""
+
+    python: str
+    resolution: str
+
+    @classmethod
+    def parse(cls, text: str) -> Entry:
+        """Read `3.12:lowest`."""
+        python, _, resolution = text.partition(":")
+        if resolution not in RESOLUTIONS:
+            raise argparse.ArgumentTypeError(f"{text!r}: write VERSION:{' or VERSION:'.join(RESOLUTIONS)}")
+        return cls(python, resolution)
+
+    def __str__(self) -> str:
+        return f"Python {self.python}, {self.resolution} dependencies"
+
+
+def interpreter(version: str) -> Path | None:
+    """Find a working interpreter of a version: the variable, the PATH, then what pyenv holds."""
+    for candidate in _candidates(version):
+        found = subprocess.run(
+            [candidate, "-c", "import sys, venv; print('%d.%d' % sys.version_info[:2])"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if found.returncode == 0 and found.stdout.strip() == version:
+            return Path(candidate)
+    return None
+
+
+def _candidates(version: str) -> Iterator[str]:
+    named = os.environ.get(f"PYTHON{version.replace('.', '_')}")
+    names = (named, f"python{version}", "python3", sys.executable)
+    yield from (path for name in names if name and (path := shutil.which(name)))
+    pyenv = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv")
+    yield from (str(path) for path in sorted(pyenv.glob(f"versions/{version}.*/bin/python")))
+
+
+def build_wheel(out: Path) -> Path:
+    """Build the wheel of this checkout into a folder."""
+    _run([sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)])
+    return next(out.glob("*.whl"))
+
+
+def make_environment(folder: Path, *, python: Path, wheel: Path, extras: Sequence[str], lowest: bool = False) -> Path:
+    """Make an environment that holds the wheel and what it requires, and nothing else.
+
+    Args:
+        folder: Where to make it.
+        python: Interpreter of the environment.
+        wheel: The built wheel.
+        extras: Extras of the project to install with it.
+        lowest: Whether direct dependencies have the lowest version that the project allows.
+
+    Returns:
+        The folder of the environment's commands.
+    """
+    _run([str(python), "-m", "venv", str(folder)])
+    chosen = f"{wheel}[{','.join(extras)}]" if extras else str(wheel)
+    lines = constraints(PYPROJECT, extras) if lowest else []
+    bounds = folder / "constraints.txt"
+    bounds.write_text("\n".join(lines), encoding="utf-8")
+    _run([str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "-c", str(bounds), chosen])
+    return folder / "bin"
+
+
+def _run(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")
+
+
+def _test(entry: Entry, python: Path, wheel: Path, tests: Sequence[str], folder: Path) -> int:
+    start = time.perf_counter()
+    commands = make_environment(
+        folder / "venv", python=python, wheel=wheel, extras=EXTRAS, lowest=entry.resolution == "lowest"
+    )
+    _run([str(commands / "python"), "-m", "pip", "install", "--quiet", *TEST_TOOLS])
+    checkout = folder / "checkout"
+    checkout.mkdir()
+    for name in COPIED:
+        source = ROOT / name
+        copy = shutil.copytree if source.is_dir() else shutil.copy
+        copy(source, checkout / name)
+    installed_s = time.perf_counter() - start
+    print(f"{entry}: installed in {installed_s:.0f} s; {_versions(commands / 'python')}", flush=True)
+    # The command `pytest`, unlike `python -m pytest`, leaves the working directory out of the path.
+    done = subprocess.run([str(commands / "pytest"), "-n", "2", *tests], cwd=checkout, check=False)
+    print(
+        f"{entry}: pytest exits with {done.returncode} after {time.perf_counter() - start - installed_s:.0f} s",
+        flush=True,
+    )
+    return done.returncode
+
+
+def _versions(python: Path) -> str:
+    script = (
+        "import sys; from pathlib import Path; from importlib.metadata import version; import gauge_envs\n"
+        "assert Path(gauge_envs.__file__).is_relative_to(sys.prefix), gauge_envs.__file__\n"
+        "print(', '.join(f'{name} {version(name)}' for name in ('gymnasium', 'mujoco', 'numpy', 'scipy', 'usd-core')))"
+    )
+    done = subprocess.run([str(python), "-I", "-c", script], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Test every entry; returns 1 when tests of one fail."""
+    parser = argparse.ArgumentParser(description="Test the built wheel on several Python versions.")
+    parser.add_argument("entries", nargs="+", type=Entry.parse, metavar="VERSION:RESOLUTION")
+    parser.add_argument("--tests", nargs="+", required=True, help="test files and folders")
+    options = parser.parse_args(arguments)
+    failed, skipped = [], []
+    with tempfile.TemporaryDirectory(prefix="gauge-test-matrix-") as temporary:
+        wheel = build_wheel(Path(temporary) / "dist")
+        for number, entry in enumerate(options.entries):
+            python = interpreter(entry.python)
+            if python is None:
+                skipped.append(entry)
+                variable = f"PYTHON{entry.python.replace('.', '_')}"
+                print(
+                    f"{entry}: SKIPPED, no interpreter python{entry.python}; install one or set {variable}", flush=True
+                )
+                continue
+            folder = Path(temporary) / str(number)
+            folder.mkdir()
+            if _test(entry, python, wheel, options.tests, folder):
+                failed.append(entry)
+    done = [entry for entry in options.entries if entry not in failed and entry not in skipped]
+    for word, those in (("passed", done), ("failed", failed), ("skipped", skipped)):
+        for entry in those:
+            print(f"{word}: {entry}")
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

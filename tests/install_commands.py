@@ -1,0 +1,79 @@
+"""The shell commands of the guides, each with the environment that its page describes."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+BLOCK = re.compile(
+    r"^(?P<fence>`{3,})(?:sh|bash|console|shell|\{code-block\} (?:sh|bash|console|shell))$(?P<body>.*?)^(?P=fence)$",
+    re.MULTILINE | re.DOTALL,
+)
+COMMENT = re.compile(r"\s+#\s.*$|^#.*$")
+DEFAULT = "default"
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of a page: the environment that it needs, or the reason why it is skipped."""
+
+    page: str
+    text: str
+    environment: str
+    skip: str | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """What `install_commands.toml` says."""
+
+    pages: tuple[str, ...]
+    environments: Mapping[str, tuple[str, ...]]
+    page_environments: Mapping[str, str]
+    page_folders: Mapping[str, str]
+    scripts: Mapping[str, str]
+    rules: tuple[Mapping[str, str], ...]
+
+    @classmethod
+    def read(cls, file: Path) -> Table:
+        content: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8"))
+        return cls(
+            pages=tuple(content["pages"]),
+            environments={name: tuple(extras) for name, extras in content["environments"].items()},
+            page_environments=content["page_environments"],
+            page_folders=content["page_folders"],
+            scripts=content["scripts"],
+            rules=tuple(content["rules"]),
+        )
+
+    def rule(self, page: str, text: str) -> Mapping[str, str] | None:
+        """Find the first rule that matches a command."""
+        fitting = (one for one in self.rules if one.get("page", page) == page and fnmatchcase(text, one["command"]))
+        return next(fitting, None)
+
+    def command(self, page: str, text: str) -> Command:
+        """Find what a command needs; the environment of a page goes before that of a rule."""
+        rule = self.rule(page, text) or {}
+        environment = self.page_environments.get(page, rule.get("environment", DEFAULT))
+        return Command(page, text, environment, rule.get("skip"))
+
+    def commands(self, root: Path) -> tuple[Command, ...]:
+        """Every command of every page in a checkout, in the order of the pages, and the scripts last."""
+        files = sorted({file for pattern in self.pages for file in root.glob(pattern)})
+        pages = [(file.relative_to(root).as_posix(), file.read_text(encoding="utf-8")) for file in files]
+        found = [self.command(page, text) for page, content in pages for text in shell_commands(content)]
+        return (*found, *(Command("scripts", text, environment) for text, environment in self.scripts.items()))
+
+
+def shell_commands(markdown: str) -> Iterator[str]:
+    """Commands of the fenced shell blocks of a page, without comments and prompts."""
+    for block in BLOCK.finditer(markdown):
+        for line in block["body"].replace("\\\n", " ").splitlines():
+            text = COMMENT.sub("", line.strip().removeprefix("$ ")).strip()
+            if text:
+                yield re.sub(r"\s+", " ", text)

@@ -1,0 +1,108 @@
+"""The request of a run: checks of its values, equality, and the environment that it makes."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields, replace
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from gauge_envs import GaugeEnv, Jitter, find_variant
+from gauge_envs.envs.arguments import EnvArguments
+from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.runs.request import RunRequest
+
+NAME = "SlopeSlider-2-wood"
+CRATE = ROOT / "examples" / "usd_experiment" / "crate.toml"
+
+
+def test_name_id_and_variant_are_the_same_request() -> None:
+    named = RunRequest(NAME)
+    assert named.variant == find_variant(NAME)
+    assert named == RunRequest(f"GAUGE/{NAME}") == RunRequest(find_variant(NAME))
+    assert hash(named) == hash(RunRequest(f"GAUGE/{NAME}"))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"backend": "newton"},
+        {"parameters": {"cube.friction": 0.3}},
+        {"settings": {"impratio": 1.0}},
+        {"marker_proxy": "material"},
+        {"use_withheld": True},
+        {"seed": 1},
+        {"repeats": 2},
+        {"jitter": Jitter()},
+    ],
+)
+def test_requests_of_other_runs_differ(changes: dict) -> None:
+    assert replace(RunRequest(NAME), **changes) != RunRequest(NAME)
+    assert replace(RunRequest(NAME), **changes) == RunRequest(NAME, **changes)
+
+
+def test_a_request_is_frozen() -> None:
+    with pytest.raises(FrozenInstanceError):
+        RunRequest(NAME).seed = 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": -1}, "seed is -1, expected 0 or more"),
+        ({"repeats": 0}, "repeats is 0, expected 1 or more"),
+        ({"marker_proxy": "nearest"}, "'node' or 'material'"),
+    ],
+)
+def test_values_out_of_range(options: dict, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        RunRequest(NAME, **options)
+
+
+def test_an_unknown_variant_is_refused_at_once() -> None:
+    with pytest.raises(UnknownNameError, match=NAME):
+        RunRequest("SlopeSlider-2-wod")
+
+
+def test_only_the_variant_is_positional() -> None:
+    with pytest.raises(TypeError, match="positional"):
+        RunRequest(NAME, "newton")
+
+
+def test_the_calibrated_experiment_exists_where_the_parameters_are_wrong() -> None:
+    request = RunRequest(NAME, parameters={"cubes.friction": 0.3})
+    with pytest.raises(ParameterError, match="cubes"):
+        request.experiment()
+    assert request.calibrated_experiment() == RunRequest(NAME).experiment()
+
+
+def test_the_environment_has_all_arguments_of_the_request() -> None:
+    request = RunRequest(
+        "FoamStretching-soft",
+        parameters={"foam.young_modulus_pa": 50000.0},
+        settings={"timestep_s": 1 / 3600},
+        marker_proxy=MarkerProxy.MATERIAL,
+        use_withheld=True,
+        seed=3,
+    )
+    env = request.make_env()
+    inner = env.unwrapped
+    assert isinstance(inner, GaugeEnv)
+    for field in fields(EnvArguments):
+        wanted = request.variant.name if field.name == "variant" else getattr(request, field.name)
+        assert getattr(inner.arguments, field.name) == wanted
+    assert inner.experiment == request.experiment()
+    assert env.spec is not None and env.spec.kwargs["settings"] == {"timestep_s": 1 / 3600}
+    env.close()
+
+
+def test_an_experiment_file_runs_as_the_asset_id() -> None:
+    request = RunRequest(str(CRATE))
+    assert request.variant == str(CRATE)
+    env = request.make_env()
+    assert env.spec is not None
+    assert (env.spec.id, Path(env.spec.kwargs["asset"])) == ("GAUGE/Asset", CRATE)
+    assert env.unwrapped.experiment.id == request.experiment().id == "GAUGE/Asset-crate"
+    env.close()

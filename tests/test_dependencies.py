@@ -1,0 +1,142 @@
+"""What the package imports, its metadata declares; what the metadata declares has a tested lower bound."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from lowest_versions import constraints
+from packaging.requirements import Requirement
+from places import ROOT
+
+PACKAGE = ROOT / "gauge_envs"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+DISTRIBUTION = {"pxr": "usd-core", "warp": "warp-lang"}
+"""Distributions whose module has another name."""
+
+INDIRECT = {
+    "imageio": "Gymnasium's MuJoCo environments import it",
+    "mujoco-warp": "Newton's MuJoCo solver imports it",
+    "newton-usd-schemas": "Newton's USD importer imports it",
+    "packaging": "Gymnasium's MuJoCo environments import it",
+    "moviepy": "Gymnasium's RecordVideo imports it",
+    "platformdirs": "names the user's data folder",
+}
+"""Declared, and not imported by this package's own modules: the reason for each."""
+
+NOT_OF_USERS = {"bench", "dev", "docs", "rl"}
+"""Extras of benchmarks, development, guides and examples; the package imports nothing of theirs."""
+
+
+def canonical(name: str) -> str:
+    return name.lower().replace("_", "-")
+
+
+def declared(requirements: list[str]) -> set[str]:
+    names = {canonical(Requirement(requirement).name) for requirement in requirements}
+    return names - {canonical(PROJECT["name"])}
+
+
+BASE = declared(PROJECT["dependencies"])
+EXTRAS = {
+    extra: declared(requirements)
+    for extra, requirements in PROJECT["optional-dependencies"].items()
+    if extra not in NOT_OF_USERS
+}
+
+
+def imported(text: str) -> tuple[set[str], set[str]]:
+    """Distributions that a file imports: all of them, and those that it imports as soon as it is imported itself."""
+    tree = ast.parse(text)
+    later = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) or _for_types(node)
+        for inner in ast.walk(node)
+    }
+    everything, at_once = set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            tops = {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            tops = {str(node.module).partition(".")[0]}
+        else:
+            continue
+        names = {canonical(DISTRIBUTION.get(top, top)) for top in tops - sys.stdlib_module_names - {"gauge_envs"}}
+        everything |= names
+        at_once |= set() if id(node) in later else names
+    return everything, at_once
+
+
+def _for_types(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+
+
+FILES = {
+    file.relative_to(PACKAGE).as_posix(): imported(file.read_text(encoding="utf-8")) for file in PACKAGE.rglob("*.py")
+}
+
+
+def test_every_import_is_of_a_declared_dependency() -> None:
+    allowed = BASE.union(*EXTRAS.values())
+    assert {file: names - allowed for file, (names, _) in FILES.items() if names - allowed} == {}
+
+
+def test_every_declared_dependency_is_imported_or_has_a_reason() -> None:
+    used = set().union(*(names for names, _ in FILES.values()))
+    assert BASE.union(*EXTRAS.values()) - used - set(INDIRECT) == set()
+
+
+def test_extras_are_imported_at_first_use() -> None:
+    extras = set().union(*EXTRAS.values()) - BASE
+    at_once = {file: names & extras for file, (_, names) in FILES.items() if names & extras}
+    own = ("backends/newton/", "envs/dm_env.py", "report/figures/")
+    assert {file: names for file, names in at_once.items() if not file.startswith(own)} == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "everything", "at_once"),
+    [
+        ("import left_pad", {"left-pad"}, {"left-pad"}),
+        ("from left_pad.inner import pad", {"left-pad"}, {"left-pad"}),
+        ("def later():\n    import pxr", {"usd-core"}, set()),
+        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pxr", {"usd-core"}, set()),
+        ("import math\nimport gauge_envs.scene", set(), set()),
+    ],
+    ids=["module", "name", "function", "types", "own"],
+)
+def test_the_scan_finds_imports_wherever_they_are(text: str, everything: set[str], at_once: set[str]) -> None:
+    assert imported(text) == (everything, at_once)
+
+
+def test_every_requirement_has_a_lower_bound() -> None:
+    extras = [one for requirements in PROJECT["optional-dependencies"].values() for one in requirements]
+    requirements = [Requirement(one) for one in (*PROJECT["dependencies"], *extras)]
+    without = [
+        str(one)
+        for one in requirements
+        if one.name != PROJECT["name"] and not any(bound.operator == ">=" for bound in one.specifier)
+    ]
+    assert without == []
+
+
+def test_constraints_are_the_lower_bounds(tmp_path: Path) -> None:
+    file = tmp_path / "pyproject.toml"
+    file.write_text(
+        '[project]\nname = "mine"\ndependencies = ["numpy>=1.26", "mujoco>=4.0,<5"]\n'
+        '[project.optional-dependencies]\nplot = ["matplotlib>=3.8", "mine[dm]"]\ndm = ["dm-env>=1.6"]\n',
+        encoding="utf-8",
+    )
+    assert constraints(file) == ["mujoco==4.0", "numpy==1.26"]
+    assert constraints(file, ["plot"]) == ["dm-env==1.6", "matplotlib==3.8", "mujoco==4.0", "numpy==1.26"]
+
+
+def test_a_requirement_without_a_lower_bound_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "pyproject.toml"
+    file.write_text('[project]\nname = "mine"\ndependencies = ["numpy<3"]\n', encoding="utf-8")
+    with pytest.raises(ValueError, match=r"'numpy<3' has no lower bound"):
+        constraints(file)

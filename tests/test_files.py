@@ -1,0 +1,72 @@
+"""Files are written whole or not at all, and pydantic's faults become one place and one reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from gauge_envs.errors import first_fault
+from gauge_envs.files import write_whole
+
+
+def test_a_failed_write_leaves_the_old_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a.json"
+    write_whole(file, b"old")
+
+    def crash(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gauge_envs.files.os.fsync", crash)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(file, b"new")
+    assert file.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [file]
+    monkeypatch.undo()
+    write_whole(file, b"new")
+    assert file.read_bytes() == b"new"
+
+
+class Circle(BaseModel):
+    kind: Literal["circle"]
+    radius: float = Field(gt=0)
+
+
+class Line(BaseModel):
+    kind: Literal["line"]
+
+
+class Drawing(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    name: str = Field(max_length=3)
+    first: Circle | Line | None = Field(default=None, discriminator="kind")
+
+
+@pytest.mark.parametrize(
+    ("values", "place", "reason"),
+    [
+        ({}, "name", "missing key"),
+        ({"name": "a", "colour": 1}, "colour", "unknown key"),
+        ({"name": "a", "first": {}}, "first.kind", "missing key"),
+        (
+            {"name": "a", "first": {"kind": "circle", "radius": -1}},
+            "first.circle.radius",
+            "Input should be greater than 0 (given: -1)",
+        ),
+        ({"name": "x" * 99}, "name", "String should have at most 3 characters"),
+        (3, "", "Input should be a valid dictionary or instance of Drawing (given: 3)"),
+    ],
+)
+def test_the_first_fault_has_a_place_and_a_reason(values: object, place: str, reason: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        Drawing.model_validate(values)
+    assert first_fault(caught.value) == (place, reason)
+
+
+def test_the_noun_of_a_field_can_be_chosen() -> None:
+    with pytest.raises(ValidationError) as caught:
+        Drawing.model_validate({"name": "a", "colour": 1})
+    assert first_fault(caught.value, noun="setting") == ("colour", "unknown setting")

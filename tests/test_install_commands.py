@@ -1,0 +1,143 @@
+"""Every command of the README and the guides works in an environment that holds only what its page says to install.
+
+What runs where, and what is skipped for which reason, is in `install_commands.toml`. The environments are made from
+the built wheel; `-k default` chooses those without extras.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from install_commands import DEFAULT, Command, Table, shell_commands
+from places import ROOT
+from test_matrix import build_wheel, make_environment
+
+TABLE = Table.read(Path(__file__).with_name("install_commands.toml"))
+COMMANDS = TABLE.commands(ROOT)
+TIMEOUT_S = 300.0
+
+
+def page_runs() -> dict[tuple[str, str], list[Command]]:
+    """Commands to run for each environment and page; a page's default ones come along, as later ones need them."""
+    needed: dict[str, set[str]] = defaultdict(set)
+    for command in COMMANDS:
+        if command.skip is None:
+            needed[command.page].add(command.environment)
+    return {
+        (environment, page): [
+            one
+            for one in COMMANDS
+            if one.page == page and one.skip is None and one.environment in {environment, DEFAULT}
+        ]
+        for page, environments in needed.items()
+        for environment in sorted(environments)
+    }
+
+
+RUNS = page_runs()
+
+
+@pytest.fixture(scope="module")
+def commands_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The folder of an environment's commands, made on first use."""
+    wheel = build_wheel(tmp_path_factory.mktemp("wheel"))
+    made: dict[str, Path] = {}
+
+    def make(environment: str) -> Path:
+        if environment not in made:
+            folder = tmp_path_factory.mktemp(environment) / "venv"
+            extras = TABLE.environments[environment]
+            made[environment] = make_environment(folder, python=Path(sys.executable), wheel=wheel, extras=extras)
+        return made[environment]
+
+    return make
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("environment", "page"), list(RUNS), ids=map("-".join, RUNS))
+def test_commands_of_a_page(
+    commands_of: Callable[[str], Path], environment: str, page: str, tmp_path: Path, gauge_data_dir: Path
+) -> None:
+    checkout = tmp_path / "checkout"
+    checkout.mkdir()
+    shutil.copytree(ROOT / "examples", checkout / "examples")
+    folder = commands_of(environment)
+    variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")} | {
+        "PATH": os.pathsep.join([str(folder), os.environ["PATH"]]),
+        "VIRTUAL_ENV": str(folder.parent),
+        "GAUGE_DATA_DIR": str(gauge_data_dir),
+        "COLUMNS": "160",
+    }
+    for command in RUNS[environment, page]:
+        done = subprocess.run(
+            ["bash", "-c", command.text],
+            cwd=checkout / TABLE.page_folders.get(page, "."),
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+        assert done.returncode == 0, f"{page}: {command.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+
+
+def test_the_first_command_of_a_reader_is_run() -> None:
+    texts = [command.text for command in RUNS["default", "README.md"]]
+    assert "gauge sanity HalfCheetah-v5" in texts
+    assert [command.text for command in RUNS["plot", "scripts"]] == ["python examples/quickstart.py"]
+
+
+def test_a_page_names_the_extras_that_its_commands_need() -> None:
+    missing = [
+        f"{page}: {extra}"
+        for environment, page in RUNS
+        if page != "scripts"
+        for extra in TABLE.environments[environment]
+        if not re.search(rf"`{extra}`|\[[\w,]*\b{extra}\b[\w,]*\]", (ROOT / page).read_text(encoding="utf-8"))
+    ]
+    assert missing == []
+
+
+def test_every_rule_is_of_use() -> None:
+    used = {id(TABLE.rule(command.page, command.text)) for command in COMMANDS}
+    assert [rule["command"] for rule in TABLE.rules if id(rule) not in used] == []
+
+
+def test_every_environment_of_the_table_is_defined() -> None:
+    named = {rule["environment"] for rule in TABLE.rules if "environment" in rule}
+    named |= set(TABLE.page_environments.values()) | set(TABLE.scripts.values())
+    assert named <= set(TABLE.environments)
+    assert all(("skip" in rule) != ("environment" in rule) for rule in TABLE.rules)
+
+
+def test_blocks_give_commands_without_comments_and_prompts() -> None:
+    page = (
+        "text\n```sh\ngauge list   # all ids\n# a comment\n\n$ gauge run 'a#b' \\\n  --out results\n```\n"
+        "```python\nimport gauge_envs\n```\n```{code-block} bash\nmake test\n```\n"
+    )
+    assert list(shell_commands(page)) == ["gauge list", "gauge run 'a#b' --out results", "make test"]
+
+
+def test_the_first_rule_decides(tmp_path: Path) -> None:
+    file = tmp_path / "table.toml"
+    file.write_text(
+        'pages = ["*.md"]\n[page_environments]\n[page_folders]\n[scripts]\n'
+        '[environments]\ndefault = []\nplot = ["plot"]\n'
+        '[[rules]]\ncommand = "gauge plot --live*"\nskip = "needs a screen"\n'
+        '[[rules]]\ncommand = "gauge plot*"\nenvironment = "plot"\n',
+        encoding="utf-8",
+    )
+    (tmp_path / "a.md").write_text("```sh\ngauge list\ngauge plot r\ngauge plot --live r\n```\n", encoding="utf-8")
+    assert Table.read(file).commands(tmp_path) == (
+        Command("a.md", "gauge list", "default"),
+        Command("a.md", "gauge plot r", "plot"),
+        Command("a.md", "gauge plot --live r", "default", "needs a screen"),
+    )

@@ -1,0 +1,167 @@
+"""The package is a stack of layers: every import statement points down, and no two files import each other."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+PACKAGE = "gauge_envs"
+
+LAYERS = (
+    ("errors", "files"),
+    ("scene",),
+    ("backends", "references"),
+    ("observables",),
+    ("experiments",),
+    ("evaluation",),
+    ("envs",),
+    ("runs",),
+    ("analysis", "checks", "dataset"),
+    ("report",),
+    ("cli",),
+    ("",),
+)
+"""First-level modules, lowest first; those of one layer do not import each other. The last is the package itself."""
+
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+ENTRY_LIMIT = 16
+
+Edges = Mapping[str, set[str]]
+
+
+def modules(root: Path) -> dict[str, Path]:
+    """Every module of the package in a folder, by its dotted name."""
+    files = sorted((root / PACKAGE).rglob("*.py"))
+    return {".".join(file.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): file for file in files}
+
+
+def import_edges(root: Path) -> dict[str, set[str]]:
+    """Modules of the package that each module imports: at the top, in functions, and for type checkers alone."""
+    found = modules(root)
+    return {name: set(_imported(name, file, found)) - {name} for name, file in found.items()}
+
+
+def _imported(name: str, file: Path, found: Mapping[str, Path]) -> Iterator[str]:
+    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+    for level, module, names in _statements(file.read_text(encoding="utf-8")):
+        parents = package.split(".")[: len(package.split(".")) - level + 1] if level else []
+        base = ".".join([*parents, *([module] if module else [])])
+        targets = [f"{base}.{one}" if f"{base}.{one}" in found else base for one in names] or [base]
+        yield from (target for target in targets if target in found)
+
+
+@cache
+def _statements(text: str) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
+    """Every import in a file: dots before the module, the module, and the names that are taken from it."""
+    statements: list[tuple[int, str, tuple[str, ...]]] = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            statements += [(0, alias.name, ()) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            statements.append((node.level, node.module or "", tuple(alias.name for alias in node.names)))
+    return tuple(statements)
+
+
+def first_level(name: str) -> str:
+    return name.split(".")[1] if "." in name else ""
+
+
+def cycles(edges: Edges) -> list[list[str]]:
+    """Sets of modules that can reach each other through imports."""
+    reach: dict[str, set[str]] = {}
+    for start in edges:
+        seen: set[str] = set()
+        waiting = [start]
+        while waiting:
+            new = edges[waiting.pop()] - seen
+            seen |= new
+            waiting.extend(new)
+        reach[start] = seen
+    groups = {frozenset({other for other in reach[name] if name in reach[other]}) for name in edges}
+    return sorted(sorted(group) for group in groups if group)
+
+
+def not_downward(edges: Edges) -> list[str]:
+    """Imports between first-level modules that do not point to a lower layer."""
+    between = {(a, b) for a, targets in edges.items() for b in targets if first_level(a) != first_level(b)}
+    return sorted(f"{a} imports {b}" for a, b in between if RANK[first_level(b)] >= RANK[first_level(a)])
+
+
+def entries(root: Path) -> set[str]:
+    """Modules and packages on the first level."""
+    files = (root / PACKAGE).iterdir()
+    return {file.stem for file in files if file.suffix == ".py" or (file / "__init__.py").is_file()}
+
+
+def test_no_two_files_import_each_other() -> None:
+    assert cycles(import_edges(ROOT)) == []
+
+
+def test_every_import_points_to_a_lower_layer() -> None:
+    assert not_downward(import_edges(ROOT)) == []
+
+
+def test_the_first_level_is_small_and_has_a_place_in_the_stack() -> None:
+    assert entries(ROOT) - {"__init__"} == set(RANK) - {""}
+    assert len(entries(ROOT)) <= ENTRY_LIMIT
+
+
+# --- planted faults: the checks above find them ---
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    shutil.copytree(ROOT / PACKAGE, tmp_path / PACKAGE, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def plant(root: Path, file: str, text: str) -> dict[str, set[str]]:
+    path = root / PACKAGE / file
+    path.write_text(f"{path.read_text(encoding='utf-8')}\n{text}\n", encoding="utf-8")
+    return import_edges(root)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import gauge_envs.cli.app",
+        "from gauge_envs.cli import app",
+        "from ..cli import app",
+        "def later():\n    from gauge_envs.cli.app import main",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from gauge_envs.cli import app",
+    ],
+    ids=["module", "name", "relative", "function", "types"],
+)
+def test_an_upward_import_is_found(copy: Path, statement: str) -> None:
+    edges = plant(copy, "scene/timing.py", statement)
+    assert not_downward(edges) == ["gauge_envs.scene.timing imports gauge_envs.cli.app"]
+    assert any({"gauge_envs.scene.timing", "gauge_envs.cli.app"} <= set(group) for group in cycles(edges))
+
+
+def test_an_import_of_the_package_itself_is_found(copy: Path) -> None:
+    edges = plant(copy, "envs/env.py", "from gauge_envs import variants")
+    assert not_downward(edges) == ["gauge_envs.envs.env imports gauge_envs"]
+
+
+def test_an_import_within_a_layer_is_found(copy: Path) -> None:
+    edges = plant(copy, "analysis/comparison.py", "from gauge_envs.dataset import layout")
+    assert not_downward(edges) == ["gauge_envs.analysis.comparison imports gauge_envs.dataset.layout"]
+
+
+def test_a_cycle_within_a_package_is_found(copy: Path) -> None:
+    (copy / PACKAGE / "scene" / "first.py").write_text("from gauge_envs.scene import second\n", encoding="utf-8")
+    (copy / PACKAGE / "scene" / "second.py").write_text(
+        "def later():\n    import gauge_envs.scene.first\n", encoding="utf-8"
+    )
+    assert ["gauge_envs.scene.first", "gauge_envs.scene.second"] in cycles(import_edges(copy))
+
+
+def test_an_entry_without_a_layer_is_found(copy: Path) -> None:
+    (copy / PACKAGE / "utils.py").touch()
+    assert entries(copy) - {"__init__"} != set(RANK) - {""}
