@@ -464,7 +464,7 @@ def test_what_cannot_be_built_is_named() -> None:
         ),
         (
             replace(scene, deformables=(rope(), *load_experiment("FoamStretching-soft").scene.deformables)),
-            "among rigid bodies alone",
+            "with rigid bodies only",
         ),
     ]
     for each, message in cases:
