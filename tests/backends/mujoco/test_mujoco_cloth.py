@@ -239,7 +239,7 @@ def test_the_compiled_table_of_an_isotropic_fabric_is_mujocos_own() -> None:
     np.testing.assert_allclose(model.flex_stiffness, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
 
 
-def test_a_face_or_a_dynamic_body_cannot_be_glued() -> None:
+def test_a_face_or_a_dynamic_body_cannot_be_attached() -> None:
     for attachment in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
         with pytest.raises(UnsupportedSceneError, match="'frame'"):
             Rig(fabric("satin", (0.1, 0.1)), [attachment])

@@ -371,7 +371,7 @@ def test_two_worlds_are_alike_and_do_not_touch() -> None:
     assert np.array_equal(both.nodes(world=0), both.nodes(world=1))
 
 
-def test_a_face_or_a_dynamic_body_cannot_be_glued() -> None:
+def test_a_face_or_a_dynamic_body_cannot_be_attached() -> None:
     for attachment in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
         with pytest.raises(UnsupportedSceneError, match="'frame'"):
             add_cloth(newton.ModelBuilder(), fabric("satin", (0.1, 0.1)), attachments=[attachment], cell_m=CELL_M)

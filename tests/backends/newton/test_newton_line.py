@@ -460,11 +460,11 @@ def test_what_cannot_be_built_is_named() -> None:
                 deformables=(rope(), rod()),
                 attachments=(Attachment(deformable="rod", region=Region(axis="z", side="high"), to="rope"),),
             ),
-            "no rigid body",
+            "not a rigid body",
         ),
         (
             replace(scene, deformables=(rope(), *load_experiment("FoamStretching-soft").scene.deformables)),
-            "among rigid bodies alone",
+            "with rigid bodies only",
         ),
     ]
     for each, message in cases:

@@ -156,7 +156,7 @@ def test_a_flung_cloth_keeps_to_its_rod_and_goes_as_in_mujoco() -> None:
 
 @pytest.mark.parametrize("proxy", ["node", "material"])
 @pytest.mark.parametrize("name", ["FoamStretching-soft", "TextileStretching-satin"])
-def test_markers_start_where_they_are_glued(name: str, proxy: str) -> None:
+def test_markers_start_where_they_are_attached(name: str, proxy: str) -> None:
     env = run(name, 1, proxy=proxy)
     published = 1e3 * np.array(env.experiment.scene.markers.positions_m)
     start, after = markers_mm(env)

@@ -381,7 +381,7 @@ def test_a_quarter_turn_about_each_axis_in_turn_is_an_error(tmp_path: Path) -> N
         return Rotation.from_rotvec(0.5 * np.pi * np.sin(np.pi * phase / 32) ** 2 * np.eye(3)[third])
 
     with pytest.raises(
-        AssetError, match=r"/World/plate: the time samples of its transform: .* no three successive rotations"
+        AssetError, match=r"/World/plate: the time samples of its transform: no three successive rotations"
     ):
         edited(TABLE, tmp_path, turning(tumble))
 
