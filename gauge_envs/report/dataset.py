@@ -115,5 +115,6 @@ STATUS_COLUMNS = (
 )
 
 STATUS_NOTE = (
-    "Baselines: mean (standard deviation) of the real trials, own from imported trials, published from Table 5."
+    "Baselines: mean (standard deviation) of the real trials. Own: from the trials of the reference band. Published: "
+    "from the paper, Table 5."
 )
