@@ -12,12 +12,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "data_folder",
-    "json_ready",
-    "versions",
-    "write_whole",
-]
+__all__ = ["data_folder", "json_ready", "versions", "write_whole"]
 
 
 def data_folder(name: str) -> Path:

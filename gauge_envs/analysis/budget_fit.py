@@ -16,12 +16,7 @@ from gauge_envs.analysis.motion_kinds import RecognizedMotion
 from gauge_envs.evaluation.metrics import release_offset
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "MAX_SHIFT_S",
-    "BudgetStage",
-    "NestedFits",
-    "StageFit",
-]
+__all__ = ["MAX_SHIFT_S", "BudgetStage", "NestedFits", "StageFit"]
 
 FloatArray = NDArray[np.float64]
 

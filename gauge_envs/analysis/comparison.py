@@ -16,13 +16,7 @@ from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = [
-    "Cell",
-    "Comparison",
-    "ExperimentComparison",
-    "Summary",
-    "compare",
-]
+__all__ = ["Cell", "Comparison", "ExperimentComparison", "Summary", "compare"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,10 +15,7 @@ from typing import Any
 from gauge_envs.files import versions
 from gauge_envs.runs.result import Result
 
-__all__ = [
-    "RunConfiguration",
-    "group_by_configuration",
-]
+__all__ = ["RunConfiguration", "group_by_configuration"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,14 +8,7 @@ from dataclasses import dataclass
 from gauge_envs.analysis.budget_fit import BudgetStage
 from gauge_envs.analysis.motion_kinds import Change, MotionKind
 
-__all__ = [
-    "MARKERS",
-    "SEVERAL_BODIES",
-    "Diagnosis",
-    "PublishedScore",
-    "Remainder",
-    "StagePart",
-]
+__all__ = ["MARKERS", "SEVERAL_BODIES", "Diagnosis", "PublishedScore", "Remainder", "StagePart"]
 
 MARKERS, SEVERAL_BODIES = "the markers", "the bodies"
 """Subjects of a diagnosis that are not a single body."""

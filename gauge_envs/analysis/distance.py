@@ -15,12 +15,7 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "MOTION_SHARE",
-    "Distance",
-    "distances_over_time",
-    "trajectory_distance",
-]
+__all__ = ["MOTION_SHARE", "Distance", "distances_over_time", "trajectory_distance"]
 
 MOTION_SHARE = 0.05
 """Threshold of a distance, as a share of the motion, for experiments without a published scatter of real trials."""

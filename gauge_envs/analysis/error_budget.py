@@ -44,13 +44,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "DEFAULT_ORDER",
-    "DiagnosisError",
-    "diagnose",
-    "diagnose_trajectory",
-    "stage_order",
-]
+__all__ = ["DEFAULT_ORDER", "DiagnosisError", "diagnose", "diagnose_trajectory", "stage_order"]
 
 
 FloatArray = NDArray[np.float64]

@@ -10,12 +10,7 @@ import numpy as np
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.references.metrics import METRICS
 
-__all__ = [
-    "COMPARED_METRICS",
-    "ComparedMetric",
-    "ScoreSpread",
-    "check_metrics",
-]
+__all__ = ["COMPARED_METRICS", "ComparedMetric", "ScoreSpread", "check_metrics"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,15 +28,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = [
-    "Backend",
-    "FileBackend",
-    "ModelFile",
-    "Simulation",
-    "Support",
-    "World",
-    "Worlds",
-]
+__all__ = ["Backend", "FileBackend", "ModelFile", "Simulation", "Support", "World", "Worlds"]
 
 
 @dataclass(frozen=True)

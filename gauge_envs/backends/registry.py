@@ -9,12 +9,7 @@ from pathlib import Path
 from gauge_envs.backends.base import Backend, FileBackend
 from gauge_envs.errors import BackendError, GaugeError, UnknownNameError
 
-__all__ = [
-    "backend",
-    "backend_for",
-    "backend_names",
-    "backend_of_suffix",
-]
+__all__ = ["backend", "backend_for", "backend_names", "backend_of_suffix"]
 
 ENTRY_POINT_GROUP = "gauge_envs.backends"
 

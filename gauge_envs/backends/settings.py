@@ -10,11 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-__all__ = [
-    "SteppedSettings",
-    "check_drive_interval",
-    "resolve_settings",
-]
+__all__ = ["SteppedSettings", "check_drive_interval", "resolve_settings"]
 
 
 class SteppedSettings(BaseModel):

@@ -19,14 +19,7 @@ from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = [
-    "DeclinedError",
-    "DivergedError",
-    "DriverPaths",
-    "Rollout",
-    "record",
-    "states_now",
-]
+__all__ = ["DeclinedError", "DivergedError", "DriverPaths", "Rollout", "record", "states_now"]
 
 
 class DeclinedError(GaugeError):

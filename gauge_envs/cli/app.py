@@ -15,10 +15,7 @@ from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
 from gauge_envs.errors import GaugeError
 
-__all__ = [
-    "app",
-    "main",
-]
+__all__ = ["app", "main"]
 
 
 class _Group(typer.core.TyperGroup):

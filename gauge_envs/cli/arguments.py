@@ -71,7 +71,6 @@ WithheldOption = Annotated[
     ),
 ]
 
-
 GLOB_CHARACTERS = "*?["
 
 

@@ -25,13 +25,7 @@ if TYPE_CHECKING:
     from gauge_envs.checks.sanity import PhenomenonResult
 
 
-__all__ = [
-    "FailOn",
-    "backend_app",
-    "backend_check",
-    "backend_list",
-    "sanity",
-]
+__all__ = ["FailOn", "backend_app", "backend_check", "backend_list", "sanity"]
 
 
 class FailOn(StrEnum):

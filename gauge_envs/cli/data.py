@@ -20,15 +20,7 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 
-__all__ = [
-    "assets_app",
-    "assets_build",
-    "assets_list",
-    "data_app",
-    "data_download",
-    "data_import",
-    "data_status",
-]
+__all__ = ["assets_app", "assets_build", "assets_list", "data_app", "data_download", "data_import", "data_status"]
 
 
 data_app = typer.Typer(help="The dataset of real trials: bands and drivers from motion capture.", no_args_is_help=True)

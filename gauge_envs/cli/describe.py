@@ -10,11 +10,7 @@ from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, Reference
 from gauge_envs.cli.output import counted, print_json_lines, print_table, stdout_console
 from gauge_envs.references.imported import DataSource
 
-__all__ = [
-    "list_",
-    "materials",
-    "show",
-]
+__all__ = ["list_", "materials", "show"]
 
 
 def list_(

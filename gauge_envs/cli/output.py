@@ -29,18 +29,14 @@ __all__ = [
     "stdout_console",
 ]
 
-
 PIPE_WIDTH = 140
 """Width of tables where there is no terminal [characters]; rich would take 80."""
-
 
 EXIT_FAILED = 1
 """The command ran, with a bad outcome: a failed episode or check, a damaged file, a stale asset."""
 
-
 EXIT_USAGE = 2
 """The request is wrong: an unknown name, a missing file, an unsupported option."""
-
 
 EXIT_INTERRUPTED = 130
 """Ctrl-C."""

@@ -17,11 +17,7 @@ if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-__all__ = [
-    "compare",
-    "diagnose",
-    "plot",
-]
+__all__ = ["compare", "diagnose", "plot"]
 
 
 def plot(

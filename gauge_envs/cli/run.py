@@ -40,10 +40,7 @@ if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-__all__ = [
-    "run",
-    "score",
-]
+__all__ = ["run", "score"]
 
 
 def run(

@@ -11,13 +11,7 @@ from gauge_envs.dataset.layout import write_revision
 from gauge_envs.errors import DatasetError, MissingExtraError
 from gauge_envs.references.imported import user_data_folder
 
-__all__ = [
-    "DATASET",
-    "PINNED_REVISION",
-    "TRIAL_FILES",
-    "download_dataset",
-    "resolved_revision",
-]
+__all__ = ["DATASET", "PINNED_REVISION", "TRIAL_FILES", "download_dataset", "resolved_revision"]
 
 DATASET = "InternRobotics/GAUGE-Dataset"
 """The dataset on Hugging Face (MIT licence)."""

@@ -27,11 +27,7 @@ from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "BaselineRow",
-    "ImportedTrials",
-    "import_trials",
-]
+__all__ = ["BaselineRow", "ImportedTrials", "import_trials"]
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between own and published baselines above which they are flagged."""

@@ -29,12 +29,7 @@ from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group, TaskSpec
 from gauge_envs.experiments.variants import Variant, variants
 
-__all__ = [
-    "REVISION_FILE",
-    "Layout",
-    "find_trials",
-    "write_revision",
-]
+__all__ = ["REVISION_FILE", "Layout", "find_trials", "write_revision"]
 
 REVISION_FILE = "gauge-dataset.json"
 """File at the top of a downloaded dataset that states its revision."""

@@ -21,11 +21,7 @@ from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 
-__all__ = [
-    "DriverTrack",
-    "driver_tracks",
-    "trial_trajectory",
-]
+__all__ = ["DriverTrack", "driver_tracks", "trial_trajectory"]
 
 FloatArray = NDArray[np.float64]
 

@@ -18,12 +18,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 
-__all__ = [
-    "CoordinateMean",
-    "TrialSpool",
-    "TrialSpread",
-    "TrialStatistics",
-]
+__all__ = ["CoordinateMean", "TrialSpool", "TrialSpread", "TrialStatistics"]
 
 FloatArray = NDArray[np.float64]
 

@@ -14,9 +14,7 @@ from gauge_envs.references.bands import bundled_sidecar
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import published_baselines
 
-__all__ = [
-    "status_rows",
-]
+__all__ = ["status_rows"]
 
 
 def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:

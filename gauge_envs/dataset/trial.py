@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "ImportFinding",
-    "PoseTrack",
-    "Trial",
-    "TrialError",
-    "parse_trial",
-    "printable",
-]
+__all__ = ["ImportFinding", "PoseTrack", "Trial", "TrialError", "parse_trial", "printable"]
 
 FloatArray = NDArray[np.float64]
 

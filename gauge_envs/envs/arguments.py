@@ -23,13 +23,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter, jittered
 
-__all__ = [
-    "EnvArguments",
-    "check_support",
-    "jitter_option",
-    "jittered_experiment",
-    "plain_spec",
-]
+__all__ = ["EnvArguments", "check_support", "jitter_option", "jittered_experiment", "plain_spec"]
 
 
 @dataclass(frozen=True)

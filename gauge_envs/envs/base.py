@@ -17,10 +17,7 @@ from gauge_envs.errors import BackendError, EpisodeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "EngineEnvironment",
-    "SimulationEnvironment",
-]
+__all__ = ["EngineEnvironment", "SimulationEnvironment"]
 
 
 class EngineEnvironment:

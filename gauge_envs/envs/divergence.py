@@ -9,11 +9,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene import Scene
 
-__all__ = [
-    "DeformableBounds",
-    "RigidBounds",
-    "speed_fault",
-]
+__all__ = ["DeformableBounds", "RigidBounds", "speed_fault"]
 
 FloatArray = NDArray[np.float64]
 

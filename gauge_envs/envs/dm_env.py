@@ -27,10 +27,7 @@ try:
 except ImportError as error:
     raise MissingExtraError("gauge_envs.envs.dm_env", "dm", error) from error
 
-__all__ = [
-    "DmEnvironment",
-    "load",
-]
+__all__ = ["DmEnvironment", "load"]
 
 SCORED = "gauge_envs.envs.wrappers:scored_env"
 """Entry point of the ids that are experiments; control tasks have others."""

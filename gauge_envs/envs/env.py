@@ -17,9 +17,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = [
-    "GaugeEnv",
-]
+__all__ = ["GaugeEnv"]
 
 
 class GaugeEnv(SimulationEnvironment[Observation, Any]):

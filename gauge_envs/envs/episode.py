@@ -27,13 +27,7 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = [
-    "Episode",
-    "Observation",
-    "Trajectory",
-    "advance_together",
-]
-
+__all__ = ["Episode", "Observation", "Trajectory", "advance_together"]
 
 NO_RATES = np.zeros(0)
 

@@ -23,11 +23,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = [
-    "GaugeVectorEnv",
-    "ScoreEpisodes",
-    "scored_vector_env",
-]
+__all__ = ["GaugeVectorEnv", "ScoreEpisodes", "scored_vector_env"]
 
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 

@@ -8,10 +8,7 @@ import gymnasium
 
 from gauge_envs.envs.env import GaugeEnv
 
-__all__ = [
-    "ScoreEpisode",
-    "scored_env",
-]
+__all__ = ["ScoreEpisode", "scored_env"]
 
 
 class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):

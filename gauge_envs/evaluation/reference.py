@@ -13,11 +13,7 @@ from gauge_envs.references.published import carried_band, law_for
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "band_grade",
-    "load_band",
-    "reference_band",
-]
+__all__ = ["band_grade", "load_band", "reference_band"]
 
 
 def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:

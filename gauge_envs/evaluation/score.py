@@ -30,10 +30,7 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "Score",
-    "score_trajectory",
-]
+__all__ = ["Score", "score_trajectory"]
 
 FloatArray = NDArray[np.float64]
 

@@ -31,11 +31,7 @@ from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "UserTrajectory",
-    "read_trajectory",
-    "recorded_id",
-]
+__all__ = ["UserTrajectory", "read_trajectory", "recorded_id"]
 
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""

@@ -8,10 +8,7 @@ from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import ClothConstants
 from gauge_envs.scene.fabrics import Fabric
 
-__all__ = [
-    "fabrics",
-]
-
+__all__ = ["fabrics"]
 
 FABRICS_FROM = "TextileFlinging"
 """Family whose task file names the six calibrated fabrics; other families repeat its constants."""

@@ -32,11 +32,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "Parameters",
-    "SceneBuilder",
-    "parameter_overrides",
-]
+__all__ = ["Parameters", "SceneBuilder", "parameter_overrides"]
 
 
 Parameters = str | Mapping[str, Any]

@@ -23,14 +23,7 @@ if TYPE_CHECKING:
     from gauge_envs.experiments.experiment import Experiment, TaskExperiment
     from gauge_envs.scene.usd.reader import UsdScene
 
-__all__ = [
-    "USD_SUFFIXES",
-    "check_fit",
-    "contents_sha256",
-    "is_experiment_file",
-    "read_bytes",
-    "with_asset",
-]
+__all__ = ["USD_SUFFIXES", "check_fit", "contents_sha256", "is_experiment_file", "read_bytes", "with_asset"]
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 """Suffixes of USD layers."""

@@ -16,13 +16,7 @@ from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
 from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
-__all__ = [
-    "PROVENANCES",
-    "DriverSpec",
-    "Fraction",
-    "ShapeTable",
-    "UnitVector",
-]
+__all__ = ["PROVENANCES", "DriverSpec", "Fraction", "ShapeTable", "UnitVector"]
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 

@@ -31,13 +31,7 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "ExperimentFile",
-    "FileExperiment",
-    "experiment_record",
-    "load_experiment_file",
-    "recorded_experiment_file",
-]
+__all__ = ["ExperimentFile", "FileExperiment", "experiment_record", "load_experiment_file", "recorded_experiment_file"]
 
 
 class PairSpec(Table):

@@ -15,13 +15,7 @@ from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
 
-__all__ = [
-    "angle_deficit_curvature",
-    "assign_markers",
-    "face_areas_mm2",
-    "line_turning_angle",
-    "positions_mm",
-]
+__all__ = ["angle_deficit_curvature", "assign_markers", "face_areas_mm2", "line_turning_angle", "positions_mm"]
 
 FloatArray = NDArray[np.float64]
 

@@ -7,10 +7,7 @@ from enum import StrEnum
 
 from gauge_envs.scene import Markers
 
-__all__ = [
-    "Observable",
-    "coordinate_names",
-]
+__all__ = ["Observable", "coordinate_names"]
 
 
 class Observable(StrEnum):

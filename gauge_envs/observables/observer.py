@@ -20,13 +20,7 @@ from gauge_envs.observables.functions import angle_deficit_curvature, assign_mar
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
 
-__all__ = [
-    "MarkerProxy",
-    "Observer",
-    "ObserverMarkers",
-    "ObserverPositions",
-    "checked_proxy",
-]
+__all__ = ["MarkerProxy", "Observer", "ObserverMarkers", "ObserverPositions", "checked_proxy"]
 
 MARKER_REACH_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""

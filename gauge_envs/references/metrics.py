@@ -8,13 +8,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-__all__ = [
-    "EVENT_METRICS",
-    "METRICS",
-    "BaselineMetric",
-    "Metric",
-    "MetricKey",
-]
+__all__ = ["EVENT_METRICS", "METRICS", "BaselineMetric", "Metric", "MetricKey"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,6 @@ __all__ = [
     "published_variants",
 ]
 
-
 ENGINES = ("isaacsim", "genesis", "newton")
 """Engines whose scores were published."""
 

@@ -13,13 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import data_folder
 
-__all__ = [
-    "Table",
-    "csv_header",
-    "read_rows",
-    "read_toml",
-    "scoring_folder",
-]
+__all__ = ["Table", "csv_header", "read_rows", "read_toml", "scoring_folder"]
 
 
 class Table(BaseModel):

@@ -33,11 +33,7 @@ from gauge_envs.report.text import (
 )
 from gauge_envs.runs.result import Outcome
 
-__all__ = [
-    "comparison_markdown",
-    "comparison_rows",
-    "comparison_view",
-]
+__all__ = ["comparison_markdown", "comparison_rows", "comparison_view"]
 
 
 def comparison_rows(comparison: Comparison, metrics: Sequence[str] = tuple(COMPARED_METRICS)) -> list[dict[str, Any]]:

@@ -12,10 +12,7 @@ from gauge_envs.checks.conformance.model import CheckResult, Status
 from gauge_envs.report.table import Column, Table, as_markdown, as_rich
 from gauge_envs.report.text import pairs_text
 
-__all__ = [
-    "findings_markdown",
-    "findings_view",
-]
+__all__ = ["findings_markdown", "findings_view"]
 
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim", Status.ERROR: "bold red"}
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}

@@ -17,11 +17,7 @@ from gauge_envs.files import json_ready
 from gauge_envs.report.table import Facts
 from gauge_envs.report.text import heading, shortened
 
-__all__ = [
-    "control_description",
-    "control_summary",
-    "control_view",
-]
+__all__ = ["control_description", "control_summary", "control_view"]
 
 
 def control_summary() -> str:

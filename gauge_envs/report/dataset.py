@@ -12,10 +12,7 @@ from gauge_envs.dataset.importer import FLAGGED_DIFFERENCE, BaselineRow, Importe
 from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import METRIC_TITLES, short_id
 
-__all__ = [
-    "import_view",
-    "status_table",
-]
+__all__ = ["import_view", "status_table"]
 
 
 def import_view(imports: Sequence[ImportedTrials]) -> Group:

@@ -37,10 +37,7 @@ from gauge_envs.report.text import (
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.drivers import Driver, Profile, SampledProfile
 
-__all__ = [
-    "description",
-    "description_view",
-]
+__all__ = ["description", "description_view"]
 
 
 def description(experiment: Experiment) -> dict[str, Any]:

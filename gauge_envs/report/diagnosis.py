@@ -20,16 +20,9 @@ from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import ENGINE_TITLES, GRADE_NOTES, quantity_text, score_text, short_id
 from gauge_envs.runs.result import Result
 
-__all__ = [
-    "diagnosis_rows",
-    "diagnosis_values",
-    "diagnosis_view",
-    "findings",
-]
-
+__all__ = ["diagnosis_rows", "diagnosis_values", "diagnosis_view", "findings"]
 
 MOST_AXES = 6
-
 
 DIAGNOSIS_LEGEND = (
     "Parts are added from the top down, each fitted together with those above it: what they take off the squared error "
@@ -159,9 +152,7 @@ def _published_text(one: PublishedScore) -> str:
 NOTABLE_SHARE = 0.01
 """Share of the squared error by which another first part must be better to be reported."""
 
-
 MOST_OFFSETS = 3
-
 
 RATE_TEXTS = {
     "acceleration": "the acceleration is {fitted:.3f} instead of {simulated:.3f} m/s^2",

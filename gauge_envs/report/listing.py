@@ -15,13 +15,7 @@ from gauge_envs.references.imported import has_import
 from gauge_envs.report.table import Column, Table
 from gauge_envs.report.text import pairs_text, short_id, shortened
 
-__all__ = [
-    "backend_rows",
-    "backend_table",
-    "list_rows",
-    "list_table",
-    "unsupported_features_of",
-]
+__all__ = ["backend_rows", "backend_table", "list_rows", "list_table", "unsupported_features_of"]
 
 
 def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:

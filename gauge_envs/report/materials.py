@@ -18,10 +18,7 @@ from gauge_envs.scene.fabrics import (
     uniaxial_stiffness,
 )
 
-__all__ = [
-    "material_values",
-    "material_view",
-]
+__all__ = ["material_values", "material_view"]
 
 
 def material_values(fabrics: Mapping[str, Fabric]) -> dict[str, dict[str, dict[str, float]]]:

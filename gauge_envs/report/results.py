@@ -25,15 +25,7 @@ from gauge_envs.report.text import (
 )
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = [
-    "PLAIN",
-    "configuration_labels",
-    "configuration_parts",
-    "result_label",
-    "summary_view",
-    "versions_text",
-]
-
+__all__ = ["PLAIN", "configuration_labels", "configuration_parts", "result_label", "summary_view", "versions_text"]
 
 PLAIN = ("parameters", "calibrated")
 """Part of a configuration that labels leave out."""

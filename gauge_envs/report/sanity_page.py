@@ -21,11 +21,7 @@ from gauge_envs.report.sanity import (
     verdict_text,
 )
 
-__all__ = [
-    "check_can_draw",
-    "sanity_page",
-    "save_sanity_page",
-]
+__all__ = ["check_can_draw", "sanity_page", "save_sanity_page"]
 
 REALITY_COLOR, DEFAULT_COLOR, CONFIGURED_COLOR = "#303030", "#0072b2", "#d55e00"
 """Grey and two of Okabe and Ito's colours, which colour-blind readers distinguish; line styles differ too."""

@@ -19,16 +19,7 @@ from rich.text import Text
 from gauge_envs.files import json_ready
 from gauge_envs.report.text import markdown_row, markdown_text, value_text
 
-__all__ = [
-    "Column",
-    "Facts",
-    "Place",
-    "Table",
-    "TerminalTable",
-    "as_markdown",
-    "as_rich",
-    "as_rows",
-]
+__all__ = ["Column", "Facts", "Place", "Table", "TerminalTable", "as_markdown", "as_rich", "as_rows"]
 
 GAP = "  "
 """Between two columns, and the indentation of rows below a heading."""

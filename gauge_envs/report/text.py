@@ -33,24 +33,18 @@ __all__ = [
     "vector_text",
 ]
 
-
 ENGINE_TITLES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newton"}
-
 
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
-
 ALIGNED_TITLE = "RMSE aligned"
 
-
 COST_TITLE = "wall s/sim s"
-
 
 NORMALIZED_NOTE = (
     "Normalized: score over the mean score of the real trials, so 1.0 is a typical real trial. RMSE and DTW: lower is "
     "closer. LSD, MTE, PD: 1 is ideal. EL is never normalized, 0 is ideal. Engines: as published (GAUGE, Table 5)."
 )
-
 
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
@@ -58,7 +52,6 @@ GRADE_NOTES = {
     BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline where there is one",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
 }
-
 
 SIGMA_NOTES = {
     SigmaSource.TRIALS: "scatter of the trials, per frame",

@@ -19,10 +19,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.jitter import Jitter, jittered
 
-__all__ = [
-    "check_requests",
-    "run_many",
-]
+__all__ = ["check_requests", "run_many"]
 
 Notify = Callable[[str], None]
 

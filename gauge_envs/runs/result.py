@@ -15,12 +15,7 @@ from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.imported import BUNDLED_DATA
 
-__all__ = [
-    "Outcome",
-    "RecordedTrajectory",
-    "Result",
-]
-
+__all__ = ["Outcome", "RecordedTrajectory", "Result"]
 
 BULKY = ("scene", "experiment")
 """Keys of `Result.asset` with long values, which are only needed to build the scene again."""

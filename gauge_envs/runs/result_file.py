@@ -18,11 +18,7 @@ from gauge_envs.files import write_whole
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 
-__all__ = [
-    "load_result",
-    "result_file_name",
-    "write_result",
-]
+__all__ = ["load_result", "result_file_name", "write_result"]
 
 
 def result_file_name(result: Result) -> str:

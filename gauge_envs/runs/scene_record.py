@@ -16,10 +16,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.usd.reader import from_usd
 from gauge_envs.scene.usd.writer import to_usd
 
-__all__ = [
-    "asset_record",
-    "recorded_experiment",
-]
+__all__ = ["asset_record", "recorded_experiment"]
 
 
 def asset_record(experiment: Experiment) -> dict[str, Any]:

@@ -18,9 +18,7 @@ from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.scene_record import asset_record, recorded_experiment
 
-__all__ = [
-    "score_file",
-]
+__all__ = ["score_file"]
 
 
 def score_file(

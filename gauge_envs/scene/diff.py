@@ -11,14 +11,10 @@ import numpy as np
 from gauge_envs.scene.bodies import Attachment, Contact
 from gauge_envs.scene.scene import Scene
 
-__all__ = [
-    "scene_changes",
-]
-
+__all__ = ["scene_changes"]
 
 MOST_NAMES = 4
 """Largest number of names of a group that a line lists."""
-
 
 MOST_NUMBERS = 9
 """Largest array whose numbers a line lists; larger ones are summarized by count and largest difference."""

@@ -14,19 +14,13 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.scene.drivers import Driver, DriverMotion, SampledProfile
 from gauge_envs.scene.geometry import Pose, Vector, pose_distance, vector
 
-__all__ = [
-    "motion_coordinates",
-    "sampled_motions",
-]
-
+__all__ = ["motion_coordinates", "sampled_motions"]
 
 SAME_POSE = 1e-9
 """Largest distance between sampled poses and those of the fitted motions [m, rad]."""
 
-
 STEEP_RAD = np.radians(85.0)
 """Largest second angle of three successive rotations [rad]; at 90 degrees (gimbal lock) they are ambiguous."""
-
 
 AXIS_ORDERS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 """Orders of three successive rotations about the world axes x, y, z."""

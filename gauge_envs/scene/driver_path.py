@@ -12,9 +12,7 @@ from gauge_envs.scene.geometry import Pose
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = [
-    "DriverPath",
-]
+__all__ = ["DriverPath"]
 
 
 class DriverPath:

@@ -14,15 +14,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector, vector
 
-__all__ = [
-    "CosineProfile",
-    "Driver",
-    "DriverMotion",
-    "Profile",
-    "SampledProfile",
-    "TrapezoidProfile",
-    "mean_velocity",
-]
+__all__ = ["CosineProfile", "Driver", "DriverMotion", "Profile", "SampledProfile", "TrapezoidProfile", "mean_velocity"]
 
 
 @dataclass(frozen=True, kw_only=True)

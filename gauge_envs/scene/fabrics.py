@@ -31,7 +31,6 @@ __all__ = [
     "uniaxial_stiffness",
 ]
 
-
 ISAAC_POISSON_BELOW = 0.30
 """Poisson ratio in Isaac if the measured stiffnesses correspond to a negative one (paper)."""
 ISAAC_POISSON_ABOVE = 0.45

@@ -15,10 +15,7 @@ from gauge_envs.scene.bodies import Cloth, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import Pose, Sphere, vector
 from gauge_envs.scene.scene import Scene
 
-__all__ = [
-    "Jitter",
-    "jittered",
-]
+__all__ = ["Jitter", "jittered"]
 
 
 @dataclass(frozen=True, kw_only=True)

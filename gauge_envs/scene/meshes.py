@@ -9,15 +9,7 @@ from scipy.spatial import ConvexHull
 from gauge_envs.scene.bodies import Region
 from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Shape, Sphere
 
-__all__ = [
-    "TOUCHING_M",
-    "grid",
-    "hull_faces",
-    "mass_properties",
-    "nodes_in",
-    "prism",
-    "tetrahedra",
-]
+__all__ = ["TOUCHING_M", "grid", "hull_faces", "mass_properties", "nodes_in", "prism", "tetrahedra"]
 
 GRID_SPACING_M = 0.02
 """Edge length of exported grids of cloth and soft bodies [m]; no physical constant depends on it."""
@@ -27,7 +19,6 @@ COPLANAR = 1e-7
 
 TOUCHING_M = 1e-6
 """Largest distance between vertices of two attached bodies that count as one point [m]."""
-
 
 PRISM_SIDES = 96
 """Number of sides of the prism that replaces a cylinder; its radius is exact within 0.06 %."""

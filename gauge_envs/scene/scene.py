@@ -30,10 +30,7 @@ from gauge_envs.scene.geometry import Plane
 if TYPE_CHECKING:
     from gauge_envs.scene.drivers import Driver
 
-__all__ = [
-    "GRAVITY_M_PER_S2",
-    "Scene",
-]
+__all__ = ["GRAVITY_M_PER_S2", "Scene"]
 
 GRAVITY_M_PER_S2 = 9.80665
 """Standard gravity [m/s^2], the value that the paper uses (its dynamic-error equation)."""

@@ -2,6 +2,4 @@
 
 from gauge_envs.backends.mujoco.backend import BackendMuJoCo
 
-__all__ = [
-    "BackendMuJoCo",
-]
+__all__ = ["BackendMuJoCo"]

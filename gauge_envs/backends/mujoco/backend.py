@@ -17,9 +17,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Scene
 
-__all__ = [
-    "BackendMuJoCo",
-]
+__all__ = ["BackendMuJoCo"]
 
 
 class BackendMuJoCo(Backend):

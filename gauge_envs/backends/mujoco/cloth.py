@@ -25,10 +25,7 @@ from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth
 
-__all__ = [
-    "ClothPartMuJoCo",
-    "add_cloth",
-]
+__all__ = ["ClothPartMuJoCo", "add_cloth"]
 
 ELASTIC_BOTH = 3
 """MuJoCo's code for a flex that both stretches and bends."""

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.scene import Motion
 
-__all__ = [
-    "FlexPart",
-    "Points",
-    "attached_points",
-    "flex_table",
-]
+__all__ = ["FlexPart", "Points", "attached_points", "flex_table"]
 
 
 class Points:

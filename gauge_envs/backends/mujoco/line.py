@@ -18,11 +18,7 @@ from gauge_envs.backends.shared.lines import attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 
-__all__ = [
-    "LinePartMuJoCo",
-    "add_rod",
-    "add_rope",
-]
+__all__ = ["LinePartMuJoCo", "add_rod", "add_rope"]
 
 ROPE_SEGMENT_M = 0.01
 """Desired distance between neighbouring nodes of a rope [m]."""

@@ -39,19 +39,13 @@ if TYPE_CHECKING:
     from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
     from gauge_envs.scene.driver_path import DriverPath
 
-__all__ = [
-    "DRIVER_PREFIX",
-    "driver_rows",
-    "load_model",
-    "read_model",
-]
+__all__ = ["DRIVER_PREFIX", "driver_rows", "load_model", "read_model"]
 
 DRIVER_PREFIX = "driver/"
 """Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
 
 DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
-
 
 SAME_MOTION = 1e-6
 """Relative difference below which rows of driven motion are equal; accelerations are second differences of poses."""

@@ -19,13 +19,7 @@ from gauge_envs.backends.mujoco.flex import flex_table
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = [
-    "add_stiffness_tables",
-    "exact_xml",
-    "expanded",
-    "replay_note",
-    "without_rest",
-]
+__all__ = ["add_stiffness_tables", "exact_xml", "expanded", "replay_note", "without_rest"]
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 

@@ -9,18 +9,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "model_changes",
-]
-
+__all__ = ["model_changes"]
 
 SAME_DOUBLE = 1e-9
 """Relative difference below which double-precision numbers count as equal: machines differ in their last digits."""
 
-
 SAME_SINGLE = 3e-7
 """Relative difference below which single-precision numbers, such as mesh vertices, count as equal."""
-
 
 OBJECTS: Mapping[str, tuple[mujoco.mjtObj, tuple[str, ...]]] = {
     "body": (mujoco.mjtObj.mjOBJ_BODY, ("mass", "inertia", "ipos", "iquat", "pos", "quat", "gravcomp")),
@@ -48,21 +43,16 @@ OBJECTS: Mapping[str, tuple[mujoco.mjtObj, tuple[str, ...]]] = {
 }
 """Arrays of a compiled model that a file defines, by kind of object; a change is reported with the object's name."""
 
-
 PAIR_FIELDS = ("dim", "friction", "margin", "gap", "solref", "solreffriction", "solimp")
-
 
 TABLES = ("mesh_vert", "flex_vert", "flex_stiffness", "flex_bending", "dof_damping", "dof_armature", "dof_frictionloss")
 """Arrays whose changes are reported as a whole."""
 
-
 WITHOUT_EFFECT = ("names", "name_", "numeric", "text", "tex_", "mat_", "cam_", "light_", "sensor", "skin_", "key_")
 """Prefixes of the names of arrays that do not affect the motion."""
 
-
 WITHOUT_EFFECT_ENDS = ("_rgba", "_matid", "_group", "_user", "_castshadow")
 """Suffixes of the names of arrays that do not affect the motion."""
-
 
 MOST_ROWS = 4
 """Largest number of changed objects that are listed one by one."""

@@ -14,11 +14,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
 
-__all__ = [
-    "PRESETS",
-    "SettingsMuJoCo",
-    "settings_for",
-]
+__all__ = ["PRESETS", "SettingsMuJoCo", "settings_for"]
 
 
 def _in_one_format(solref: tuple[float, float]) -> tuple[float, float]:

@@ -17,9 +17,7 @@ from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
-__all__ = [
-    "SimulationMuJoCo",
-]
+__all__ = ["SimulationMuJoCo"]
 
 
 class SimulationMuJoCo(Simulation):

@@ -21,10 +21,7 @@ from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import SoftBody
 
-__all__ = [
-    "SoftPartMuJoCo",
-    "add_soft",
-]
+__all__ = ["SoftPartMuJoCo", "add_soft"]
 
 LONE_CELLS = (4, 2)
 """Cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a finer

@@ -2,6 +2,4 @@
 
 from gauge_envs.backends.newton.backend import BackendNewton
 
-__all__ = [
-    "BackendNewton",
-]
+__all__ = ["BackendNewton"]

@@ -14,9 +14,7 @@ from gauge_envs.backends.newton.support import unsupported_features
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
-__all__ = [
-    "BackendNewton",
-]
+__all__ = ["BackendNewton"]
 
 MODULES = ("newton", "warp", "mujoco_warp")
 

@@ -15,10 +15,7 @@ from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.scene import Cloth, Motion
 from gauge_envs.scene.fabrics import Fabric, newton_edge_ke, newton_vbd
 
-__all__ = [
-    "ClothPartNewton",
-    "add_cloth",
-]
+__all__ = ["ClothPartNewton", "add_cloth"]
 
 
 class ClothPartNewton:

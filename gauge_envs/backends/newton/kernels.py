@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-__all__ = [
-    "bodies_to_joints",
-    "carry",
-    "hold",
-    "predict",
-    "prescribe",
-]
+__all__ = ["bodies_to_joints", "carry", "hold", "predict", "prescribe"]
 
 
 @wp.kernel

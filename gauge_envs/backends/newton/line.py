@@ -29,10 +29,7 @@ from gauge_envs.scene import Cylinder, Pose, Rod, Rope
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
-__all__ = [
-    "LinePartNewton",
-    "add_line",
-]
+__all__ = ["LinePartNewton", "add_line"]
 
 ROTATION_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
 """Rotation from z, the axis of Newton's capsules and rod joints, to the axis of a line."""

@@ -33,11 +33,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene, Vector
 from gauge_envs.scene.geometry import vector
 
-__all__ = [
-    "Part",
-    "WorldLayout",
-    "build_model",
-]
+__all__ = ["Part", "WorldLayout", "build_model"]
 
 
 class Part(Protocol):

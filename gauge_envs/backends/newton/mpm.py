@@ -24,12 +24,7 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.scene import Motion, SoftBody
 
-__all__ = [
-    "SoftPartMPM",
-    "StepperMPM",
-    "add_soft_mpm",
-    "fitted_voxel_m",
-]
+__all__ = ["SoftPartMPM", "StepperMPM", "add_soft_mpm", "fitted_voxel_m"]
 
 GRIPPED_SIZE = 0.3
 """Size of a gripped point relative to its cell; a gripped point has no volume to fill."""

@@ -11,10 +11,7 @@ import warp as wp
 
 from gauge_envs.backends.newton.kernels import carry, hold
 
-__all__ = [
-    "Pin",
-    "PinnedParticles",
-]
+__all__ = ["Pin", "PinnedParticles"]
 
 
 @dataclass(frozen=True, kw_only=True)

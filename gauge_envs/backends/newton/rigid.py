@@ -15,11 +15,7 @@ from gauge_envs.backends.newton.stepper import warp_transform
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Sphere
 from gauge_envs.scene.meshes import mass_properties, prism
 
-__all__ = [
-    "RigidIndex",
-    "add_bodies",
-    "keep_apart",
-]
+__all__ = ["RigidIndex", "add_bodies", "keep_apart"]
 
 WORLD = -1
 """Newton's body index of the world."""

@@ -15,10 +15,7 @@ from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
-__all__ = [
-    "SimulationNewton",
-    "WorldsNewton",
-]
+__all__ = ["SimulationNewton", "WorldsNewton"]
 
 
 class _WorldNewton(World):

@@ -20,10 +20,7 @@ from gauge_envs.backends.newton.kernels import prescribe
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
-__all__ = [
-    "Stepper",
-    "warp_transform",
-]
+__all__ = ["Stepper", "warp_transform"]
 
 WARM_UP_STEPS = 2
 """Number of steps before recording, in which solvers allocate their arrays; even, so that both states end in place."""

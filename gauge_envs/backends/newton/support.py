@@ -18,9 +18,7 @@ from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
 
-__all__ = [
-    "unsupported_features",
-]
+__all__ = ["unsupported_features"]
 
 
 def unsupported_features(scene: Scene) -> Iterator[str]:

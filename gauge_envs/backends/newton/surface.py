@@ -10,11 +10,7 @@ import numpy as np
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
-__all__ = [
-    "SurfaceContacts",
-    "surface_contacts",
-    "unsupported_surface_contacts",
-]
+__all__ = ["SurfaceContacts", "surface_contacts", "unsupported_surface_contacts"]
 
 PARTICLES = ""
 """Placeholder name of all bodies made of particles, which share one friction in Newton; no body has this name."""

@@ -25,13 +25,7 @@ from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import SurfaceContacts
 from gauge_envs.errors import ParameterError
 
-__all__ = [
-    "SelfContact",
-    "StepperVBD",
-    "apply_contacts",
-    "passing_pairs",
-    "stiffness_ratio",
-]
+__all__ = ["SelfContact", "StepperVBD", "apply_contacts", "passing_pairs", "stiffness_ratio"]
 
 SPEED_HEADROOM = 1.5
 """Assumed largest growth of the fastest particle's speed within an interval, in addition to free fall."""

@@ -11,10 +11,7 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Region
 
-__all__ = [
-    "ClothGrid",
-    "held_vertices",
-]
+__all__ = ["ClothGrid", "held_vertices"]
 
 
 class ClothGrid:

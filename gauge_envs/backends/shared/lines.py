@@ -11,11 +11,7 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Rod, Rope
 
-__all__ = [
-    "LINE_AXIS",
-    "attached_ends",
-    "points_on_axis",
-]
+__all__ = ["LINE_AXIS", "attached_ends", "points_on_axis"]
 
 LINE_AXIS = {Rope: "x", Rod: "z"}
 """Axis of its frame along which a line lies."""

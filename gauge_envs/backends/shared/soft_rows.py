@@ -13,11 +13,7 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, SoftBody
 
-__all__ = [
-    "TOLERANCE_M",
-    "Block",
-    "SoftRow",
-]
+__all__ = ["TOLERANCE_M", "Block", "SoftRow"]
 
 TOLERANCE_M = 1e-5
 """Distance below which faces touch and points lie inside [m]."""

@@ -11,12 +11,7 @@ from gauge_envs.checks.rollout import DeclinedError, Rollout, record
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.scene import Scene
 
-__all__ = [
-    "BuildError",
-    "Lab",
-    "RefusedSettingsError",
-]
-
+__all__ = ["BuildError", "Lab", "RefusedSettingsError"]
 
 T = TypeVar("T")
 

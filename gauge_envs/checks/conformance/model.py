@@ -10,13 +10,7 @@ from typing import Any
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.files import json_ready
 
-__all__ = [
-    "Check",
-    "CheckResult",
-    "Measurement",
-    "Status",
-    "Tolerance",
-]
+__all__ = ["Check", "CheckResult", "Measurement", "Status", "Tolerance"]
 
 
 class Status(StrEnum):

@@ -9,10 +9,7 @@ from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.model import Check, Measurement, Tolerance
 from gauge_envs.errors import ParameterError, UnknownNameError
 
-__all__ = [
-    "check",
-    "checks",
-]
+__all__ = ["check", "checks"]
 
 _CHECKS: dict[str, Check] = {}
 

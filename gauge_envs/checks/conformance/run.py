@@ -14,9 +14,7 @@ from gauge_envs.checks.conformance.model import Check, CheckResult, Status
 from gauge_envs.checks.conformance.registry import checks
 from gauge_envs.checks.rollout import DeclinedError
 
-__all__ = [
-    "run_checks",
-]
+__all__ = ["run_checks"]
 
 
 def run_checks(

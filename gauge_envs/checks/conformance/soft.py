@@ -26,7 +26,6 @@ LOAD_N_PER_M3 = DENSITY_KG_PER_M3 * GRAVITY_M_PER_S2
 HANG_S, SETTLED_S = 0.8, 0.25
 CENTRE = Pose(position_m=(0.0, 0.0, 1.0))
 
-
 BAR = SoftBody(
     name="foam",
     shape=Box(size_m=(EDGE_M, EDGE_M, LENGTH_M)),

@@ -12,10 +12,7 @@ from gauge_envs.checks.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, V
 from gauge_envs.checks.sanity.phenomena import Phenomenon
 from gauge_envs.checks.sanity.scenario import Scenario
 
-__all__ = [
-    "differing_settings",
-    "find_cause",
-]
+__all__ = ["differing_settings", "find_cause"]
 
 LARGEST_GROUP = 3
 """Largest number of settings that are responsible together; beyond it, the whole configuration is."""

@@ -15,10 +15,7 @@ from gauge_envs.checks.sanity.phenomena import Phenomenon, PhenomenonValue
 from gauge_envs.checks.sanity.scenario import Scenario, run_scenario, settings_in_force
 from gauge_envs.files import json_ready
 
-__all__ = [
-    "Measured",
-    "Measurements",
-]
+__all__ = ["Measured", "Measurements"]
 
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""

@@ -23,7 +23,6 @@ __all__ = [
     "Verdict",
 ]
 
-
 INSIDE_WITHIN = 2.0
 """Largest deviation of the verdict `inside`, in standard deviations of real trials."""
 

@@ -25,9 +25,7 @@ from gauge_envs.checks.sanity.model import ContactGroup, TrainingConfiguration
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
-__all__ = [
-    "mujoco_configuration",
-]
+__all__ = ["mujoco_configuration"]
 
 GRAVITY_TOLERANCE = 0.01
 """A gravity that differs from the standard one by less than this ratio gets no note."""

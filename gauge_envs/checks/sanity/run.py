@@ -17,9 +17,7 @@ from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
 
-__all__ = [
-    "check",
-]
+__all__ = ["check"]
 
 CURVE_SAMPLES = 200
 """Largest number of samples of a curve; a figure shows fewer."""

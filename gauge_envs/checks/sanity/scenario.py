@@ -17,11 +17,7 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = [
-    "Scenario",
-    "run_scenario",
-    "settings_in_force",
-]
+__all__ = ["Scenario", "run_scenario", "settings_in_force"]
 
 
 def _unchanged(scene: Scene) -> Scene:

@@ -19,10 +19,7 @@ from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 
-__all__ = [
-    "Target",
-    "configuration",
-]
+__all__ = ["Target", "configuration"]
 
 Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env
 """A target of a sanity check; see `configuration`."""

@@ -24,9 +24,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "ControlEnv",
-]
+__all__ = ["ControlEnv"]
 
 FloatArray = NDArray[np.float64]
 

@@ -17,11 +17,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.drivers import Driver, mean_velocity
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = [
-    "HOLD_S",
-    "SLIP_SPEED_M_PER_S",
-    "FrictionLimit",
-]
+__all__ = ["HOLD_S", "SLIP_SPEED_M_PER_S", "FrictionLimit"]
 
 CUBE = "cube"
 

@@ -14,13 +14,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
 from gauge_envs.scene import Scene
 
-__all__ = [
-    "Ending",
-    "Limit",
-    "LimitReport",
-    "friction_uncertainty",
-    "pair_friction",
-]
+__all__ = ["Ending", "Limit", "LimitReport", "friction_uncertainty", "pair_friction"]
 
 
 class Ending(StrEnum):

@@ -17,9 +17,7 @@ from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = [
-    "PendulumLimit",
-]
+__all__ = ["PendulumLimit"]
 
 BALL = "ball"
 

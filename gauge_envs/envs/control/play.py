@@ -11,11 +11,7 @@ from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.limit import Ending, LimitReport
 from gauge_envs.errors import ParameterError
 
-__all__ = [
-    "Policy",
-    "engine_limit",
-    "play",
-]
+__all__ = ["Policy", "engine_limit", "play"]
 
 Policy = Callable[[NDArray[np.float64]], NDArray[np.floating]]
 """Function that returns an action, shape [1], for an observation."""

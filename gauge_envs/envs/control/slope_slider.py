@@ -6,9 +6,7 @@ import math
 
 from gauge_envs.envs.control.friction import FrictionLimit
 
-__all__ = [
-    "SlopeSliderLimit",
-]
+__all__ = ["SlopeSliderLimit"]
 
 
 class SlopeSliderLimit(FrictionLimit):

@@ -8,12 +8,7 @@ from gymnasium.envs.registration import WrapperSpec, register, registry
 
 from gauge_envs.errors import UnknownNameError
 
-__all__ = [
-    "ControlTask",
-    "control_tasks",
-    "find_control_task",
-    "register_control_tasks",
-]
+__all__ = ["ControlTask", "control_tasks", "find_control_task", "register_control_tasks"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,7 @@ import math
 from gauge_envs.envs.control.friction import FrictionLimit
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "TurntableLimit",
-]
+__all__ = ["TurntableLimit"]
 
 
 class TurntableLimit(FrictionLimit):

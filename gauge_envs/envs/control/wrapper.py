@@ -8,9 +8,7 @@ import gymnasium
 
 from gauge_envs.envs.control.env import ControlEnv
 
-__all__ = [
-    "ReportLimit",
-]
+__all__ = ["ReportLimit"]
 
 
 class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):

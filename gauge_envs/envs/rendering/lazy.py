@@ -14,10 +14,7 @@ from gauge_envs.scene import Scene
 if TYPE_CHECKING:
     from gauge_envs.envs.rendering.renderer import SceneRenderer
 
-__all__ = [
-    "RENDER_MODES",
-    "Pictures",
-]
+__all__ = ["RENDER_MODES", "Pictures"]
 
 RENDER_MODES = ("rgb_array",)
 """Render modes of the environments, apart from None."""

@@ -17,9 +17,7 @@ from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import RenderError
 from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, Rope, Scene, SoftBody
 
-__all__ = [
-    "SceneRenderer",
-]
+__all__ = ["SceneRenderer"]
 
 COLORS = {
     Motion.DYNAMIC: (0.90, 0.52, 0.17, 1.0),

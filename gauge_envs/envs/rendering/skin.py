@@ -12,9 +12,7 @@ from scipy.spatial import Delaunay
 
 from gauge_envs.scene import Cloth, SoftBody
 
-__all__ = [
-    "Skin",
-]
+__all__ = ["Skin"]
 
 
 class Skin:

@@ -15,12 +15,7 @@ from scipy.optimize import minimize_scalar
 
 from gauge_envs.errors import ShapeError
 
-__all__ = [
-    "energy_loss",
-    "longest_stationary_duration",
-    "momentum_transfer_efficiency",
-    "oscillation_period",
-]
+__all__ = ["energy_loss", "longest_stationary_duration", "momentum_transfer_efficiency", "oscillation_period"]
 
 FloatArray = NDArray[np.float64]
 

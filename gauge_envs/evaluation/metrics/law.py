@@ -15,12 +15,7 @@ from scipy.optimize import minimize
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.events import oscillation_period
 
-__all__ = [
-    "coefficient_of_determination",
-    "dynamic_error",
-    "fitted_acceleration",
-    "quadratic_form_improvement",
-]
+__all__ = ["coefficient_of_determination", "dynamic_error", "fitted_acceleration", "quadratic_form_improvement"]
 
 FloatArray = NDArray[np.float64]
 

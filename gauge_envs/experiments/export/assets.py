@@ -27,15 +27,7 @@ from gauge_envs.files import data_folder
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.meshes import hull_faces
 
-__all__ = [
-    "asset_rows",
-    "asset_texts",
-    "assets_folder",
-    "build_assets",
-    "shape_to_obj",
-    "solid_shapes",
-    "stale_asset",
-]
+__all__ = ["asset_rows", "asset_texts", "assets_folder", "build_assets", "shape_to_obj", "solid_shapes", "stale_asset"]
 
 FOLDERS = ("mjcf", "obj", "usd")
 

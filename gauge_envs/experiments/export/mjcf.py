@@ -15,10 +15,7 @@ from gauge_envs.experiments.variants import task_path
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = [
-    "mjcf_text",
-    "write_mjcf",
-]
+__all__ = ["mjcf_text", "write_mjcf"]
 
 
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:

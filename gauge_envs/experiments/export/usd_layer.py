@@ -12,12 +12,7 @@ from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.scene.usd.writer import export_stage, scene_stage
 
-__all__ = [
-    "SOURCE",
-    "usd_layer_text",
-    "write_usd_layer",
-]
-
+__all__ = ["SOURCE", "usd_layer_text", "write_usd_layer"]
 
 SOURCE = (
     "Calibrated constants and initial states: GAUGE paper (arXiv 2608.05948) and GAUGE dataset "

@@ -17,15 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = [
-    "draw_diagnoses",
-    "save_diagnoses",
-]
-
+__all__ = ["draw_diagnoses", "save_diagnoses"]
 
 DIAGNOSIS = "diagnosis"
 """Name of the picture of error budgets."""
-
 
 STAGE_COLORS = {BudgetStage.RELEASE: OURS[0], BudgetStage.OFFSET: OURS[5], BudgetStage.RATE: OURS[4]}
 

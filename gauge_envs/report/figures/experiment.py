@@ -47,11 +47,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "draw_experiment",
-    "save_figures",
-]
-
+__all__ = ["draw_experiment", "save_figures"]
 
 MOST_LEGEND_ENTRIES = 12
 MOST_ALIGNED = 2

@@ -28,11 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = [
-    "draw_overview",
-    "save_comparison",
-]
-
+__all__ = ["draw_overview", "save_comparison"]
 
 OVERVIEW = "overview"
 """Name of the picture of all experiments."""

@@ -14,37 +14,26 @@ if TYPE_CHECKING:
 
 __all__ = []
 
-
 OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of results: Okabe and Ito's, which colour-blind readers distinguish."""
 
-
 ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
-
 
 REAL = "#303030"
 
-
 UNSCORED = "#f4f4f4"
-
 
 ENGINE_MARKERS = ("s", "^", "D")
 
-
 LINE_STYLES = ("-", "--", ":", "-.")
-
 
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
 
-
 WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
-
 
 HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 2}
 
-
 CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "ls": "", "zorder": 4}
-
 
 BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 

@@ -13,13 +13,7 @@ from gauge_envs.scene.geometry import Box, vector
 from gauge_envs.scene.usd.layer import KINDS, FloatArray
 from gauge_envs.scene.usd.source import Source, single
 
-__all__ = [
-    "is_deformable",
-    "read_attachments",
-    "read_deformable",
-    "read_markers",
-    "world_points",
-]
+__all__ = ["is_deformable", "read_attachments", "read_deformable", "read_markers", "world_points"]
 
 FABRIC = (
     "areal_density_kg_per_m2",

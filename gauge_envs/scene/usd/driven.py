@@ -18,9 +18,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import TEXT, WRITTEN, motions_digest, motions_from_json, samples_digest
 from gauge_envs.scene.usd.source import Source
 
-__all__ = [
-    "driven_body",
-]
+__all__ = ["driven_body"]
 
 AGREES = 1e-6
 """Largest difference between time samples and `gauge:driver` [m, rad] if both were edited."""

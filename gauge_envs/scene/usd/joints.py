@@ -12,11 +12,7 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
 from gauge_envs.scene.usd.source import Source, StoredValue
 
-__all__ = [
-    "is_welded",
-    "joint_prims",
-    "read_joint",
-]
+__all__ = ["is_welded", "joint_prims", "read_joint"]
 
 GAP_M = 1e-4
 """Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""

@@ -13,11 +13,7 @@ from gauge_envs.scene.bodies import Contact, ContactMode
 from gauge_envs.scene.usd.layer import names_digest
 from gauge_envs.scene.usd.source import Source, StoredValue
 
-__all__ = [
-    "PairOptions",
-    "Party",
-    "contacts_of",
-]
+__all__ = ["PairOptions", "Party", "contacts_of"]
 
 Pair = frozenset[str]
 

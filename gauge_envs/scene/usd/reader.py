@@ -35,12 +35,7 @@ from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import mass_kg, solid_of
 from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
 
-__all__ = [
-    "UsdScene",
-    "from_usd",
-    "read_points",
-    "read_usd",
-]
+__all__ = ["UsdScene", "from_usd", "read_points", "read_usd"]
 
 LEVEL = 1e-6
 """Largest angle between gravity and the vertical [rad]."""

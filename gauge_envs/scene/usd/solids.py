@@ -18,11 +18,7 @@ from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.usd.layer import FloatArray
 from gauge_envs.scene.usd.source import Frame, Source, StoredValue, single
 
-__all__ = [
-    "Solid",
-    "mass_kg",
-    "solid_of",
-]
+__all__ = ["Solid", "mass_kg", "solid_of"]
 
 OFF_CENTRE_M = 1e-9
 """Largest distance of a collider's centre from its body's origin if it counts as centred [m]."""

@@ -17,14 +17,7 @@ from gauge_envs.errors import AssetError
 from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
 
-__all__ = [
-    "LARGEST",
-    "Frame",
-    "Source",
-    "StoredValue",
-    "single",
-    "usd_reason",
-]
+__all__ = ["LARGEST", "Frame", "Source", "StoredValue", "single", "usd_reason"]
 
 SINGLE_RELATIVE = 3e-7
 """Largest difference, relative to the largest number, at which numbers agree in single precision."""

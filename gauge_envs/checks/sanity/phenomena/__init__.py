@@ -20,12 +20,7 @@ from gauge_envs.checks.sanity.phenomena import (
 from gauge_envs.checks.sanity.phenomena.phenomenon import Phenomenon, PhenomenonValue, Trace
 from gauge_envs.errors import UnknownNameError
 
-__all__ = [
-    "Phenomenon",
-    "PhenomenonValue",
-    "Trace",
-    "phenomena",
-]
+__all__ = ["Phenomenon", "PhenomenonValue", "Trace", "phenomena"]
 
 
 @cache

@@ -12,9 +12,7 @@ from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, position_scatte
 from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.checks.sanity.scenario import Scenario
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 MATERIALS = ("wood", "plastic", "metal")
 TURN_S = 94 / 30

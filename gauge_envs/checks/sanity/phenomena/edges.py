@@ -14,9 +14,7 @@ from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon
 from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import ConvexUnion
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 SEAM_S = (0.04, 0.18)
 """Time between settling and the moment when a third of the tetrahedron's face has left the block [s]."""

@@ -9,13 +9,7 @@ from typing import Any
 from gauge_envs.files import data_folder
 from gauge_envs.references.published import published_baselines
 
-__all__ = [
-    "RECORDINGS",
-    "facts",
-    "placing_scatter_mm",
-    "position_scatter_mm",
-    "recorded",
-]
+__all__ = ["RECORDINGS", "facts", "placing_scatter_mm", "position_scatter_mm", "recorded"]
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
 """File that `recorded` reads; sources name it."""

@@ -15,9 +15,7 @@ from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Box, Scene
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 MATERIALS = ("wood", "plastic", "metal")
 

@@ -17,9 +17,7 @@ from gauge_envs.evaluation.metrics import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Scene, Sphere
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 
 def phenomena() -> Iterator[Phenomenon]:

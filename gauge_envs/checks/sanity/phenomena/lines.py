@@ -12,9 +12,7 @@ from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, placing_scatter
 from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.checks.sanity.scenario import Scenario
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 JERK_S = 1.0
 """Simulated time [s]: the balls leave their posts at 0.5 s, and the rope stops their fall at 0.7 s."""

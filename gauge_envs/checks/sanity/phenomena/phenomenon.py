@@ -13,12 +13,7 @@ from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
 from gauge_envs.checks.sanity.scenario import Scenario
 
-__all__ = [
-    "FloatArray",
-    "Phenomenon",
-    "PhenomenonValue",
-    "Trace",
-]
+__all__ = ["FloatArray", "Phenomenon", "PhenomenonValue", "Trace"]
 
 FloatArray = NDArray[np.float64]
 

@@ -14,9 +14,7 @@ from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon
 from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.observables.functions import face_areas_mm2
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 GRIPPED_S = 1.2
 """Time after which the grips rest; they stop at 1.10 and 1.15 s [s]."""

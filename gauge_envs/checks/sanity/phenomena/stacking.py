@@ -14,9 +14,7 @@ from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon
 from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import Scene
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 STAND_S = 0.4
 """Simulated time [s]: soft contacts have settled, and a falling wall has moved by centimetres."""

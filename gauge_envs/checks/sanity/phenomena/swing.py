@@ -17,9 +17,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Sphere
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 VARIANT = "Pendulum-metal"
 PERIOD_S = 10.0

@@ -15,9 +15,7 @@ from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon
 from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import Cloth, Scene
 
-__all__ = [
-    "phenomena",
-]
+__all__ = ["phenomena"]
 
 RECORDED_S = 2.0
 """Length of the recording [s]."""
