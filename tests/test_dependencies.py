@@ -24,7 +24,6 @@ INDIRECT = {
     "newton-usd-schemas": "Newton's USD importer imports it",
     "packaging": "Gymnasium's MuJoCo environments import it",
     "moviepy": "Gymnasium's RecordVideo imports it",
-    "platformdirs": "names the user's data folder",
 }
 """Declared, and not imported by this package's own modules: the reason for each."""
 

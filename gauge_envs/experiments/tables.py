@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
-from pydantic_core import CoreSchema
 
 from gauge_envs.references.tables import Table
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
@@ -23,7 +22,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"]
 
 PROVENANCES: tuple[str, ...] = get_args(Provenance)
-"""Possible origins of a number; the README explains each."""
+"""Possible origins of a number; docs/coverage.md explains each."""
 
 
 def _unit(vector: Vector) -> Vector:
@@ -77,7 +76,7 @@ class PlateWithHoleSpec(Table):
         return ConvexUnion(pieces_m=tuple(pieces))
 
 
-def _plate_schema(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+def _plate_schema(source: Any, handler: GetCoreSchemaHandler) -> Any:
     return handler.generate_schema(Annotated[PlateWithHoleSpec, AfterValidator(PlateWithHoleSpec.build)])
 
 

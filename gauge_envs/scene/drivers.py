@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -33,7 +33,7 @@ class TrapezoidProfile:
         ValueError: Speed-up and braking together are longer than the motion.
     """
 
-    kind: Literal["trapezoid"] = "trapezoid"
+    kind: Literal["trapezoid"] = field(default="trapezoid", repr=False)
     start_s: float
     duration_s: Positive
     accelerate_s: NonNegative
@@ -82,7 +82,7 @@ class TrapezoidProfile:
 class CosineProfile:
     """Change by `amount` along half a cosine period, which starts and ends at rest."""
 
-    kind: Literal["cosine"] = "cosine"
+    kind: Literal["cosine"] = field(default="cosine", repr=False)
     start_s: float
     duration_s: Positive
     amount: float
@@ -116,7 +116,7 @@ class SampledProfile:
         ValueError: There are fewer than two times, another number of values, or times that do not increase.
     """
 
-    kind: Literal["sampled"] = "sampled"
+    kind: Literal["sampled"] = field(default="sampled", repr=False)
     times_s: tuple[float, ...]
     values: tuple[float, ...]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -77,7 +77,7 @@ class Pose:
 class Box:
     """Box centred on the body origin; edge lengths [m] along body x, y, z."""
 
-    kind: Literal["box"] = "box"
+    kind: Literal["box"] = field(default="box", repr=False)
     size_m: tuple[Positive, Positive, Positive]
 
     @property
@@ -96,7 +96,7 @@ class Box:
 class Sphere:
     """Sphere centred on the body origin."""
 
-    kind: Literal["sphere"] = "sphere"
+    kind: Literal["sphere"] = field(default="sphere", repr=False)
     radius_m: Positive
 
     @property
@@ -114,7 +114,7 @@ class Sphere:
 class Cylinder:
     """Solid cylinder centred on the body origin, axis along body z."""
 
-    kind: Literal["cylinder"] = "cylinder"
+    kind: Literal["cylinder"] = field(default="cylinder", repr=False)
     radius_m: Positive
     length_m: Positive
 
@@ -133,7 +133,7 @@ class Cylinder:
 class Plane:
     """Half-space below the body's x-y plane; body z is the outward normal."""
 
-    kind: Literal["plane"] = "plane"
+    kind: Literal["plane"] = field(default="plane", repr=False)
 
     @property
     def volume_m3(self) -> float:
@@ -155,7 +155,7 @@ class ConvexUnion:
         pieces_m: Vertices of each piece in the body frame [m].
     """
 
-    kind: Literal["convex_union"] = "convex_union"
+    kind: Literal["convex_union"] = field(default="convex_union", repr=False)
     pieces_m: Annotated[tuple[tuple[Vector, ...], ...], MinLen(1)]
 
     @cached_property
