@@ -98,7 +98,7 @@ def test_unknown_marker_proxy() -> None:
 
 
 def test_too_fine_a_cloth_for_its_contact_thickness() -> None:
-    with pytest.raises(ParameterError, match=r"4 mm, more than its cells of 3\.33 mm"):
+    with pytest.raises(ParameterError, match=r"a thickness of 4 mm, but its cells of 3\.33 mm must be larger"):
         gymnasium.make("GAUGE/Funnel-satin", settings={"cloth_cell_m": 1 / 300})
 
 

@@ -77,7 +77,7 @@ def test_driven_plate_is_where_its_driver_says(step: float) -> None:
 
 def test_declined_and_diverged_are_outcomes() -> None:
     scenario = one("creep-wood").scenario
-    with pytest.raises(DeclinedError, match="no such setting"):
+    with pytest.raises(DeclinedError, match="unknown setting"):
         run_scenario(MUJOCO, scenario, {"colour": "red"})
     loose = {
         "timestep_s": 0.01,
