@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from enum import Enum
 from os import PathLike, fspath
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -23,7 +23,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter, jittered
 
-__all__ = ["EnvArguments", "check_support", "jitter_option", "jittered_experiment", "plain_spec"]
+__all__ = ["EnvArguments", "EnvKeywords", "check_support", "jitter_option", "jittered_experiment", "plain_spec"]
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,19 @@ class EnvArguments:
     def band(self, experiment: Experiment) -> Band | None:
         """Return the band that an experiment is scored against, or None if it has no reference."""
         return reference_band(experiment, use_withheld=self.use_withheld)
+
+
+class EnvKeywords(TypedDict, total=False):
+    """Keywords of `EnvArguments` for the signatures of environments; editors and type checkers read them."""
+
+    backend: str
+    parameters: Parameters
+    settings: Mapping[str, Any] | None
+    marker_proxy: MarkerProxy | str
+    drivers: DataSource | str
+    reference: DataSource | str
+    use_withheld: bool
+    asset: str | PathLike[str] | None
 
 
 def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:

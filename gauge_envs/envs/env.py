@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.arguments import EnvArguments, jitter_option, jittered_experiment
+from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.rendering.lazy import Pictures
@@ -89,7 +89,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
-        **arguments: Any,
+        **arguments: Unpack[EnvKeywords],
     ) -> None:
         pictures = Pictures(render_mode, width=width, height=height)
         self.arguments = EnvArguments(variant, **arguments)

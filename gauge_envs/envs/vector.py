@@ -6,14 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, Unpack, cast
 
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
-from gauge_envs.envs.arguments import EnvArguments, jitter_option, jittered_experiment
+from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment
 from gauge_envs.envs.base import EngineEnvironment
 from gauge_envs.envs.episode import Episode, Observation, advance_together
 from gauge_envs.envs.rendering.lazy import Pictures
@@ -88,7 +88,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
-        **arguments: Any,
+        **arguments: Unpack[EnvKeywords],
     ) -> None:
         if num_envs < 1:
             raise ParameterError(f"num_envs is {num_envs}, expected 1 or more")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
+from dataclasses import fields
 
 import gymnasium
 import numpy as np
@@ -11,7 +13,10 @@ from gymnasium.utils.env_checker import check_env
 from places import RIGID
 
 import gauge_envs
+from gauge_envs.envs.arguments import EnvArguments, EnvKeywords
 from gauge_envs.envs.control.tasks import control_tasks
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import (
     ActionError,
     EpisodeError,
@@ -369,3 +374,12 @@ def test_a_damaged_task_file_is_named(tmp_path) -> None:
     path.write_text("family = ")
     with pytest.raises(TaskFileError, match=r"broken\.toml"):
         gauge_envs.load_task(path)
+
+
+def test_signatures_list_the_arguments_of_environments() -> None:
+    declared = {field.name: field.type for field in fields(EnvArguments)}
+    declared.pop("variant")
+    assert EnvKeywords.__annotations__.keys() == declared.keys()
+    assert {name: hint.__forward_arg__ for name, hint in EnvKeywords.__annotations__.items()} == declared
+    for env in (GaugeEnv, GaugeVectorEnv):
+        assert inspect.signature(env.__init__).parameters["arguments"].annotation == "Unpack[EnvKeywords]"
