@@ -154,9 +154,13 @@ class _Laws(Table):
 def law_for(variant: str) -> Law | None:
     """Return the law that gives the real outcome of a variant, or None.
 
+    A law needs the published scatter of the variant's trials. A new material, which nobody has measured, has no law.
+
     Raises:
-        ReferenceFileError: The table of laws is damaged.
+        ReferenceFileError: The table of laws or of published scores is damaged.
     """
+    if "rmse" not in published_baselines(variant):
+        return None
     return next((law for law in _all_laws(scoring_folder("bands")) if fnmatchcase(variant, law.variants)), None)
 
 

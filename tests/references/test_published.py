@@ -215,6 +215,11 @@ def test_laws_name_who_is_carried_by_what() -> None:
     assert (turntable.kind, turntable.body, turntable.carrier) == ("carried", "cube", "plate")
 
 
+def test_a_material_without_published_scores_has_no_law() -> None:
+    assert law_for("SlopeSlider-1-glass") is None
+    assert band_grade("SlopeSlider-1-glass") is BandGrade.NONE
+
+
 def test_grades_of_all_published_variants() -> None:
     grades = {variant: band_grade(variant) for variant in published_variants()}
     assert {variant for variant, grade in grades.items() if grade is BandGrade.TRIALS} == set(TRIAL_VARIANTS)
