@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
 
-from gauge_envs.references.tables import Table
+from gauge_envs.references.tables import FileModel
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
 from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
@@ -42,7 +42,7 @@ def _solid(union: ConvexUnion) -> ConvexUnion:
     return union
 
 
-class PlateWithHoleSpec(Table):
+class PlateWithHoleSpec(FileModel):
     """`kind = "plate_with_hole"`: plate with a round hole along z, made of wedge-shaped convex pieces."""
 
     kind: Literal["plate_with_hole"]
@@ -92,7 +92,7 @@ ShapeTable = Annotated[
 """Table of a shape, read as the shape itself."""
 
 
-class _ProfileSpec(Table):
+class _ProfileSpec(FileModel):
     """Table of a profile; the table of its motion checks the units."""
 
     @model_validator(mode="after")
@@ -164,7 +164,7 @@ class SampledSpec(_ProfileSpec):
 ProfileSpec = Annotated[TrapezoidSpec | CosineSpec | SampledSpec, Field(discriminator="kind")]
 
 
-class MotionSpec(Table):
+class MotionSpec(FileModel):
     """One coordinate of a driver.
 
     Attributes:
@@ -207,7 +207,7 @@ class MotionSpec(Table):
         )
 
 
-class DriverSpec(Table):
+class DriverSpec(FileModel):
     """Prescribed motion of a kinematic body.
 
     Attributes:

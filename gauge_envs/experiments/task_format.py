@@ -14,7 +14,7 @@ from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable, Unit
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
-from gauge_envs.references.tables import Table
+from gauge_envs.references.tables import FileModel
 from gauge_envs.scene import ContactMode, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
@@ -50,7 +50,7 @@ def _admissible_poisson(value: float) -> float:
 PoissonRatio = Annotated[float, AfterValidator(_admissible_poisson)]
 
 
-class BodySpec(Table):
+class BodySpec(FileModel):
     """A rigid body, or `count` equal ones named `<name>-1`, `<name>-2`, ..."""
 
     shape: ShapeTable
@@ -60,21 +60,21 @@ class BodySpec(Table):
     count: Annotated[int, Field(ge=1)] | None = None
 
 
-class ClothSpec(Table):
+class ClothSpec(FileModel):
     """A rectangular sheet."""
 
     size_m: tuple[Positive, Positive]
     material: str | None = None
 
 
-class SoftBodySpec(Table):
+class SoftBodySpec(FileModel):
     """A volumetric elastic block."""
 
     size_m: tuple[Positive, Positive, Positive]
     material: str | None = None
 
 
-class LineSpec(Table):
+class LineSpec(FileModel):
     """A rope or an elastic rod."""
 
     length_m: Positive
@@ -82,7 +82,7 @@ class LineSpec(Table):
     material: str | None = None
 
 
-class Substituted(Table):
+class Substituted(FileModel):
     """A calibrated constant that no simulation can use, and its substitute."""
 
     calibrated: float
@@ -90,7 +90,7 @@ class Substituted(Table):
     reason: str
 
 
-class RigidConstants(Table):
+class RigidConstants(FileModel):
     """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment."""
 
     mass_kg: Positive
@@ -99,7 +99,7 @@ class RigidConstants(Table):
     restitution: Fraction | None = None
 
 
-class ClothConstants(Table):
+class ClothConstants(FileModel):
     """Calibrated constants of a fabric."""
 
     mass_kg: Positive
@@ -112,7 +112,7 @@ class ClothConstants(Table):
     restitution: Fraction
 
 
-class SolidConstants(Table):
+class SolidConstants(FileModel):
     """Calibrated constants of a foam, a rubber, a rope or a rod."""
 
     mass_kg: Positive
@@ -123,7 +123,7 @@ class SolidConstants(Table):
     restitution: Fraction
 
 
-class Placement(Table):
+class Placement(FileModel):
     """Start of a body, in one of three forms.
 
     Attributes:
@@ -159,7 +159,7 @@ class Placement(Table):
         return [Pose.from_euler_deg(position, self.euler_deg) for position in positions if position is not None]
 
 
-class JointSpec(Table):
+class JointSpec(FileModel):
     """A hinge or a string to the world at the point that the body hangs from."""
 
     kind: Literal["hinge", "tether"]
@@ -173,7 +173,7 @@ class JointSpec(Table):
         return self
 
 
-class RegionSpec(Table):
+class RegionSpec(FileModel):
     """End of a deformable body."""
 
     axis: Literal["x", "y", "z"]
@@ -181,7 +181,7 @@ class RegionSpec(Table):
     depth_m: NonNegative = 0.0
 
 
-class AttachmentSpec(Table):
+class AttachmentSpec(FileModel):
     """Attachment of a region of a deformable body to another body."""
 
     deformable: str
@@ -189,7 +189,7 @@ class AttachmentSpec(Table):
     to: str
 
 
-class ContactSpec(Table):
+class ContactSpec(FileModel):
     """Two groups of bodies that collide, and the body whose calibrated constants hold for the pair."""
 
     bodies: tuple[str, str]
@@ -205,7 +205,7 @@ class ContactSpec(Table):
         return self
 
 
-class MarkersSpec(Table):
+class MarkersSpec(FileModel):
     """Motion-capture markers; `positions_m` in the published order."""
 
     bodies: tuple[str, ...] = Field(min_length=1)
@@ -226,7 +226,7 @@ class MarkersSpec(Table):
         return self
 
 
-class ScoreSpec(Table):
+class ScoreSpec(FileModel):
     """How the experiment is observed and scored."""
 
     observable: Observable
@@ -234,14 +234,14 @@ class ScoreSpec(Table):
     period_axis: Literal["x", "y", "z"] | None = None
 
 
-class ParameterSetSpec(Table):
+class ParameterSetSpec(FileModel):
     """Named alternative values, keyed `body.constant`; by material where they differ."""
 
     summary: str
     values: dict[str, Any] = Field(min_length=1)
 
 
-class SourceSpec(Table):
+class SourceSpec(FileModel):
     """Sources that the file was transcribed from."""
 
     metadata: str
@@ -249,7 +249,7 @@ class SourceSpec(Table):
     video: str | None = None
 
 
-class SubtaskSpec(Table):
+class SubtaskSpec(FileModel):
     """Values that a subtask adds to the family, or replaces."""
 
     title: str
@@ -261,7 +261,7 @@ class SubtaskSpec(Table):
     drivers: tuple[DriverSpec, ...] | None = None
 
 
-class TaskSpec(Table):
+class TaskSpec(FileModel):
     """One task file; its keys are in this order."""
 
     family: str

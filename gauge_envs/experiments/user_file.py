@@ -25,7 +25,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import ENGINES, Baseline, Reference
-from gauge_envs.references.tables import Table
+from gauge_envs.references.tables import FileModel
 from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
@@ -34,7 +34,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 __all__ = ["ExperimentFile", "FileExperiment", "experiment_record", "load_experiment_file", "recorded_experiment_file"]
 
 
-class PairSpec(Table):
+class PairSpec(FileModel):
     """Constants of the contact of two bodies that replace those of the USD layer."""
 
     bodies: tuple[str, str]
@@ -71,14 +71,14 @@ class FileBandSpec(BandSpec):
     file: str
 
 
-class BaselineSpec(Table):
+class BaselineSpec(FileModel):
     """Score of real trials against their own mean, in the unit of the metric; scores are divided by the mean."""
 
     mean: Positive
     std: NonNegative | None = None
 
 
-class ExperimentFile(Table):
+class ExperimentFile(FileModel):
     """One experiment file.
 
     Attributes:

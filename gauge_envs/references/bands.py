@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.tables import Table, csv_header, read_rows, read_toml, scoring_folder
+from gauge_envs.references.tables import FileModel, csv_header, read_rows, read_toml, scoring_folder
 from gauge_envs.scene.geometry import NonNegative, Positive
 
 __all__ = [
@@ -177,7 +177,7 @@ def _with_none(values: NDArray[Any]) -> list[Any]:
     return entries.tolist()
 
 
-class BandSpec(Table):
+class BandSpec(FileModel):
     """Statements about the table of a band: a sidecar, or the `band` table of an experiment file.
 
     Attributes:
@@ -224,7 +224,7 @@ class BandSpec(Table):
         return np.eye(len(self.coordinates))
 
 
-class TrialScores(Table):
+class TrialScores(FileModel):
     """Score of real trials among themselves.
 
     Attributes:
@@ -333,7 +333,7 @@ def _stated_sigma(sidecar: BandSidecar, file: Path, columns: Mapping[str, FloatA
     return columns["uncertainty"]
 
 
-class _BandRow(Table):
+class _BandRow(FileModel):
     """One row of the table of a band; values are keyed by coordinate, and None is unknown."""
 
     frame: NonNegativeInt

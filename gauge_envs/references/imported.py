@@ -31,7 +31,7 @@ from pydantic import ValidationError
 from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, first_fault
 from gauge_envs.files import write_whole
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.references.tables import Table
+from gauge_envs.references.tables import FileModel
 from gauge_envs.scene.drivers import Driver, SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -82,7 +82,7 @@ BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUN
 """Data sources of a result that uses no import."""
 
 
-class SpreadRecord(Table):
+class SpreadRecord(FileModel):
     """Mean and sample standard deviation (n - 1) of one metric over trials, in the metric's unit."""
 
     unit: str
@@ -91,7 +91,7 @@ class SpreadRecord(Table):
     trial_count: int
 
 
-class DriverRecord(Table):
+class DriverRecord(FileModel):
     """Quality of a recorded driver: how far the trials are from the mean that drives the body.
 
     Attributes:
@@ -113,7 +113,7 @@ class DriverRecord(Table):
     scatter_deg: float | None
 
 
-class ImportFacts(Table):
+class ImportFacts(FileModel):
     """Origin of the imported trials of one variant, and their scores.
 
     Attributes:

@@ -17,7 +17,7 @@ from pydantic import Field, PositiveInt
 from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
 from gauge_envs.references.bands import Band, BandGrade, SigmaSource
 from gauge_envs.references.metrics import MetricKey
-from gauge_envs.references.tables import Table, read_rows, read_toml, scoring_folder
+from gauge_envs.references.tables import FileModel, read_rows, read_toml, scoring_folder
 
 __all__ = [
     "ENGINES",
@@ -72,7 +72,7 @@ def published_variants() -> tuple[str, ...]:
     return tuple(_all_baselines(scoring_folder("published")))
 
 
-class _BaselineRow(Table):
+class _BaselineRow(FileModel):
     """One row of `engine_results.csv`; its fields are the columns."""
 
     variant: str
@@ -125,7 +125,7 @@ class Reference:
     baselines: Mapping[str, Baseline]
 
 
-class Law(Table):
+class Law(FileModel):
     """A closed form that gives the real outcome of some variants (`scoring/bands/laws.toml`).
 
     Attributes:
@@ -145,7 +145,7 @@ class Law(Table):
     evidence: str
 
 
-class _Laws(Table):
+class _Laws(FileModel):
     """The file `laws.toml`."""
 
     law: Annotated[tuple[Law, ...], Field(min_length=1)]

@@ -13,16 +13,16 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import data_folder
 
-__all__ = ["Table", "csv_header", "read_rows", "read_toml", "scoring_folder"]
+__all__ = ["FileModel", "csv_header", "read_rows", "read_toml", "scoring_folder"]
 
 
-class Table(BaseModel):
+class FileModel(BaseModel):
     """One table of a file: frozen, without unknown keys, all numbers finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-Model = TypeVar("Model", bound=Table)
+Model = TypeVar("Model", bound=FileModel)
 
 
 def scoring_folder(name: str) -> Path:
