@@ -194,7 +194,7 @@ def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
         if any(cells):
             yield line(cells, styles)
         below = [c.text(row) for c in shown[Place.BELOW]]
-        below.append("; ".join(f"{c.label}: {c.text(row)}" for c in spilled if c.text(row) != "-"))
+        below.append("; ".join(f"{c.label}: {c.text(row)}" for c in spilled if c.value(row) is not None))
         for text in filter(None, below):
             yield from _wrapped(text, width, indent=2 * GAP)
 

@@ -8,7 +8,7 @@ from io import StringIO
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rich.console import Console, RenderableType
 
@@ -139,6 +139,7 @@ WORDS = st.lists(st.text("abc123.-", min_size=1, max_size=14), min_size=1, max_s
 
 
 @settings(max_examples=200, deadline=None)
+@example(titles=["1", "1", "1" * 13], cells=[["1", "1 1 1 1 1", "-", *["1"] * 5]], places=[Place.CELL] * 8, width=30)
 @given(
     titles=st.lists(WORDS, min_size=1, max_size=8),
     cells=st.lists(st.lists(WORDS, min_size=8, max_size=8), min_size=1, max_size=4),
