@@ -104,6 +104,12 @@ class Episode:
             else ObserverMarkers(scene, observable, world, marker_proxy)
         )
         self._grade = BandGrade.NONE.value if band is None else band.grade.value
+        self._origin: dict[str, Any] = {
+            "reference": self._grade,
+            "reference_source": experiment.reference_source.value,
+            "drivers": experiment.drivers.value,
+            **({"edited": True} if experiment.edited else {}),
+        }
         frames, bodies = experiment.frame_count, len(experiment.recorded)
         self._samples = np.full(((frames - 1) * SAMPLES_PER_FRAME + 1, self._observer.width), np.nan)
         self._bodies = np.full((frames, bodies, 13), np.nan)
@@ -311,14 +317,7 @@ class Episode:
     def info(self) -> dict[str, Any]:
         """Return frame, time, grade of the reference, and the sources of reference and driven motion."""
         frame = self.frame or 0
-        info = {
-            "frame": frame,
-            "time_s": frame / FRAME_RATE_HZ,
-            "reference": self._grade,
-            "reference_source": self.experiment.reference_source.value,
-            "drivers": self.experiment.drivers.value,
-        }
-        return info | {"edited": True} if self.experiment.edited else info
+        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self._origin}
 
     def reward(self) -> float:
         """Return minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a band."""
