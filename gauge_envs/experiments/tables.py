@@ -5,6 +5,7 @@ A shape is read as the scene's own class. A profile has a class here, as files s
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
@@ -100,9 +101,9 @@ class _ProfileSpec(FileModel):
         self.build()
         return self
 
+    @abstractmethod
     def build(self) -> Profile:
         """Return the profile in m or rad."""
-        raise NotImplementedError
 
 
 class _MoveSpec(_ProfileSpec):
