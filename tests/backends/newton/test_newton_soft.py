@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, ORIGIN, YOUNG_PA, block
 from hexahedra import extrapolated_end_force
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
+
 from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m  # noqa: E402
 from gauge_envs.backends.newton.soft import add_soft  # noqa: E402
 from gauge_envs.backends.newton.stepper import warp_transform  # noqa: E402
@@ -22,39 +24,13 @@ from gauge_envs.backends.newton.surface import SurfaceContacts  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts  # noqa: E402
 from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
 from gauge_envs.errors import ShapeError, UnsupportedSceneError  # noqa: E402
-from gauge_envs.scene import Box, Motion, Pose, Region, SoftBody  # noqa: E402
+from gauge_envs.scene import Motion, Pose, Region, SoftBody  # noqa: E402
 
-EDGE_M = 0.05
-AREA_M2 = EDGE_M**2
-YOUNG_PA = 86410.0
-DENSITY_KG_PER_M3 = 13.2
-ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 COARSE_M = EDGE_M / 3
 
 
 def plate(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
     return RigidAttachment(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
-
-
-def block(
-    name: str = "foam",
-    *,
-    length_m: float = 0.2,
-    centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    euler_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    young_pa: float = YOUNG_PA,
-    poisson: float = 0.0,
-    density: float = DENSITY_KG_PER_M3,
-) -> SoftBody:
-    """Square bar along z of its frame."""
-    return SoftBody(
-        name=name,
-        shape=Box(size_m=(EDGE_M, EDGE_M, length_m)),
-        pose=Pose.from_euler_deg(centre_m, euler_deg),
-        mass_kg=density * AREA_M2 * length_m,
-        young_modulus_pa=young_pa,
-        poisson_ratio=poisson,
-    )
 
 
 class Bench:

@@ -1,0 +1,32 @@
+"""A square bar of foam, for the tests of every engine."""
+
+from __future__ import annotations
+
+from gauge_envs.scene import Box, Pose, SoftBody
+
+EDGE_M = 0.05
+AREA_M2 = EDGE_M**2
+YOUNG_PA = 86410.0
+DENSITY_KG_PER_M3 = 13.2
+ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
+
+
+def block(
+    name: str = "foam",
+    *,
+    length_m: float = 0.2,
+    centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    euler_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    young_pa: float = YOUNG_PA,
+    poisson: float = 0.0,
+    density: float = DENSITY_KG_PER_M3,
+) -> SoftBody:
+    """Square bar along z of its frame."""
+    return SoftBody(
+        name=name,
+        shape=Box(size_m=(EDGE_M, EDGE_M, length_m)),
+        pose=Pose.from_euler_deg(centre_m, euler_deg),
+        mass_kg=density * AREA_M2 * length_m,
+        young_modulus_pa=young_pa,
+        poisson_ratio=poisson,
+    )
