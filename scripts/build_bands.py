@@ -197,6 +197,14 @@ def band_csv(trials: Trials) -> str:
     return "\n".join(lines) + "\n"
 
 
+def trials_csv(trials: Trials) -> str:
+    """Return the text of the table of single trials."""
+    numbers = range(1, len(trials.positions_mm) + 1)
+    lines = ["frame," + ",".join(f"trial.{number}.{trials.coordinate}" for number in numbers)]
+    lines += [f"{frame}," + ",".join(f"{x:.6f}" for x in row) for frame, row in enumerate(trials.positions_mm.T)]
+    return "\n".join(lines) + "\n"
+
+
 def band_toml(trials: Trials) -> str:
     """Return the text of a band's sidecar: what the table's numbers are, and the scores of the trials themselves."""
     direction = ", ".join(f"{component:.12g}" for component in trials.direction)
@@ -279,6 +287,7 @@ def generated_files(scoring: Path) -> dict[Path, str]:
     for variant, trials in reconstruct(scoring).items():
         files[scoring / "bands" / f"{variant}.csv"] = band_csv(trials)
         files[scoring / "bands" / f"{variant}.toml"] = band_toml(trials)
+        files[scoring / "trials" / f"{variant}.csv"] = trials_csv(trials)
     return files
 
 

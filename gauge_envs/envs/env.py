@@ -104,7 +104,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
 
     def _build(self, experiment: Experiment) -> None:
         super()._build(experiment)
-        self.episode = Episode(experiment, self.simulation, band=self.band, marker_proxy=self.arguments.proxy)
+        self.episode = Episode(
+            experiment, self.simulation, band=self.band, marker_proxy=self.arguments.proxy, backend=self.backend_name
+        )
 
     def _state(self) -> dict[str, Any]:
         return super()._state() | {"episode": self.episode.state()}
@@ -168,9 +170,13 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     def score(self) -> Score | None:
         """Return the score of the episode, or None before it is over.
 
-        The score of an episode that diverged has a grade and no metric.
+        An experiment that starts with a release is simulated on by 10 frames first, for the release alignment. The
+        score of an episode that diverged has a grade and no metric.
         """
-        return self.episode.score() if self.episode.is_over else None
+        if not self.episode.is_over:
+            return None
+        self.episode.run_on(self.simulation)
+        return self.episode.score()
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment
 from gauge_envs.envs.base import EngineEnvironment
-from gauge_envs.envs.episode import Episode, Observation, advance_together
+from gauge_envs.envs.episode import Episode, Observation, advance_together, run_on_together
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.score import Score
@@ -110,7 +110,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
     def _build(self, experiments: Sequence[Experiment]) -> None:
         self.worlds = self._engine.build_worlds([one.scene for one in experiments], self._settings)
         self.episodes = [
-            Episode(one, world, band=self.band, marker_proxy=self.arguments.proxy)
+            Episode(one, world, band=self.band, marker_proxy=self.arguments.proxy, backend=self.backend_name)
             for one, world in zip(experiments, self.worlds.worlds, strict=True)
         ]
         self._running: dict[int, Episode] = {}
@@ -213,6 +213,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
     def scores(self) -> tuple[Score | None, ...]:
         """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
+        run_on_together(self.episodes, self.worlds)
         return tuple(episode.score() if episode.is_over else None for episode in self.episodes)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

@@ -10,7 +10,8 @@ face areas. Columns are the coordinates of g(t) in the order of `coordinate_name
 A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is skipped.
 Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is within 0.5 ms
 and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames` counts them.
-Samples after the last published frame are not used.
+Samples of up to 10 frames after the last published one serve the release alignment: a file that ends with the last
+frame is not shifted to earlier times. Later ones are not used.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -45,7 +47,7 @@ class UserTrajectory:
     """A generalized trajectory that covers every frame of its experiment.
 
     Attributes:
-        times_s: Strictly increasing times from 0 to the last frame [s], the 30 Hz frames among them, shape
+        times_s: Strictly increasing times from 0 to the last frame or later [s], the 30 Hz frames among them, shape
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
         interpolated_frames: Number of frames without a sample in the file.
@@ -288,6 +290,10 @@ def _read_json(layout: _FileLayout) -> Columns:
     if "g" not in content and isinstance(content.get("trajectory"), dict):
         content = content["trajectory"]
         key, times = "samples", content.get("times_s")
+        later_s, later = content.get("later_times_s"), content.get("later_samples")
+        if all(isinstance(entry, list) for entry in (times, content.get(key), later_s, later)):
+            content = content | {key: [*content[key], *later]}
+            times = [*times, *later_s]
     rows = content.get(key)
     if not isinstance(rows, list):
         raise layout.error("", f"no list {key!r} of rows; {layout.expected}")
@@ -306,7 +312,7 @@ def _read_json(layout: _FileLayout) -> Columns:
 def _on_frames(
     file: Path, times_s: NDArray[np.float64], values: NDArray[np.float64], frame_count: int
 ) -> UserTrajectory:
-    """Check the times, insert every frame, and cut after the last one."""
+    """Check the times, insert every frame, and cut what is too late for the release alignment."""
     frames = np.arange(frame_count) / FRAME_RATE_HZ
     needed = f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
     if len(times_s) < 2:
@@ -341,5 +347,5 @@ def _on_frames(
     added = np.column_stack([np.interp(between, times_s, column) for column in values.T])
     order = np.argsort(np.concatenate([times, between]), kind="stable")
     times, values = np.concatenate([times, between])[order], np.concatenate([values, added])[order]
-    used = times <= frames[-1]
+    used = times <= frames[-1] + MAX_RELEASE_OFFSET_S + FRAME_TOLERANCE_S
     return UserTrajectory(times_s=times[used], values=values[used], interpolated_frames=len(between))

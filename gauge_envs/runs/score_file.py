@@ -17,6 +17,7 @@ from gauge_envs.references.imported import DataSource, dataset_record
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.scene_record import asset_record, recorded_experiment
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["score_file"]
 
@@ -58,7 +59,7 @@ def score_file(
         score=score,
         task_sha256=experiment.file_sha256,
         frames=experiment.frame_count,
-        sim_s=float(trajectory.times_s[-1]),
+        sim_s=(experiment.frame_count - 1) / FRAME_RATE_HZ,
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),
         asset=asset_record(experiment),
