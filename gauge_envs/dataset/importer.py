@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.dataset.layout import Layout
-from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_trajectory
+from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_markers_m, trial_trajectory
 from gauge_envs.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
 from gauge_envs.dataset.trial import ImportFinding, Trial, TrialError, parse_trial
 from gauge_envs.evaluation.score import score_trajectory
@@ -20,6 +20,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
+from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.imported import DriverRecord, ImportFacts, SpreadRecord, VariantRecord, write_imported

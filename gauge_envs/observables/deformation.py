@@ -1,8 +1,8 @@
 """Compute statistics of the deformation of a solid from its markers: strain, volume ratio, non-affine residual.
 
 The markers of a solid at rest and now define a least-squares affine map, x = F X + c. F is the mean deformation
-gradient of the marked material. Its stretch U = (F^T F)^(1/2) is free of the rotation. The Biot strain U - 1 is the elongation
-per length in each direction. What the map leaves is the non-affine residual.
+gradient of the marked material. Its stretch U = (F^T F)^(1/2) is free of the rotation. The Biot strain U - 1 is the
+elongation per length in each direction. What the map leaves is the non-affine residual.
 
 Placement errors of markers hardly enter: strain is relative to the markers' own places at rest.
 """
@@ -25,8 +25,8 @@ __all__ = [
     "deformation_statistics",
     "independent_noise",
     "marked_solid",
-    "statistic_unit",
     "statistic_uncertainty",
+    "statistic_unit",
 ]
 
 FloatArray = NDArray[np.float64]

@@ -124,7 +124,8 @@ def _bundled(folder: Path, variant: str) -> DeformationReference | None:
 
 def _read_table(file: Path, statistics: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in statistics]
-    mean, uncertainty = [], []
+    mean: list[list[float | None]] = []
+    uncertainty: list[list[float | None]] = []
     for line, row in read_rows(file, ["frame", "time_s", *columns], _StatisticsRow):
         if row.frame != len(mean):
             raise ReferenceFileError(file, line, f"frame {row.frame} where {len(mean)} is next")
