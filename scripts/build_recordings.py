@@ -266,8 +266,14 @@ def section_errors_m(
 
     Returns:
         Patterns [m], shape [6 * section_count + 1, marker_count, 3].
+
+    Raises:
+        ValueError: The experiment has no markers.
     """
-    planned = np.asarray(experiment.scene.markers.positions_m)[stated["markers"]]
+    markers = experiment.scene.markers
+    if markers is None:
+        raise ValueError(f"{experiment.name} has no markers")
+    planned = np.asarray(markers.positions_m)[stated["markers"]]
     axis_m = np.append(experiment.scene.deformables[0].pose.position_m[:2], 0.0)
     heights = np.round(planned[:, 2], 4)
     arms = markers_m - axis_m
@@ -346,7 +352,8 @@ def picture_statistics(
         noise, unseen = spread_m, section_errors_m(stated, rest_m, markers_m, experiment)
     else:
         single = independent_noise(np.tile(1e-3 * np.array(stated["markers_mm"]), (len(rest_m), 1)))
-        noise, unseen = (single, None) if stated.get("read") else (spread_m, single)
+        none = np.zeros((0, *single.shape[1:]))
+        noise, unseen = (single, none) if stated.get("read") else (spread_m, single)
     found = deformation_statistics(rest_m, markers_m[None], solid, noise_m=noise)[0]
     return found, statistic_uncertainty(rest_m, markers_m, solid, noise_m=noise, unseen_m=unseen)
 

@@ -20,7 +20,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
-from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid
+from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.imported import DriverRecord, ImportFacts, SpreadRecord, VariantRecord, write_imported
@@ -219,7 +219,7 @@ class _VariantImporter:
         if self._solid is None:
             return
         markers_m = trial_markers_m(trial, self._experiment)[: self._experiment.frame_count]
-        found = deformation_statistics(markers_m[0], markers_m, self._solid)
+        found = trial_statistics(markers_m, self._solid)
         padding = ((0, self._experiment.frame_count - len(found)), (0, 0))
         self._statistics.append(np.pad(found, padding, constant_values=np.nan))
 

@@ -27,6 +27,8 @@ __all__ = [
     "marked_solid",
     "statistic_uncertainty",
     "statistic_unit",
+    "trial_statistics",
+    "white_noise_m",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +52,9 @@ LEAST_EXTENT_M = 2e-3
 
 SPANNED_COSINE = 0.98
 """Least length of the projection of a unit axis on the span of the markers, for strain along that axis."""
+
+NORMAL_MEDIAN = 0.674489750196
+"""Median of the absolute value of a standard normal variable."""
 
 SHEARS = ((0, 1), (0, 2), (1, 2))
 
@@ -200,7 +205,8 @@ def deformation_statistics(
     if solid.long_axis is not None:
         across = [axis for axis in range(3) if axis != solid.long_axis]
         values[:, 6] = values[:, across].mean(axis=1)
-    values[:, 7] = np.where(fit.rank == 3, np.linalg.det(fit.gradient), np.nan)
+    solid_frames = fit.rank == 3
+    values[solid_frames, 7] = np.linalg.det(fit.gradient[solid_frames])
     values[:, 8] = np.where(fit.rank == 2, np.sqrt(squares[:, 2] * squares[:, 1]), np.nan)
     values[:, 9] = 1e3 * np.sqrt(np.maximum(_mean_square(fit) - _noise_mean_square(rest_m, fit, noise_m), 0.0))
     return values
@@ -243,6 +249,43 @@ def independent_noise(sigma_m: ArrayLike) -> FloatArray:
     """
     sigma = np.asarray(sigma_m, dtype=np.float64)
     return np.diag(sigma.ravel()).reshape(sigma.size, *sigma.shape)
+
+
+def white_noise_m(markers_m: ArrayLike) -> float:
+    """Return the white noise of each coordinate of a captured trajectory [m, 1 sigma], from its sixth differences.
+
+    Motion that changes slowly between frames cancels in them; independent errors add to sqrt(924) of one. The median
+    leaves jumps out. Noise that is correlated between frames is not seen.
+
+    Args:
+        markers_m: Marker positions at evenly spaced frames [m], shape [frame_count, marker_count, 3]; NaN: missing.
+
+    Returns:
+        Standard deviation [m]; 0 for fewer than seven frames in a row.
+    """
+    differences = np.abs(np.diff(np.asarray(markers_m, dtype=np.float64), n=6, axis=0))
+    known = differences[np.isfinite(differences)]
+    return float(np.median(known) / NORMAL_MEDIAN / np.sqrt(924.0)) if known.size else 0.0
+
+
+def trial_statistics(markers_m: ArrayLike, solid: MarkedSolid) -> FloatArray:
+    """Return the statistics of deformation of a captured trial; its first frame is rest.
+
+    The non-affine residual is corrected for the white noise of the trial, which the frame and the rest both have.
+
+    Args:
+        markers_m: Marker positions at the frames of the trial [m], shape [frame_count, marker_count, 3]; NaN: missing.
+        solid: The marked solid.
+
+    Returns:
+        Statistics as from `deformation_statistics`, shape [frame_count, 10].
+
+    Raises:
+        ShapeError: The positions have another shape.
+    """
+    markers = np.asarray(markers_m, dtype=np.float64)
+    noise = independent_noise(np.full(markers.shape[1:], np.sqrt(2.0) * white_noise_m(markers)))
+    return deformation_statistics(markers[0], markers, solid, noise_m=noise)
 
 
 def statistic_uncertainty(
