@@ -121,7 +121,7 @@ def score_deformation(
         The comparison; None if the experiment has no markers on a solid, or no real statistics.
 
     Raises:
-        ShapeError: Frames or markers are not those of the experiment.
+        ShapeError: Frames or markers of rollout or reference are not those of the experiment.
         ReferenceFileError: A file of the reference is damaged.
     """
     solid = marked_solid(experiment.scene)
@@ -132,6 +132,11 @@ def score_deformation(
     wanted = (experiment.frame_count, len(experiment.scene.markers.positions_m), 3)
     if markers.shape != wanted:
         raise ShapeError(f"markers_m has shape {markers.shape}; {experiment.name} needs {wanted}")
+    if len(reference.mean) != experiment.frame_count:
+        raise ShapeError(
+            f"the reference has {len(reference.mean)} frames; {experiment.name} needs {experiment.frame_count}. "
+            "An import of another version is renewed by gauge data import."
+        )
     if reference.markers is not None:
         markers = markers[:, list(reference.markers)]
     simulated = deformation_statistics(markers[0], markers, solid)

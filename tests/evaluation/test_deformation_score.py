@@ -100,6 +100,11 @@ def test_markers_of_another_experiment_are_refused() -> None:
         score_deformation(EXPERIMENT, stretched()[:, 1:])
 
 
+def test_a_reference_of_other_frames_is_refused() -> None:
+    with pytest.raises(ShapeError, match="the reference has 20 frames; FoamStretching-soft needs 30"):
+        score_deformation(EXPERIMENT, stretched(), reference=reference_of({"strain.zz": 0.03}, 0.01, frames=20))
+
+
 def test_a_score_survives_json() -> None:
     score = score_deformation(EXPERIMENT, stretched())
     assert score is not None and score.note is not None
