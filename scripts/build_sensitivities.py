@@ -3,8 +3,8 @@
     python scripts/build_sensitivities.py                          all engines, all variants with a band
     python scripts/build_sensitivities.py --backend mujoco --ids "SlopeSlider-*"
 
-A table states how the trajectory changes with each uncertain input (`gauge_envs.runs.sensitivity`). Score intervals take
-the tables from there. They belong to the default preset of the engine.
+A table states how the trajectory changes with each uncertain input (`gauge_envs.runs.sensitivity`). The intervals of
+scores use it. It belongs to the default preset of the engine.
 """
 
 from __future__ import annotations

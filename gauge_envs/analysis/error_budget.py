@@ -34,8 +34,8 @@ from gauge_envs.analysis.diagnosis import (
     Remainder,
     StagePart,
 )
-from gauge_envs.evaluation.motion_kinds import Change, recognized
 from gauge_envs.errors import GaugeError, ParameterError, ShapeError
+from gauge_envs.evaluation.motion_kinds import Change, recognized
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade

@@ -12,6 +12,7 @@ from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, 
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
@@ -43,6 +44,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
 
     `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled` or
     `imported`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the simulation diverged.
+    `gymnasium.make` adds `score` and `deformation` at the end; see `ScoreEpisode`.
 
     Copies and pickles are environments of their own. They continue bit for bit, also in another process with the same
     versions of the engine.
@@ -177,6 +179,13 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             return None
         self.episode.run_on(self.simulation)
         return self.episode.score()
+
+    def deformation(self) -> DeformationScore | None:
+        """Return the statistics of deformation of the episode beside real ones.
+
+        None before the episode is over, if it diverged, and for experiments without such statistics.
+        """
+        return self.episode.deformation() if self.episode.is_over else None
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`.

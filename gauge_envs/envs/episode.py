@@ -19,6 +19,7 @@ from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.errors import ActionError, EpisodeError
+from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
 from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
@@ -330,6 +331,18 @@ class Episode:
             return Score(grade=self._grade, unit=self.experiment.score.observable.unit, edited=self.experiment.edited)
         times_s, values = self.trajectory().dense
         return score_trajectory(self.experiment, self.band, times_s=times_s, values=values, backend=self._backend)
+
+    def deformation(self) -> DeformationScore | None:
+        """Return the statistics of deformation beside real ones; None without them, or if the episode diverged.
+
+        Raises:
+            EpisodeError: The episode is not over.
+        """
+        if not self.is_over:
+            raise EpisodeError(f"{self.experiment.id}: no statistics of deformation before the episode is over")
+        if self.fault is not None or not self._markers_m.size:
+            return None
+        return score_deformation(self.experiment, self._markers_m)
 
     # --- reading ---
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from pydantic import TypeAdapter
 
 from gauge_envs.errors import ShapeError

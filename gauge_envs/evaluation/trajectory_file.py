@@ -4,7 +4,7 @@ No physics engine is needed. Values are in the unit of the observable: mm for po
 face areas. Columns are the coordinates of g(t) in the order of `coordinate_names`.
 
 - CSV: one row per sample, an optional header, an optional column `time_s` that the header names. `#` starts a comment.
-- NPZ: arrays `g`, shape [T, C], and optionally `time_s`, shape [T].
+- NPZ: arrays `g`, shape [T, C]; optionally `time_s`, shape [T], and `markers_m`, shape [T, M, 3], the markers [m].
 - JSON: an object with `g`, a list of rows, and optionally `time_s` and `id`; or a result file of this package.
 
 A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is skipped.
@@ -21,7 +21,7 @@ import io
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["UserTrajectory", "read_trajectory", "recorded_id"]
@@ -51,11 +52,14 @@ class UserTrajectory:
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
         interpolated_frames: Number of frames without a sample in the file.
+        markers_m: Marker positions at the 30 Hz frames [m], shape [frame_count, marker_count, 3]; None if the file does
+            not give them. A g(t) of marker positions gives them too.
     """
 
     times_s: NDArray[np.float64]
     values: NDArray[np.float64]
     interpolated_frames: int
+    markers_m: NDArray[np.float64] | None = None
 
 
 def recorded_id(file: Path) -> tuple[str | None, Any, bool]:
@@ -94,7 +98,23 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     times, values = reader(layout)
     if times is None:
         times = np.arange(len(values)) / FRAME_RATE_HZ
-    return _on_frames(file, times, values, experiment.frame_count)
+    markers = _npz_markers(layout, len(values), experiment) if reader is _read_npz else None
+    width = values.shape[1]
+    if markers is not None:
+        values = np.concatenate([values, markers.reshape(len(values), -1)], axis=1)
+    trajectory = _on_frames(file, times, values, experiment.frame_count)
+    if experiment.score.observable is Observable.MARKER_POSITION:
+        return replace(trajectory, markers_m=1e-3 * _frame_rows(trajectory)[:, :width].reshape(-1, width // 3, 3))
+    if markers is None:
+        return trajectory
+    markers_m = _frame_rows(trajectory)[:, width:].reshape(-1, *markers.shape[1:])
+    return replace(trajectory, values=trajectory.values[:, :width], markers_m=markers_m)
+
+
+def _frame_rows(trajectory: UserTrajectory) -> NDArray[np.float64]:
+    """Return the samples at the 30 Hz frames."""
+    frames = np.arange(round(trajectory.times_s[-1] * FRAME_RATE_HZ) + 1) / FRAME_RATE_HZ
+    return trajectory.values[np.searchsorted(trajectory.times_s, frames - 1e-9)]
 
 
 @dataclass(frozen=True)
@@ -272,6 +292,21 @@ def _read_npz(layout: _FileLayout) -> Columns:
     for row in np.flatnonzero(~(np.abs(times) <= LARGEST))[:1]:
         layout.number(f"row {row}", "time_s", times[row].item())
     return times, g
+
+
+def _npz_markers(layout: _FileLayout, row_count: int, experiment: Experiment) -> NDArray[np.float64] | None:
+    """Return the array `markers_m` of a file, shape [T, M, 3]; None without one."""
+    with np.load(layout.file, allow_pickle=False) as archive:
+        if "markers_m" not in archive.files:
+            return None
+        markers = np.asarray(archive["markers_m"])
+    known = experiment.scene.markers
+    wanted = [row_count, 0 if known is None else len(known.positions_m), 3]
+    if list(markers.shape) != wanted:
+        raise layout.error("markers_m", f"shape is {list(markers.shape)}, expected {wanted}")
+    if markers.dtype.kind not in "fiu" or not np.isfinite(markers).all():
+        raise layout.error("markers_m", "a value is not a finite number [m]")
+    return markers.astype(np.float64)
 
 
 def _json_object(file: Path) -> dict[str, Any]:

@@ -13,12 +13,12 @@ true one by an error e, a sum of contributions. Each has a shape over frames and
 - `projection`: motion across the measured coordinates, which a small error of their direction mixes in.
 
 Interval. With a unit vector u, a true distance L would have been observed as |L u + e|. For each draw of e, the L that
-gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d plus another draw of e. The
-95 % interval is between percentiles of these roots. This inverts the test of each L (Neyman), so it does not count the
-error of the mean twice, as adding e to d would. The upper percentile is divided by the share of draws that have a root
-(CLs), so that a distance below its own errors gives no empty interval. The mean of a law is not observed; there e is
-added to d. `tests/evaluation/test_coverage.py` measures the coverage: 93 to 97 % for a distance above its errors, more
-for one below.
+gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d plus another draw of e.
+The 95 % interval is between percentiles of these roots. This inverts the test of each L (Neyman), so it does not count
+the error of the mean twice, as adding e to d would. The upper percentile is divided by the share of draws that have a
+root (CLs), so that a distance below its own errors gives no empty interval. The mean of a law is not observed; there e
+is added to d. `tests/evaluation/test_coverage.py` measures the coverage: 93 to 97 % for a distance above its errors,
+more for one below.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.stats import t as student
 
 from gauge_envs.references.bands import Band, BandGrade
@@ -49,9 +48,6 @@ LEVEL = 0.95
 
 BELOW_NOISE = 0.01
 """Share of draws below which an observed distance counts as smaller than its own errors."""
-
-NORMAL_95 = 1.959964
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 SEED = 20_260_711
 """Seed of the draws. It is fixed, so that scores repeat and engines are compared on the same draws."""

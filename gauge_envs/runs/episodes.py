@@ -180,6 +180,7 @@ def _finished(
         planned,
         outcome=Outcome.DIVERGED if episode.fault else Outcome.FINISHED,
         score=score,
+        deformation=episode.deformation() if episode.is_over else None,
         frames=len(recorded.frames),
         diverged=bool(episode.fault),
         diverged_reason=episode.fault,

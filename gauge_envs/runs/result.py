@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
@@ -105,6 +106,7 @@ class Result:
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
         score: Distance to reality; a metric that does not apply is None.
+        deformation: Statistics of deformation beside real ones, grade `statistics`; None without them.
         task_sha256: Hash of the task file; for an experiment file, hash of it and of all files that it names.
         frames: Number of recorded frames, the first included.
         diverged: Whether the simulation left the physical bounds of the scene.
@@ -134,6 +136,7 @@ class Result:
     parameters: str | dict[str, Any]
     score: Score
     task_sha256: str
+    deformation: DeformationScore | None = None
     backend: str | None = None
     frames: int = 0
     diverged: bool = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.evaluation.deformation import score_deformation
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.evaluation.trajectory_file import read_trajectory, recorded_id
@@ -57,6 +58,7 @@ def score_file(
         outcome=Outcome.FINISHED,
         parameters=json_ready(experiment.overrides) if experiment.parameters == "custom" else experiment.parameters,
         score=score,
+        deformation=None if trajectory.markers_m is None else score_deformation(experiment, trajectory.markers_m),
         task_sha256=experiment.file_sha256,
         frames=experiment.frame_count,
         sim_s=(experiment.frame_count - 1) / FRAME_RATE_HZ,
