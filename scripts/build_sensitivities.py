@@ -1,6 +1,6 @@
 """Build the tables of sensitivities in `scoring/sensitivities/` by simulation.
 
-    python scripts/build_sensitivities.py                          all engines, all variants with a band
+    python scripts/build_sensitivities.py                          all engines, all variants that are scored by default
     python scripts/build_sensitivities.py --backend mujoco --ids "SlopeSlider-*"
 
 A table states how the trajectory changes with each uncertain input (`gauge_envs.runs.sensitivity`). The intervals of
@@ -16,7 +16,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from gauge_envs import variants
-from gauge_envs.evaluation.reference import band_grade, load_band
+from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.sensitivities import sensitivities_text
 from gauge_envs.runs.request import RunRequest
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     for engine in options.backend or ENGINES:
         for variant in variants():
-            scored = band_grade(variant.name) is not BandGrade.NONE or load_band(variant.name) is not None
+            scored = band_grade(variant.name) is not BandGrade.NONE
             if not (scored and fnmatchcase(variant.name, options.ids)):
                 continue
             file = options.out / engine / f"{variant.name}.json"

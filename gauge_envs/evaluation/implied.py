@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -87,7 +87,12 @@ def implied_parameters(
             found.append(_release_time(band, release_offset_s))
     if experiment.score.period_axis is not None or "pd" in experiment.score.metrics:
         found += _swing(experiment, times_s, values)
-    return tuple(found)
+    return tuple(replace(one, value=_reported(one.value), uncertainty=_reported(one.uncertainty)) for one in found)
+
+
+def _reported(value: float) -> float:
+    """Return nine significant digits: the last bits of a fit depend on the memory that holds its samples."""
+    return float(f"{value:.9g}")
 
 
 # --- slide -----------------------------------------------------------------------------------------------------------
@@ -104,8 +109,9 @@ def _friction(experiment: Experiment, band: Band, times_s: FloatArray, values: F
         return []
     gravity = experiment.scene.gravity_m_per_s2
     acceleration, error = _acceleration(times_s, 1e-3 * (values - values[0]) @ direction)
-    value = _friction_of(acceleration, -direction[2], gravity)
-    across = gravity * math.sqrt(1.0 - direction[2] ** 2)
+    sine = -float(direction[2])
+    value = _friction_of(acceleration, sine, gravity)
+    across = gravity * math.sqrt(1.0 - sine**2)
     real = _real_friction(band)
     return [
         ImpliedParameter(

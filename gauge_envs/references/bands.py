@@ -303,7 +303,7 @@ class _TrialsRow(FileModel):
 def _read_trials(file: Path, coordinates: Sequence[str], trial_count: int) -> FloatArray:
     """Return the trials of a table (format: scoring/README.md), shape [trial_count, T, C]."""
     columns = [f"trial.{number + 1}.{coordinate}" for number in range(trial_count) for coordinate in coordinates]
-    rows = []
+    rows: list[list[float | None]] = []
     for line, row in read_rows(file, ["frame", *columns], _TrialsRow):
         if row.frame != len(rows):
             raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows)} is next")

@@ -28,6 +28,8 @@ class RunRequest(EnvArguments):
         seed: Seed of the first episode, 0 or more; each next repeat has one more.
         repeats: Number of episodes, 1 or more.
         jitter: Standard deviations of the start; None starts each episode as calibrated.
+        uncertainty: Measure the sensitivities of this very run for the score's intervals, by about 20 further runs. By
+            default the intervals use stored sensitivities of the engine.
 
     Raises:
         UnknownNameError: No such variant.
@@ -44,6 +46,7 @@ class RunRequest(EnvArguments):
     seed: int = 0
     repeats: int = 1
     jitter: Jitter | None = None
+    uncertainty: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -190,7 +190,8 @@ def _pair(contact: Contact) -> str:
 
 
 def _with_contacts(scene: Scene, group: list[Contact], constant: str, value: float) -> Scene:
-    changed = tuple(replace(one, **{constant: value}) if one in group else one for one in scene.contacts)
+    change: dict[str, Any] = {constant: value}
+    changed = tuple(replace(one, **change) if one in group else one for one in scene.contacts)
     return replace(scene, contacts=changed)
 
 

@@ -440,7 +440,7 @@ def test_a_part_that_another_can_replace_is_reported():
     """Let go at the right time and too slow: a shift hides most of it, the acceleration is all of it."""
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
-    times, values = samples(count, slide(2600.0))
+    times, values = samples(count + 10, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert diagnosis.part(BudgetStage.RELEASE).share > 0.5
@@ -508,7 +508,13 @@ def test_what_is_missing_is_reported(ball, unscored):
         experiment = load_experiment("SlopeContact-wood")
         diagnose_trajectory(experiment, reference_band(experiment), times_s=np.zeros(1), values=np.zeros((1, 3)))
     other = replace(
-        ball, trajectory=replace(ball.trajectory, coordinates=["z"], samples=[[0.0]] * len(ball.trajectory.samples))
+        ball,
+        trajectory=replace(
+            ball.trajectory,
+            coordinates=["z"],
+            samples=[[0.0]] * len(ball.trajectory.samples),
+            later_samples=[[0.0]] * len(ball.trajectory.later_samples),
+        ),
     )
     with pytest.raises(DiagnosisError, match="another version of the task file"):
         diagnose(other)
