@@ -43,7 +43,7 @@ class BandGrade(StrEnum):
     RECORDING = "recording"
     """Mean from the published recording of one trial, sigma from the published baseline or the measurement."""
     LAW = "law"
-    """Mean from a closed form that holds under a stated condition, sigma from the published baseline."""
+    """Mean from a closed form that holds under a stated condition, sigma from the published baseline or measurement."""
     NONE = "none"
     """No real reference: no score."""
 
@@ -82,6 +82,8 @@ class Band:
         uncertainty: 1-sigma uncertainty of the measurement of the mean, shape [T, C]; NaN where the mean is unknown,
             None if it is not stated. It is the error of one measured trial; sigma is the spread between trials.
         withheld: Why the band is not used by default; None for a band that is.
+        normalized_by_baseline: Whether distances to the band are divided by the published baseline. False for a band
+            of another span than the baseline.
 
     Raises:
         ShapeError: The arrays do not agree in shape, or a sigma is negative.
@@ -99,6 +101,7 @@ class Band:
     sigma_source: SigmaSource = SigmaSource.TRIALS
     uncertainty: NDArray[np.float64] | None = None
     withheld: str | None = None
+    normalized_by_baseline: bool = True
 
     def __post_init__(self) -> None:
         arrays = {"projection": float, "mean": float, "sigma": float, "measured": bool, "uncertainty": float}
@@ -243,6 +246,7 @@ class BandSidecar(BandSpec):
         unit: Unit of the table.
         frames: Number of frames of the band; later ones than the table's are unknown. None is the table's number.
         withheld: As in `Band`.
+        normalized_by_baseline: As in `Band`.
         rmse: E_RMSE of each trial to the mean.
         dtw: E_DTW of each trial to the mean.
         recording: Facts about the recording that the band was measured from.
@@ -251,6 +255,7 @@ class BandSidecar(BandSpec):
     unit: str
     frames: PositiveInt | None = None
     withheld: str | None = None
+    normalized_by_baseline: bool = True
     rmse: TrialScores | None = None
     dtw: TrialScores | None = None
     recording: dict[str, Any] | None = None
@@ -317,6 +322,7 @@ def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
             sigma_source=SigmaSource(sidecar.sigma_source),
             uncertainty=padded.get("uncertainty"),
             withheld=sidecar.withheld,
+            normalized_by_baseline=sidecar.normalized_by_baseline,
         )
     except ValueError as error:
         raise ReferenceFileError(sidecar_file, None, str(error)) from None

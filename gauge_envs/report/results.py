@@ -12,6 +12,7 @@ from gauge_envs.analysis.configuration import RunConfiguration
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import published_baselines
+from gauge_envs.report.estimators import estimator_lines
 from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import (
     ENGINE_TITLES,
@@ -120,6 +121,7 @@ def summary_view(results: Sequence[Result], *, wide: bool = False) -> Group:
         name = short_id(result.id)
         if result.score.withheld:
             parts.append(Text(f"{name} is scored on a band that is withheld: {result.score.withheld}."))
+        parts += map(Text, estimator_lines(name, result.score))
         if result.is_edited:
             parts.append(Text(f"{name}, {result.asset['file']}: {shortened(result.asset['changes'])}."))
     return Group(*parts, *_outcome_lines(results))

@@ -49,7 +49,7 @@ NORMALIZED_NOTE = (
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
-    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline where there is one",
+    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
 }
 
