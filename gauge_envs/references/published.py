@@ -291,7 +291,7 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
         projection=np.eye(3),
         mean=positions,
         sigma=sigma,
-        measured=known.all(axis=1),
+        measured=np.asarray(known.all(axis=1)),
         trial_count=None,
         source=f"{law.body}: {law.condition}; sigma is the nominal uncertainty of motion capture",
         uncertainty=np.where(known, sigma, np.nan),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import warnings
 from pathlib import Path
 
 import gymnasium
 import pytest
 from gymnasium.utils.env_checker import check_env
+from places import ROOT
 from typer.testing import CliRunner
 
 import gauge_envs
@@ -78,6 +80,19 @@ def test_a_warning_that_is_an_error_is_raised_each_time() -> None:
         for _ in range(2):
             with pytest.raises(NoRewardWarning, match="every reward is 0"):
                 gymnasium.make(SILENT)
+
+
+def test_an_experiment_file_is_asked_for_a_band(tmp_path: Path) -> None:
+    copy = tmp_path / "usd_experiment"
+    shutil.copytree(ROOT / "examples" / "usd_experiment", copy)
+    text = (copy / "crate.toml").read_text(encoding="utf-8")
+    head, _, rest = text.partition("[band]")
+    kept = "\n".join(line for line in rest.partition("[provenance]")[2].splitlines() if not line.startswith("band ="))
+    (copy / "crate.toml").write_text(f"{head}[provenance]{kept}\n", encoding="utf-8")
+    (warning,) = warnings_of(lambda: gymnasium.make("GAUGE/Asset", asset=copy / "crate.toml"))
+    assert str(warning.message) == (
+        "GAUGE/Asset-crate has no reference in use, so every reward is 0. Add a table 'band' to crate.toml."
+    )
 
 
 def test_an_id_without_reward_passes_the_checks_of_gymnasium() -> None:
