@@ -20,6 +20,7 @@ import numpy as np
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
+from gauge_envs.references.deformation import bundled_deformation
 from gauge_envs.references.published import published_baselines
 
 BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- end of coverage -->"
@@ -28,7 +29,7 @@ BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- en
 HEAD = """
 | column | meaning |
 | --- | --- |
-| band | grade of what is scored on; then the recording that is *withheld*, which is used only if you ask for it |
+| band | grade of what is scored on; a *withheld* recording, which is used only if you ask for it; `statistics` |
 | known | frames with a known mean, of all frames of the experiment; in brackets, frames known in every coordinate |
 | sigma | source of the scatter: the `trials`, the published `baseline`, or the uncertainty of the `measurement` |
 | driver | source of the motion of the driven body; `-` where nothing is driven |
@@ -36,7 +37,8 @@ HEAD = """
 
 `known` and `sigma` are those of the band that is scored on, or else of the withheld one. The law of a carried body
 states every frame. The law of a free flight ends at the first contact, and that of a slide where the body tips over.
-Their scores are not normalized, because the published baseline covers the whole motion.
+Their scores are not normalized, because the published baseline covers the whole motion. `statistics` are those of the
+deformation of foam, which stand beside the score and never enter it.
 """
 GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.NONE)
 
@@ -48,6 +50,7 @@ class Row:
     variant: str
     used: BandGrade
     withheld: str | None
+    statistics: bool
     known: str
     sigma: str
     driver: str
@@ -57,6 +60,7 @@ class Row:
         """Cells of the table."""
         grades = [] if self.used is BandGrade.NONE else [self.used.value]
         grades += ["recording, *withheld*"] if self.withheld else []
+        grades += ["statistics"] if self.statistics else []
         band = "; ".join(grades) or self.used.value
         return [self.variant, band, self.known, self.sigma, self.driver, self.normalized]
 
@@ -73,6 +77,7 @@ def coverage(variant: Variant) -> Row:
         variant=variant.name,
         used=BandGrade.NONE if used is None else used.grade,
         withheld=None if measured is None else measured.withheld,
+        statistics=bundled_deformation(variant.name) is not None,
         known="-" if band is None else f"{known_frames(band)} of {experiment.frame_count}",
         sigma="-" if band is None else band.sigma_source.value,
         driver=experiment.driver_provenance or "-",
@@ -105,6 +110,7 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         "recording that is withheld",
         f"- recording, withheld: {len(withheld)}, of which {sum(row.used is BandGrade.LAW for row in withheld)} are "
         "scored on a law",
+        f"- statistics of deformation: {sum(row.statistics for row in rows)}",
         f"- drivers: {', '.join(f'{drivers[name]} {name}' for name in sorted(drivers) if name != '-')}",
         "",
         *table(("id", "band", "known", "sigma", "driver", "normalized"), [row.cells() for row in rows]),
