@@ -28,6 +28,9 @@ LEAST_SAMPLES = 4
 LEAST_INCLINE = 0.05
 """Sine of the slope below which a body that slides is not driven by its weight."""
 
+STEEPEST_INCLINE = 0.999
+"""Largest sine of the slope of a slide: a steeper path is a fall, in which nothing presses on the body."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ImpliedParameter:
@@ -105,7 +108,7 @@ def _friction(experiment: Experiment, band: Band, times_s: FloatArray, values: F
         return []
     path = values[-1] - values[0]
     direction = path / np.linalg.norm(path)
-    if -direction[2] < LEAST_INCLINE:
+    if not LEAST_INCLINE <= -direction[2] <= STEEPEST_INCLINE:
         return []
     gravity = experiment.scene.gravity_m_per_s2
     acceleration, error = _acceleration(times_s, 1e-3 * (values - values[0]) @ direction)

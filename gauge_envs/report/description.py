@@ -118,15 +118,17 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     band = load_band(experiment.name, experiment.reference_source) if own is None else own.band
     law = law_for(experiment.name) if own is None else None
     used = reference_band(experiment)
+    shown = band if used is None else used
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
-        "trial_count": None if band is None else band.trial_count,
-        "source": None if band is None else band.source,
+        "trial_count": None if shown is None else shown.trial_count,
+        "source": None if shown is None else shown.source,
         "imported": experiment.reference_source is DataSource.IMPORTED,
         "is_import_available": has_import(experiment.name),
         "law": None if law is None else law.condition,
-        "sigma_source": None if band is None else band.sigma_source.value,
-        "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
+        "sigma_source": None if shown is None else shown.sigma_source.value,
+        "known_frames": None if shown is None else int(np.isfinite(shown.mean).any(axis=1).sum()),
+        "normalized_by_baseline": None if shown is None else shown.normalized_by_baseline,
         "withheld": None if band is None else band.withheld,
     }
 
@@ -283,6 +285,8 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
         facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
     if reference["sigma_source"] is not None:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
+    if reference["normalized_by_baseline"] is False:
+        facts["normalized"] = "no: the published baseline is of another span of the motion"
     if reference["withheld"] is not None:
         facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"
     return facts

@@ -13,6 +13,7 @@ from gauge_envs.analysis.configuration import RunConfiguration
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import published_baselines
+from gauge_envs.report.estimators import estimator_lines
 from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import (
     ALIGNED_TITLE,
@@ -235,6 +236,7 @@ def summary_view(results: Sequence[Result], *, wide: bool = False, budget: bool 
             parts.append(Text(_implied_line(result)))
         if result.score.withheld:
             parts.append(Text(f"{name} is scored on a band that is withheld: {result.score.withheld}."))
+        parts += map(Text, estimator_lines(name, result.score))
         if result.is_edited:
             parts.append(Text(f"{name}, {result.asset['file']}: {shortened(result.asset['changes'])}."))
     return Group(*parts, *_outcome_lines(results))

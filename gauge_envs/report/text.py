@@ -56,7 +56,7 @@ DEFORMATION_NOTE = (
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
-    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline where there is one",
+    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
 }
 

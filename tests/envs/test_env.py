@@ -162,7 +162,7 @@ def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
 
 
 def test_reward_is_zero_without_a_reference() -> None:
-    env = gymnasium.make("GAUGE/SlopeContact-wood")
+    env = gymnasium.make("GAUGE/Pendulum-metal")
     _, info = env.reset(seed=0)
     assert info["reference"] == "none"
     assert env.step(0)[1] == 0.0
