@@ -252,7 +252,9 @@ def _band_scores(
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
     squares = np.nansum(np.square(simulated - band.mean), axis=1)
-    trials, baseline = trial_distances(band), baselines.get("rmse")
+    trials = trial_distances(band)
+    # A reference of a user may state a mean of 0, which normalizes nothing.
+    baseline = baselines["rmse"] if "rmse" in baselines and baselines["rmse"].mean else None
     errors = band_errors(band, baseline, sensitivities).with_projection(band, frames)
     scores = _metric_fields(distances, baselines) | {
         "primary": "rmse",

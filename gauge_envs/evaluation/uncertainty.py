@@ -228,7 +228,8 @@ class BandErrors:
     def budget(self, deviation: FloatArray, *, baseline: float) -> tuple[BudgetEntry, ...]:
         """Return the contributions to the uncertainty of a normalized score, largest first.
 
-        Each is the standard deviation along the observed deviation; of a distance of zero, its root mean square.
+        Each is the standard deviation along the observed deviation. Of a law, whose deviation is often zero, it is the
+        root mean square over all directions.
 
         Args:
             deviation: Simulation minus mean, shape [T, C].
@@ -239,7 +240,7 @@ class BandErrors:
         rows = []
         for source in self.sources:
             factors, shapes = self.factors[:, source.columns], self.shapes[source.columns]
-            if size > 0.0:
+            if size > 0.0 and self.is_observed:
                 std = float(np.std(factors @ (shapes @ (vector / size))))
             else:
                 std = float(np.sqrt(np.mean(np.square(factors @ shapes).sum(axis=1))))

@@ -291,11 +291,13 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             continue
         unit = "" if known.unit == "1" else f" {known.unit_of(score.unit)}"
         normalized = getattr(score, f"{metric}_normalized", None)
+        is_partial = known.is_normalized and raw is not None and normalized is None
         row: dict[str, Any] = common | {
             "metric": title,
             "score": None if raw is None else f"{number_text(raw)}{unit}",
             "normalized": None if normalized is None else number_text(normalized),
-            "engines": None if line is None else line.engines,
+            # Published scores are over the whole motion. Some laws hold for its first frames alone.
+            "engines": None if line is None or is_partial else line.engines,
         }
         if metric == "rmse":
             row |= {"z": score.mean_abs_z, "percentile": score.percentile, "extrapolated": score.extrapolated_share}
