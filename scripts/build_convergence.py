@@ -1,0 +1,229 @@
+"""Measure the convergence of whole episodes, and write `scoring/convergence/<engine>.csv`.
+
+    python scripts/build_convergence.py --resume                     measures all rows that are missing
+    python scripts/build_convergence.py --ids 'Foam*' --setting cell_m
+    python scripts/build_convergence.py --check                      measures a few quick rows again and compares them
+
+Each variant runs with the default settings, with half the time step, and with half the cell if it has deformable
+bodies. The finer runs are compared with the default one over all frames, at the material points of the markers. A
+finer mesh can change the time step of a preset that depends on the cell. A run that exceeds `--limit-s` is stopped, and
+its row stays absent. The file is written after each row, so that the script can be stopped at any time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends import backend
+from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.errors import GaugeError, UnsupportedSceneError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import variants
+from gauge_envs.files import write_whole
+from gauge_envs.references.convergence import REFINED_SETTINGS, Convergence, ConvergenceTable, RefinedSetting
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.scene import Rod, SoftBody
+
+QUICK = ("BouncingBall-rubber", "SlopeSlider-2-wood", "FoamStretching-soft")
+"""Variants of `--check`."""
+
+CHECK_TOLERANCE = 0.05
+"""Largest relative difference between a row and its repetition on another machine."""
+
+
+class TooSlowError(Exception):
+    """The episode exceeded its limit of wall time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One episode.
+
+    Attributes:
+        frames: g(t) at 30 Hz, shape [frame_count, coordinate_count].
+        points_m: Observed points at the frames, markers or bodies [m], shape [frame_count, point_count, 3].
+        settings: Settings in force.
+    """
+
+    frames: NDArray[np.float64]
+    points_m: NDArray[np.float64]
+    settings: Mapping[str, Any]
+
+
+def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> Run:
+    """Run an episode with zero actions.
+
+    Raises:
+        TooSlowError: It takes longer than the limit.
+    """
+    env = RunRequest(name, backend=engine, settings=settings, marker_proxy="material").make_env()
+    inner = env.unwrapped
+    assert isinstance(inner, GaugeEnv)
+    space = env.action_space
+    zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
+    try:
+        start = time.perf_counter()
+        env.reset(seed=0)
+        over = False
+        while not over:
+            *_, terminated, truncated, _ = env.step(zero)
+            over = terminated or truncated
+            if time.perf_counter() - start > limit_s:
+                raise TooSlowError
+        trajectory = inner.trajectory()
+        points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
+        count = inner.experiment.frame_count
+        return Run(frames=trajectory.frames[:count], points_m=points[:count], settings=inner.simulation.settings)
+    finally:
+        env.close()
+
+
+def default_value(experiment: Experiment, setting: RefinedSetting, settings: Mapping[str, Any]) -> float:
+    """Return the value of a setting in the default run; the smallest edge for a mesh with a fixed number of cells."""
+    value = settings.get(setting)
+    if value is not None:
+        return float(value)
+    return min(_fixed_cell_m(body) for body in experiment.scene.deformables if isinstance(body, SoftBody | Rod))
+
+
+def _fixed_cell_m(body: SoftBody | Rod) -> float:
+    """Return the smallest edge of the cells of the default mesh of MuJoCo, and of the segments of a rod."""
+    from gauge_envs.backends.mujoco.line import ROD_SEGMENTS
+
+    if isinstance(body, Rod):
+        return body.length_m / ROD_SEGMENTS
+    return 0.5 * min(body.shape.size_m)
+
+
+def compare(name: str, setting: RefinedSetting, default: Run, finer: Run, values: tuple[float, float]) -> Convergence:
+    """Return the row of a finer run; without differences if one of the runs diverged."""
+    score = load_experiment(name).score
+    head = {"variant": name, "setting": setting, "default": values[0], "refined": values[1]}
+    head["unit"] = score.observable.unit
+    if default.frames.shape != finer.frames.shape:
+        return Convergence.model_validate(head)
+    difference = finer.frames - default.frames
+    distance = np.sqrt(np.nansum(difference**2, axis=1)[np.isfinite(difference).any(axis=1)])
+    rms = float(np.sqrt(np.mean(distance**2)))
+    baseline = published_baselines(name).get("rmse")
+    apart_mm = 1e3 * np.linalg.norm(finer.points_m - default.points_m, axis=-1)
+    return Convergence.model_validate(
+        head
+        | {
+            "rms": rms,
+            "max": float(distance.max()),
+            "share": None if baseline is None else rms / baseline.mean,
+            "points_rms_mm": float(np.sqrt(np.nanmean(apart_mm**2))),
+            "points_max_mm": float(np.nanmax(apart_mm)),
+        }
+    )
+
+
+def measured_rows(
+    name: str, engine: str, wanted: Sequence[RefinedSetting], limit_s: float
+) -> Iterator[tuple[Convergence, float]]:
+    """Yield the wanted rows of a variant, each with the wall time of its finer run [s]."""
+    experiment = load_experiment(name)
+    default = run(name, engine, {}, limit_s)
+    for setting in wanted:
+        value = default_value(experiment, setting, default.settings)
+        start = time.perf_counter()
+        try:
+            finer = run(name, engine, {setting: 0.5 * value}, limit_s)
+        except TooSlowError:
+            print(f"{name}, {setting}: stopped after {limit_s:g} s", flush=True)
+            continue
+        yield compare(name, setting, default, finer, (value, 0.5 * value)), time.perf_counter() - start
+
+
+def settings_of(name: str, chosen: Sequence[RefinedSetting]) -> list[RefinedSetting]:
+    """Return the settings that apply to a variant: rigid bodies have no cells."""
+    return [setting for setting in chosen if setting == "timestep_s" or load_experiment(name).scene.deformables]
+
+
+def supported(name: str, engine: str) -> bool:
+    """Return whether an engine can build a variant."""
+    try:
+        check_support(load_experiment(name), engine)
+    except UnsupportedSceneError:
+        return False
+    return True
+
+
+def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
+    """Measure quick rows again; return 1 if a row differs, else 0."""
+    status = 0
+    for name in QUICK:
+        kept = table.of(name)
+        for row, _ in measured_rows(name, engine, list(kept), limit_s):
+            old = kept[row.setting]
+            if row.rms is None or old.rms is None or abs(row.rms - old.rms) > CHECK_TOLERANCE * old.rms:
+                print(f"{name}, {row.setting}: rms is {row.rms}, the table has {old.rms}", file=sys.stderr)
+                status = 1
+    return status
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the script and return its exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--backend", default="mujoco", help="engine")
+    parser.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns, run in this order")
+    parser.add_argument("--setting", nargs="*", choices=REFINED_SETTINGS, default=list(REFINED_SETTINGS))
+    parser.add_argument("--resume", action="store_true", help="keep rows that the file has")
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a quick row differs")
+    parser.add_argument("--limit-s", type=float, default=600.0, help="wall time of an episode at most")
+    parser.add_argument(
+        "--scoring", type=Path, default=Path(__file__).parents[1] / "scoring", help="folder of the data"
+    )
+    options = parser.parse_args(arguments)
+    file = options.scoring / "convergence" / f"{options.backend}.csv"
+    version = ", ".join(f"{key} {text}" for key, text in backend(options.backend).versions().items())
+    notes = {
+        "written by": "scripts/build_convergence.py",
+        "engine": version,
+        "date": datetime.now(UTC).date().isoformat(),
+    }
+    old = ConvergenceTable.read(file) if file.is_file() else ConvergenceTable(notes, {})
+    if options.check:
+        return check(old, options.backend, options.limit_s)
+    if options.resume and old.notes["engine"] != version:
+        parser.error(f"{file} is of {old.notes['engine']}, installed is {version}: run without --resume")
+    table = ConvergenceTable(notes, old.rows if options.resume or old.notes["engine"] == version else {})
+    known = [variant.name for variant in variants()]
+    names = dict.fromkeys(name for pattern in options.ids for name in known if fnmatchcase(name, pattern))
+    for name in names:
+        wanted = settings_of(name, options.setting)
+        if options.resume:
+            wanted = [setting for setting in wanted if (name, setting) not in table.rows]
+        if not wanted or not supported(name, options.backend):
+            continue
+        try:
+            for row, wall_s in measured_rows(name, options.backend, wanted, options.limit_s):
+                table = table.with_rows([row])
+                file.parent.mkdir(exist_ok=True)
+                write_whole(file, table.text().encode())
+                print(f"{name}, {row.setting}: rms {row.rms} {row.unit}, share {row.share} ({wall_s:.0f} s)", flush=True)
+        except TooSlowError:
+            print(f"{name}: the default run was stopped after {options.limit_s:g} s", flush=True)
+        except GaugeError as error:
+            print(f"{name}: {error}", file=sys.stderr, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
