@@ -217,7 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 table = table.with_rows([row])
                 file.parent.mkdir(exist_ok=True)
                 write_whole(file, table.text().encode())
-                print(f"{name}, {row.setting}: rms {row.rms} {row.unit}, share {row.share} ({wall_s:.0f} s)", flush=True)
+                what = f"{name}, {row.setting}"
+                print(f"{what}: rms {row.rms} {row.unit}, share {row.share} ({wall_s:.0f} s)", flush=True)
         except TooSlowError:
             print(f"{name}: the default run was stopped after {options.limit_s:g} s", flush=True)
         except GaugeError as error:

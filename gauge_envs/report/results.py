@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gauge_envs.analysis.configuration import RunConfiguration
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import published_baselines
@@ -69,13 +70,13 @@ def configuration_parts(configuration: RunConfiguration, *, digits: int = 4) -> 
     def assignments(values: Mapping[str, Any]) -> list[str]:
         return [f"{key}={f'{v:.{digits}g}' if isinstance(v, float) else value_text(v)}" for key, v in values.items()]
 
-    named = configuration.parameters
+    named, proxy = configuration.parameters, configuration.marker_proxy
     return [
         ("engine", configuration.backend or "file"),
         ("parameters", named if isinstance(named, str) else ",".join(assignments(named))),
         *(("setting", text) for text in assignments(configuration.settings_given)),
         *([("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")] if configuration.jitter else []),
-        *([("markers", f"markers by {configuration.marker_proxy}")] if configuration.marker_proxy != "node" else []),
+        *([("markers", f"markers by {proxy}")] if proxy != MarkerProxy.MATERIAL else []),
         *([("asset", _asset_text(configuration.asset))] if configuration.asset else []),
     ]
 
