@@ -6,8 +6,10 @@
 
 Each variant runs with the default settings, with half the time step, and with half the cell if it has deformable
 bodies. The finer runs are compared with the default one over all frames, at the material points of the markers. A
-finer mesh can change the time step of a preset that depends on the cell. A run that exceeds `--limit-s` is stopped, and
-its row stays absent. The file is written after each row, so that the script can be stopped at any time.
+finer mesh can change the time step of a preset that depends on the cell. With half the cell, vertex block descent has
+four times the iterations: each one moves information by one node, so a finer mesh with as many is less accurate. A run
+that exceeds `--limit-s` is stopped, and its row stays absent. The file is written after each row, so that the script
+can be stopped at any time.
 """
 
 from __future__ import annotations
@@ -58,11 +60,13 @@ class Run:
         frames: g(t) at 30 Hz, shape [frame_count, coordinate_count].
         points_m: Observed points at the frames, markers or bodies [m], shape [frame_count, point_count, 3].
         settings: Settings in force.
+        nodes_m: Nodes of each deformable body at the start [m], shape [node_count, 3].
     """
 
     frames: NDArray[np.float64]
     points_m: NDArray[np.float64]
     settings: Mapping[str, Any]
+    nodes_m: Mapping[str, NDArray[np.float64]]
 
 
 def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> Run:
@@ -79,6 +83,7 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
     try:
         start = time.perf_counter()
         env.reset(seed=0)
+        nodes_m = inner.episode.nodes_m()
         over = False
         while not over:
             *_, terminated, truncated, _ = env.step(zero)
@@ -88,26 +93,37 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
         trajectory = inner.trajectory()
         points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
         count = inner.experiment.frame_count
-        return Run(frames=trajectory.frames[:count], points_m=points[:count], settings=inner.simulation.settings)
+        return Run(
+            frames=trajectory.frames[:count],
+            points_m=points[:count],
+            settings=inner.simulation.settings,
+            nodes_m=nodes_m,
+        )
     finally:
         env.close()
 
 
-def default_value(experiment: Experiment, setting: RefinedSetting, settings: Mapping[str, Any]) -> float:
+def default_value(experiment: Experiment, setting: RefinedSetting, default: Run) -> float:
     """Return the value of a setting in the default run; the smallest edge for a mesh with a fixed number of cells."""
-    value = settings.get(setting)
+    value = default.settings.get(setting)
     if value is not None:
         return float(value)
-    return min(_fixed_cell_m(body) for body in experiment.scene.deformables if isinstance(body, SoftBody | Rod))
+    edges = []
+    for body in experiment.scene.deformables:
+        if isinstance(body, SoftBody):
+            # MuJoCo's foam: two cells across a single body, two along each body of a row.
+            edges.append(0.5 * min(body.shape.size_m))
+        elif isinstance(body, Rod):
+            edges.append(float(np.linalg.norm(np.diff(default.nodes_m[body.name], axis=0), axis=1).min()))
+    return min(edges)
 
 
-def _fixed_cell_m(body: SoftBody | Rod) -> float:
-    """Return the smallest edge of the cells of the default mesh of MuJoCo, and of the segments of a rod."""
-    from gauge_envs.backends.mujoco.line import ROD_SEGMENTS
-
-    if isinstance(body, Rod):
-        return body.length_m / ROD_SEGMENTS
-    return 0.5 * min(body.shape.size_m)
+def finer_settings(setting: RefinedSetting, value: float, default: Run) -> dict[str, Any]:
+    """Return the settings of the finer run."""
+    settings: dict[str, Any] = {setting: 0.5 * value}
+    if setting == "cell_m" and default.settings.get("solver") == "SolverVBD":
+        settings["iterations"] = 4 * default.settings["iterations"]
+    return settings
 
 
 def compare(name: str, setting: RefinedSetting, default: Run, finer: Run, values: tuple[float, float]) -> Convergence:
@@ -141,10 +157,10 @@ def measured_rows(
     experiment = load_experiment(name)
     default = run(name, engine, {}, limit_s)
     for setting in wanted:
-        value = default_value(experiment, setting, default.settings)
+        value = default_value(experiment, setting, default)
         start = time.perf_counter()
         try:
-            finer = run(name, engine, {setting: 0.5 * value}, limit_s)
+            finer = run(name, engine, finer_settings(setting, value, default), limit_s)
         except TooSlowError:
             print(f"{name}, {setting}: stopped after {limit_s:g} s", flush=True)
             continue
