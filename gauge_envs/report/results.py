@@ -9,10 +9,12 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gauge_envs.analysis.configuration import RunConfiguration
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import published_baselines
+from gauge_envs.report.convergence import convergence_rows, convergence_text
 from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import (
     ENGINE_TITLES,
@@ -106,6 +108,7 @@ RESULT_COLUMNS = (
     Column("aligned", "aligned", number_text, is_number=True),
     *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
     Column("z", "|z|", number_text, is_number=True),
+    Column("convergence", "discretization", place=Place.BELOW),
     Column("shift", "shift", lambda shift_s: f"{shift_s:+.3f} s", is_number=True, wide_only=True),
 )
 
@@ -150,6 +153,15 @@ def _outcome_lines(results: Sequence[Result]) -> Iterator[Text]:
             yield Text.assemble((f"{outcome.value}: ", style), f"{shortened(ids)}: {reason}")
 
 
+def _convergence(result: Result) -> str | None:
+    """Return the convergence of the experiment on the engine, or None for other settings or another scene."""
+    if result.backend is None or result.settings_given or result.is_edited or result.has_experiment_file:
+        return None
+    name = short_id(result.id)
+    has_cells = bool(load_experiment(name).scene.deformables)
+    return convergence_text(convergence_rows(result.backend, name), has_cells=has_cells)
+
+
 def _score_rows(result: Result) -> list[dict[str, Any]]:
     """Return a row for each metric that the result or the paper has."""
     driver = ", nominal driver" if "nominal" in (result.driver_provenance or "") else ""
@@ -173,5 +185,6 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         if metric == "rmse":
             aligned = {"aligned": score.rmse_aligned_normalized, "shift": score.release_offset_s}
             row |= {"z": score.mean_abs_z} | (aligned if None not in aligned.values() else {})
+            row["convergence"] = _convergence(result)
         rows.append(row)
     return rows or [common]
