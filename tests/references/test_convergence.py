@@ -160,3 +160,8 @@ def test_rms_is_the_distance_of_the_paper() -> None:
     row = build_convergence.compare("SlopeSlider-2-wood", "timestep_s", *runs, (1e-4, 5e-5))
     assert (row.rms, row.max, row.points_max_mm) == pytest.approx((2.5, 5.0, 5.0))
     assert row.share == pytest.approx(2.5 / 18.0)
+
+
+def test_the_summary_in_the_guide_is_current() -> None:
+    page = build_convergence.PAGE.read_text(encoding="utf-8")
+    assert build_convergence.documented(page, build_convergence.all_tables(data_folder("scoring"))) == page
