@@ -1,4 +1,4 @@
-"""Build the bands of published recordings in `scoring/bands/` from what was measured in them.
+"""Build bands (`scoring/bands/`) and statistics (`scoring/statistics/`) from what was measured in recordings.
 
     python scripts/build_recordings.py            writes the files
     python scripts/build_recordings.py --check    fails if a file differs from what the measurements give
@@ -6,6 +6,9 @@
 `scoring/facts/recordings/recordings.toml` says of each recording what it shows, what was assumed and what it supports;
 the tables beside it hold one row a picture. A band has the 30 Hz frames of its experiment. Between two neighbouring
 pictures the mean is a monotone cubic; where pictures are missing, or the clip has ended, it is left empty.
+
+`scoring/facts/recordings/statistics.toml` says of which recordings the markers are known, and how well. From them
+follow statistics of deformation, with linear propagation of the errors of the markers.
 """
 
 from __future__ import annotations
@@ -26,11 +29,21 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from gauge_envs import load_experiment
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.deformation import (
+    STATISTICS,
+    MarkedSolid,
+    deformation_statistics,
+    independent_noise,
+    marked_solid,
+    statistic_uncertainty,
+)
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 GENERATED = "# Written by scripts/build_recordings.py; do not edit."
 SOURCE = "Published recording {video} of one trial (GAUGE project page): {method}"
+STATISTICS_SOURCE = "Markers of one trial in the published recording {video} (GAUGE project page)"
 LARGEST_GAP = 1.5
 """Number of intervals between two pictures above which a picture is missing between them."""
 
@@ -205,6 +218,191 @@ def supported(folder: Path) -> Iterator[tuple[str, dict[str, Any], dict[str, Any
             yield name, recording, layouts[recording["layout"]]
 
 
+# --- statistics of deformation ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RecordedStatistics:
+    """Statistics of deformation of one variant, before they are text.
+
+    Attributes:
+        mean: Statistics at the 30 Hz frames of the experiment, shape [frame_count, statistic_count]; NaN: not measured.
+        uncertainty: 1-sigma uncertainty, same shape.
+    """
+
+    mean: FloatArray
+    uncertainty: FloatArray
+
+
+def marker_positions_m(stated: Mapping[str, Any], table: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the positions of the stated markers [m], shape [picture_count, marker_count, 3]; NaN: out of sight."""
+    fixed = stated.get("fixed_mm", {})
+    shape = table["time_s"].shape
+    return 1e-3 * np.stack(
+        [
+            np.stack(
+                [
+                    np.full(shape, fixed[axis]) if axis in fixed else table[f"marker_{marker}_{axis}_mm"]
+                    for axis in "xyz"
+                ],
+                axis=-1,
+            )
+            for marker in stated["markers"]
+        ],
+        axis=1,
+    )
+
+
+def section_errors_m(
+    stated: Mapping[str, Any], rest_m: FloatArray, markers_m: FloatArray, experiment: Experiment
+) -> FloatArray:
+    """Return independent 1-sigma error patterns of markers that a model of cross-sections placed.
+
+    Args:
+        stated: Errors of the sections and of their scale.
+        rest_m: Marker positions at rest [m], shape [marker_count, 3].
+        markers_m: Marker positions in a picture [m], shape [marker_count, 3].
+        experiment: Experiment with an upright block.
+
+    Returns:
+        Patterns [m], shape [6 * section_count + 1, marker_count, 3].
+
+    Raises:
+        ValueError: The experiment has no markers.
+    """
+    markers = experiment.scene.markers
+    if markers is None:
+        raise ValueError(f"{experiment.name} has no markers")
+    planned = np.asarray(markers.positions_m)[stated["markers"]]
+    axis_m = np.append(experiment.scene.deformables[0].pose.position_m[:2], 0.0)
+    heights = np.round(planned[:, 2], 4)
+    arms = markers_m - axis_m
+    for height in np.unique(heights):
+        section = heights == height
+        # All four markers of a section show where its centre is; fewer ones stay about the axis of the block.
+        if section.sum() == 4:
+            arms[section, :2] -= (markers_m - rest_m)[section, :2].mean(axis=0)
+        arms[section, 2] = 0.0
+    errors = stated["sections"]
+    generators = [
+        *(
+            1e-3 * size * np.broadcast_to(unit, arms.shape)
+            for size, unit in zip(errors["shift_mm"], np.eye(3), strict=True)
+        ),
+        errors["rotation_rad"] * np.cross([0.0, 0.0, 1.0], arms),
+        *(size * np.cross(unit, arms) for size, unit in zip(errors["tilt_rad"], np.eye(3)[:2], strict=True)),
+    ]
+    patterns = [
+        np.where((heights == height)[:, None], generator, 0.0)
+        for height in np.unique(heights)
+        for generator in generators
+    ]
+    return np.stack([*patterns, stated["scale"] * arms])
+
+
+def recorded_statistics(
+    variant: str, recording: Mapping[str, Any], stated: Mapping[str, Any], table: Mapping[str, FloatArray]
+) -> RecordedStatistics:
+    """Return the statistics of deformation of a variant from the markers of one recording.
+
+    Rest is the mean over the pictures before frame 0. Their scatter is the noise that the non-affine residual is
+    corrected for, unless the markers were read by hand.
+
+    Raises:
+        ValueError: The markers of the experiment are on no solid, or no statistic is known at any frame.
+    """
+    experiment = load_experiment(variant)
+    solid = marked_solid(experiment.scene)
+    if solid is None:
+        raise ValueError(f"{variant} has no markers on a solid")
+    times_s, positions_m = table["time_s"], marker_positions_m(stated, table)
+    if "sigma_mm" in table:
+        positions_m[table["sigma_mm"] > min(table["sigma_mm"])] = np.nan
+    still = times_s < recording["frame_zero_s"]
+    rest_m = positions_m[still].mean(axis=0)
+    spread_m = (positions_m[still] - rest_m) / math.sqrt(max(int(still.sum()) - 1, 1))
+    columns = [STATISTICS.index(name) for name in stated["statistics"]]
+    values, sigmas = np.full((2, len(times_s), len(columns)), np.nan)
+    for picture in np.flatnonzero(np.isfinite(positions_m).all(axis=(1, 2))):
+        found, sigma = picture_statistics(stated, rest_m, positions_m[picture], spread_m, solid, experiment)
+        values[picture], sigmas[picture] = found[columns], sigma[columns]
+    frame_times_s = recording["frame_zero_s"] + np.arange(experiment.frame_count) / FRAME_RATE_HZ
+    mean, uncertainty = [], []
+    for column, sigma in zip(values.T, sigmas.T, strict=True):
+        value, rate = at_frames(times_s, column, frame_times_s, interval_s=1.0 / recording["pictures_per_s"])
+        known = np.isfinite(sigma)
+        at_frame = np.interp(frame_times_s, times_s[known], sigma[known])
+        mean.append(value)
+        uncertainty.append(np.hypot(at_frame, recording["time_sigma_s"] * rate))
+    if not np.isfinite(mean).any():
+        raise ValueError(f"{variant}: no statistic is known at any frame")
+    return RecordedStatistics(mean=np.column_stack(mean), uncertainty=np.column_stack(uncertainty))
+
+
+def picture_statistics(
+    stated: Mapping[str, Any],
+    rest_m: FloatArray,
+    markers_m: FloatArray,
+    spread_m: FloatArray,
+    solid: MarkedSolid,
+    experiment: Experiment,
+) -> tuple[FloatArray, FloatArray]:
+    """Return statistics of one picture and their uncertainty, each of shape [10]."""
+    if "sections" in stated:
+        noise, unseen = spread_m, section_errors_m(stated, rest_m, markers_m, experiment)
+    else:
+        single = independent_noise(np.tile(1e-3 * np.array(stated["markers_mm"]), (len(rest_m), 1)))
+        none = np.zeros((0, *single.shape[1:]))
+        noise, unseen = (single, none) if stated.get("read") else (spread_m, single)
+    found = deformation_statistics(rest_m, markers_m[None], solid, noise_m=noise)[0]
+    return found, statistic_uncertainty(rest_m, markers_m, solid, noise_m=noise, unseen_m=unseen)
+
+
+def statistics_csv(statistics: RecordedStatistics, names: Sequence[str]) -> str:
+    """Return the text of a table of statistics, down to the last measured frame."""
+    columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in names]
+    lines = [",".join(["frame", "time_s", *columns])]
+    for frame in range(int(np.flatnonzero(np.isfinite(statistics.mean).any(axis=1))[-1]) + 1):
+        numbers = np.concatenate([statistics.mean[frame], statistics.uncertainty[frame]])
+        fields = ["" if math.isnan(number) else f"{number + 0.0:.4f}" for number in numbers]
+        lines.append(",".join([str(frame), f"{frame / FRAME_RATE_HZ:.6f}", *fields]))
+    return "\n".join(lines) + "\n"
+
+
+def statistics_toml(variant: str, recording: Mapping[str, Any], stated: Mapping[str, Any]) -> str:
+    """Return the text of the sidecar of a table of statistics."""
+    lines = [
+        GENERATED,
+        'grade = "statistics"',
+        f"statistics = {json.dumps(stated['statistics'])}",
+        f"markers = {json.dumps(stated['markers'])}",
+        f"frames = {load_experiment(variant).frame_count}",
+        "trial_count = 1",
+        f"source = {json.dumps(STATISTICS_SOURCE.format(**recording))}",
+        f"note = {json.dumps(stated['note'])}",
+        "",
+        f"# facts/recordings/{stated['table']}.csv, recordings.toml, statistics.toml",
+        "[recording]",
+        *(f"{key} = {json.dumps(recording[key])}" for key in ("video", "sha256", "frame_zero_s", "time_sigma_s")),
+        *(f"{key} = {json.dumps(stated[key])}" for key in ("assumed", "not_measured")),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def statistics_files(scoring: Path) -> dict[Path, str]:
+    """Return every generated file of statistics with its text."""
+    folder = scoring / "facts" / "recordings"
+    recordings = tomllib.loads((folder / "recordings.toml").read_text(encoding="utf-8"))
+    files = {}
+    for name, stated in tomllib.loads((folder / "statistics.toml").read_text(encoding="utf-8")).items():
+        recording, table = recordings[name], read_table(folder / f"{stated['table']}.csv")
+        for variant in recording["variants"]:
+            statistics = recorded_statistics(variant, recording, stated, table)
+            files[scoring / "statistics" / f"{variant}.csv"] = statistics_csv(statistics, stated["statistics"])
+            files[scoring / "statistics" / f"{variant}.toml"] = statistics_toml(variant, recording, stated)
+    return files
+
+
 def generated_files(scoring: Path) -> dict[Path, str]:
     """Return every generated file with the text that the measurements give it."""
     folder = scoring / "facts" / "recordings"
@@ -215,7 +413,7 @@ def generated_files(scoring: Path) -> dict[Path, str]:
             band = recorded_band(variant, recording, layout, table)
             files[scoring / "bands" / f"{variant}.csv"] = band_csv(band)
             files[scoring / "bands" / f"{variant}.toml"] = band_toml(variant, band, name, recording, layout)
-    return files
+    return files | statistics_files(scoring)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -227,7 +425,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return write_or_check(
         generated_files,
         script="build_recordings.py",
-        what="Build the bands of published recordings from scoring/facts.",
+        what="Build bands and statistics of published recordings from scoring/facts.",
         arguments=arguments,
     )
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from gauge_envs.analysis.motion_kinds import RecognizedMotion
 from gauge_envs.evaluation.metrics import release_offset
+from gauge_envs.evaluation.motion_kinds import RecognizedMotion
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["MAX_SHIFT_S", "BudgetStage", "NestedFits", "StageFit"]

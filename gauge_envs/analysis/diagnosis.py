@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gauge_envs.analysis.budget_fit import BudgetStage
-from gauge_envs.analysis.motion_kinds import Change, MotionKind
+from gauge_envs.evaluation.motion_kinds import Change, MotionKind
 
 __all__ = ["MARKERS", "SEVERAL_BODIES", "Diagnosis", "PublishedScore", "Remainder", "StagePart"]
 

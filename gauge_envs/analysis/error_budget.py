@@ -6,7 +6,7 @@ a change is its part of the budget. There are three stages, each a change with a
 - `release`: the trajectory starts later by a constant time and is held at both ends, as for the score's
   `release_offset`;
 - `offset`: one constant is added to each coordinate;
-- `rate`: the motion is faster or larger, in the quantity of its kind (`analysis.motion_kinds.MotionKind`): another
+- `rate`: the motion is faster or larger, in the quantity of its kind (`evaluation.motion_kinds.MotionKind`): another
   acceleration, restitution, or period and amplitude; else a stretch of time and of displacement.
 
 The stages are nested least squares: each adds its change to those before it, and all of them are fitted again. So the
@@ -34,8 +34,8 @@ from gauge_envs.analysis.diagnosis import (
     Remainder,
     StagePart,
 )
-from gauge_envs.analysis.motion_kinds import Change, recognized
 from gauge_envs.errors import GaugeError, ParameterError, ShapeError
+from gauge_envs.evaluation.motion_kinds import Change, recognized
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
@@ -94,7 +94,7 @@ def diagnose(
     experiment = recorded_experiment(result)
     if band is None:
         band = reference_band(experiment, use_withheld=use_withheld or result.score.withheld is not None)
-    times_s, values = result.trajectory.arrays()
+    times_s, values = result.trajectory.arrays(later=True)
     if band is not None and (own := values.shape[1]) != (taken := band.projection.shape[1]):
         raise DiagnosisError(
             f"{result.id}: its trajectory has {own} coordinates, the band needs {taken}. It was made with another "

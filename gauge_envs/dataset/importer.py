@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.dataset.layout import Layout
-from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_trajectory
+from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_markers_m, trial_trajectory
 from gauge_envs.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
 from gauge_envs.dataset.trial import ImportFinding, Trial, TrialError, parse_trial
 from gauge_envs.evaluation.score import score_trajectory
@@ -20,7 +20,9 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready
+from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.imported import DriverRecord, ImportFacts, SpreadRecord, VariantRecord, write_imported
 from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
@@ -161,6 +163,8 @@ class _VariantImporter:
         self.spool = TrialSpool(self._experiment.frame_count, len(self._coordinates))
         self._drivers = {driver.body: _DriverMean(driver) for driver in self._experiment.scene.drivers}
         self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._experiment)}
+        self._solid = marked_solid(self._experiment.scene)
+        self._statistics: list[FloatArray] = []
         self._files: dict[str, str] = {}
         self._findings: list[ImportFinding] = []
 
@@ -180,6 +184,7 @@ class _VariantImporter:
         self._seen[digest] = file
         self._files[file] = digest
         self.spool.add(trajectory)
+        self._add_statistics(trial)
         self._add_events(file, trajectory)
         self._add_drivers(file, trial)
         self._add_unused_faults(file, trial)
@@ -207,6 +212,38 @@ class _VariantImporter:
     def _add_finding(self, file: str, error: TrialError, *, left_out: bool) -> None:
         self._findings.append(
             ImportFinding(file=file, key=error.key, problem=error.problem, expected=error.expected, left_out=left_out)
+        )
+
+    def _add_statistics(self, trial: Trial) -> None:
+        """Add the statistics of deformation at the frames of the experiment; rest is the first frame of the trial."""
+        if self._solid is None:
+            return
+        markers_m = trial_markers_m(trial, self._experiment)[: self._experiment.frame_count]
+        found = trial_statistics(markers_m, self._solid)
+        padding = ((0, self._experiment.frame_count - len(found)), (0, 0))
+        self._statistics.append(np.pad(found, padding, constant_values=np.nan))
+
+    def _deformation(self) -> DeformationReference | None:
+        """Return mean and scatter of the statistics that some frame of at least two trials has."""
+        if not self._statistics:
+            return None
+        values = np.stack(self._statistics)
+        mean = CoordinateMean(values.shape[1:])
+        for trial in values:
+            mean.add(trial)
+        often = (mean.counts > 1) & (2 * mean.counts >= len(values))
+        squares = np.nansum(np.square(values - mean.mean), axis=0)
+        sigma = np.sqrt(np.divide(squares, mean.counts - 1, out=np.full(often.shape, np.nan), where=often))
+        known = np.flatnonzero(often.any(axis=0))
+        if not known.size:
+            return None
+        return DeformationReference(
+            statistics=tuple(STATISTICS[column] for column in known),
+            markers=None,
+            mean=mean.mean[:, known],
+            sigma=sigma[:, known],
+            trial_count=len(values),
+            source="import",
         )
 
     def _add_events(self, file: str, trajectory: FloatArray) -> None:
@@ -272,6 +309,7 @@ class _VariantImporter:
             source="import",
         )
         drivers = {body: mean for body, mean in self._drivers.items() if mean.is_usable}
+        deformation = self._deformation()
         facts = ImportFacts(
             variant=experiment.name,
             left_out=left_out,
@@ -281,8 +319,10 @@ class _VariantImporter:
             task_sha256=experiment.file_sha256,
             metrics=_spread_records(rows),
             drivers=tuple(mean.record() for mean in drivers.values()),
+            statistics=() if deformation is None else deformation.statistics,
         )
-        return write_imported(band, {body: mean.coordinates for body, mean in drivers.items()}, facts)
+        coordinates = {body: mean.coordinates for body, mean in drivers.items()}
+        return write_imported(band, coordinates, facts, deformation)
 
 
 @dataclass

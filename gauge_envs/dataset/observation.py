@@ -21,7 +21,7 @@ from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 
-__all__ = ["DriverTrack", "driver_tracks", "trial_trajectory"]
+__all__ = ["DriverTrack", "driver_tracks", "trial_markers_m", "trial_trajectory"]
 
 FloatArray = NDArray[np.float64]
 
@@ -148,15 +148,29 @@ def _check_start(name: str, positions_mm: FloatArray, start_m: FloatArray) -> No
 # --- markers ---------------------------------------------------------------------------------------------------------
 
 
-def _marker_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
+def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
+    """Return the marker positions of a trial in the order of the task file.
+
+    Returns:
+        Positions [m], shape [recorded_frame_count, marker_count, 3]; NaN where a marker is missing.
+
+    Raises:
+        TrialError: A marker is missing, the order is another one, or the experiment has no markers.
+    """
     markers = experiment.scene.markers
     if markers is None:
         raise TrialError("(file)", "the experiment has no markers", "its task file lists them")
     ids, positions_mm = _markers(trial, markers.bodies, len(markers.positions_m))
     rest_mm = 1e3 * np.asarray(markers.positions_m)
     _check_order(ids, positions_mm, rest_mm)
+    return 1e-3 * positions_mm
+
+
+def _marker_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
+    positions_m, markers = trial_markers_m(trial, experiment), experiment.scene.markers
+    assert markers is not None
     try:
-        return observe_markers(1e-3 * positions_mm, markers, experiment.score.observable)
+        return observe_markers(positions_m, markers, experiment.score.observable)
     except ShapeError as error:
         raise TrialError("markers", str(error), "markers as in the metadata are expected") from None
 

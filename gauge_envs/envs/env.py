@@ -12,6 +12,7 @@ from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, 
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
@@ -43,6 +44,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
 
     `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled` or
     `imported`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the simulation diverged.
+    `gymnasium.make` adds `score` and `deformation` at the end; see `ScoreEpisode`.
 
     Copies and pickles are environments of their own. They continue bit for bit, also in another process with the same
     versions of the engine.
@@ -104,7 +106,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
 
     def _build(self, experiment: Experiment) -> None:
         super()._build(experiment)
-        self.episode = Episode(experiment, self.simulation, band=self.band, marker_proxy=self.arguments.proxy)
+        self.episode = Episode(
+            experiment, self.simulation, band=self.band, marker_proxy=self.arguments.proxy, backend=self.backend_name
+        )
 
     def _state(self) -> dict[str, Any]:
         return super()._state() | {"episode": self.episode.state()}
@@ -168,9 +172,20 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     def score(self) -> Score | None:
         """Return the score of the episode, or None before it is over.
 
-        The score of an episode that diverged has a grade and no metric.
+        An experiment that starts with a release is simulated on by 10 frames first, for the release alignment. The
+        score of an episode that diverged has a grade and no metric.
         """
-        return self.episode.score() if self.episode.is_over else None
+        if not self.episode.is_over:
+            return None
+        self.episode.run_on(self.simulation)
+        return self.episode.score()
+
+    def deformation(self) -> DeformationScore | None:
+        """Return the statistics of deformation of the episode beside real ones.
+
+        None before the episode is over, if it diverged, and for experiments without such statistics.
+        """
+        return self.episode.deformation() if self.episode.is_over else None
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`.

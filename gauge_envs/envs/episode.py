@@ -7,7 +7,7 @@ calls `observe` of each episode.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -19,6 +19,8 @@ from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.errors import ActionError, EpisodeError
+from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
+from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
@@ -27,9 +29,12 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["Episode", "Observation", "Trajectory", "advance_together"]
+__all__ = ["Episode", "Observation", "Trajectory", "advance_together", "run_on_together"]
 
 NO_RATES = np.zeros(0)
+
+LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
+"""Frames that an aligned episode is simulated on after its last one."""
 
 Observation = dict[str, NDArray[np.float64]]
 
@@ -46,6 +51,9 @@ class Trajectory:
             markers are recorded.
         markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if
             bodies are recorded.
+        later_times_s: Times of samples after the last frame [s], for the release alignment; shape [later_count], empty
+            before the score is read and where nothing is aligned.
+        later_samples: g(t) at those times, shape [later_count, coordinate_count].
     """
 
     times_s: NDArray[np.float64]
@@ -53,6 +61,16 @@ class Trajectory:
     frames: NDArray[np.float64]
     bodies: NDArray[np.float64]
     markers_m: NDArray[np.float64]
+    later_times_s: NDArray[np.float64]
+    later_samples: NDArray[np.float64]
+
+    @property
+    def dense(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """All times [s], shape [sample_count + later_count], and g(t) at those times."""
+        return (
+            np.concatenate([self.times_s, self.later_times_s]),
+            np.concatenate([self.samples, self.later_samples]),
+        )
 
 
 class Episode:
@@ -63,6 +81,7 @@ class Episode:
         world: The world, at the start of the experiment's scene.
         band: Band that rewards are relative to; with None they are 0.
         marker_proxy: Marker proxy of deformable bodies: tracked node or material point.
+        backend: Name of the engine, whose sensitivities the score's intervals use.
 
     Attributes:
         experiment: The experiment.
@@ -78,7 +97,15 @@ class Episode:
         ParameterError: The world was built for another drive interval than `SAMPLE_INTERVAL_S`.
     """
 
-    def __init__(self, experiment: Experiment, world: World, *, band: Band | None, marker_proxy: MarkerProxy) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        world: World,
+        *,
+        band: Band | None,
+        marker_proxy: MarkerProxy,
+        backend: str | None = None,
+    ) -> None:
         check_drive_interval(world.settings)
         scene = experiment.scene
         self.experiment = experiment
@@ -86,8 +113,13 @@ class Episode:
         self.marker_proxy = marker_proxy
         self.frame: int | None = None
         self.fault: str | None = None
+        self._backend = backend
         self._world = world
-        self._drivers = [DriverPath(driver, scene, experiment.frame_count) for driver in scene.drivers]
+        self._later_frames = LATER_FRAMES if band is not None and band.grade is not BandGrade.LAW else 0
+        self._later, self._later_limit = 0, self._later_frames
+        self._last_view: tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]] | None = None
+        driven_frames = experiment.frame_count + self._later_frames
+        self._drivers = [DriverPath(driver, scene, driven_frames) for driver in scene.drivers]
         self._driven = tuple(driver.body for driver in scene.drivers)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         rows = [self._dynamic.index(name) for name in experiment.recorded]
@@ -111,7 +143,8 @@ class Episode:
             **({"edited": True} if experiment.edited else {}),
         }
         frames, bodies = experiment.frame_count, len(experiment.recorded)
-        self._samples = np.full(((frames - 1) * SAMPLES_PER_FRAME + 1, self._observer.width), np.nan)
+        sample_count = (frames - 1 + self._later_frames) * SAMPLES_PER_FRAME + 1
+        self._samples = np.full((sample_count, self._observer.width), np.nan)
         self._bodies = np.full((frames, bodies, 13), np.nan)
         self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
         self.action_space = self._action_space()
@@ -166,6 +199,7 @@ class Episode:
         for path in self._drivers:
             path.reset()
         self.frame, self.fault = 0, None
+        self._later, self._later_limit, self._last_view = 0, self._later_frames, None
         self._samples[0] = self._observer.now(self._world)
         self._record()
 
@@ -176,7 +210,7 @@ class Episode:
             sample: Number of the sample in the frame, from 0 to 5.
             rates: Residual rates from `checked`, shape [motion_count].
         """
-        number = (self.frame or 0) * SAMPLES_PER_FRAME + sample
+        number = self._simulated_frame * SAMPLES_PER_FRAME + sample
         offset = 0
         for path in self._drivers:
             end = offset + path.motion_count
@@ -185,11 +219,11 @@ class Episode:
 
     def observe(self, sample: int) -> None:
         """Record g(t) after a sample of the next frame."""
-        self._samples[(self.frame or 0) * SAMPLES_PER_FRAME + 1 + sample] = self._observer.now(self._world)
+        self._samples[self._simulated_frame * SAMPLES_PER_FRAME + 1 + sample] = self._observer.now(self._world)
 
     def advance(self, simulation: Simulation, rates: NDArray[np.float64]) -> None:
         """Drive, advance and observe the next frame of a world that is a simulation of its own."""
-        first = (self.frame or 0) * SAMPLES_PER_FRAME + 1
+        first = self._simulated_frame * SAMPLES_PER_FRAME + 1
         rows = self._samples[first : first + SAMPLES_PER_FRAME]
         if not self._drivers:
             rows[:] = self._observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
@@ -204,11 +238,51 @@ class Episode:
         self.fault = self._fault(self._record())
         return self.fault
 
+    @property
+    def _simulated_frame(self) -> int:
+        """Frame of the world, which runs on after the last frame."""
+        return (self.frame or 0) + self._later
+
+    @property
+    def runs_on(self) -> bool:
+        """Whether the world must run on after the last frame before the episode can be scored."""
+        return self.is_complete and self.fault is None and self._later < self._later_limit
+
+    def run_on(self, simulation: Simulation) -> None:
+        """Simulate on past the last frame, so that the release alignment knows the later motion.
+
+        Driven bodies continue their recorded motion without actions. Poses and nodes stay those of the last frame.
+        """
+        zero = np.zeros(self.action_space.shape or 0)
+        while self.runs_on:
+            self.begin_later_frame()
+            self.advance(simulation, zero)
+            self.end_later_frame()
+
+    def begin_later_frame(self) -> None:
+        """Keep the view of the last frame before the world runs on."""
+        if self._last_view is None:
+            self._last_view = self.poses(), self.nodes_m()
+
+    def end_later_frame(self) -> None:
+        """Count a frame after the last one; a world that diverges there ends before it."""
+        self._later += 1
+        states = self._world.body_states(self._dynamic)
+        if self._fault(states) is not None or not np.isfinite(self._later_rows()).all():
+            self._later -= 1
+            self._later_limit = self._later
+
+    def _later_rows(self) -> NDArray[np.float64]:
+        first = ((self.frame or 0) * SAMPLES_PER_FRAME) + 1
+        return self._samples[first : first + self._later * SAMPLES_PER_FRAME]
+
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs to continue from here; the world has a state of its own."""
         return {
             "frame": self.frame,
             "fault": self.fault,
+            "later": (self._later, self._later_limit),
+            "last_view": self._last_view,
             "offsets": [path.offsets.copy() for path in self._drivers],
             "recorded": [record.copy() for record in self._records()],
         }
@@ -216,6 +290,8 @@ class Episode:
     def restore(self, state: dict[str, Any]) -> None:
         """Restore what `state` returned, from this episode or another one of the same experiment."""
         self.frame, self.fault = state["frame"], state["fault"]
+        self._later, self._later_limit = state["later"]
+        self._last_view = state["last_view"]
         for path, offsets in zip(self._drivers, state["offsets"], strict=True):
             path.offsets = offsets.copy()
         for record, kept in zip(self._records(), state["recorded"], strict=True):
@@ -239,6 +315,8 @@ class Episode:
             frames=self._samples[:last:SAMPLES_PER_FRAME].copy(),
             bodies=self._bodies[: self.frame + 1].copy(),
             markers_m=self._markers_m[: self.frame + 1].copy(),
+            later_times_s=(last + np.arange(len(self._later_rows()), dtype=np.float64)) * SAMPLE_INTERVAL_S,
+            later_samples=self._later_rows().copy(),
         )
 
     def score(self) -> Score:
@@ -251,18 +329,34 @@ class Episode:
             raise EpisodeError(f"{self.experiment.id}: no score before the episode is over")
         if self.fault is not None:
             return Score(grade=self._grade, unit=self.experiment.score.observable.unit, edited=self.experiment.edited)
-        trajectory = self.trajectory()
-        return score_trajectory(self.experiment, self.band, times_s=trajectory.times_s, values=trajectory.samples)
+        times_s, values = self.trajectory().dense
+        return score_trajectory(self.experiment, self.band, times_s=times_s, values=values, backend=self._backend)
+
+    def deformation(self) -> DeformationScore | None:
+        """Return the statistics of deformation beside real ones; None without them, or if the episode diverged.
+
+        Raises:
+            EpisodeError: The episode is not over.
+        """
+        if not self.is_over:
+            raise EpisodeError(f"{self.experiment.id}: no statistics of deformation before the episode is over")
+        if self.fault is not None or not self._markers_m.size:
+            return None
+        return score_deformation(self.experiment, self._markers_m)
 
     # --- reading ---
 
     def poses(self) -> dict[str, NDArray[np.float64]]:
         """Return the pose of each rigid body that moves: position [m] and quaternion w x y z, shape [7]."""
+        if self._last_view is not None:
+            return self._last_view[0]
         moving = (*self._dynamic, *self._driven)
         return dict(zip(moving, self._world.body_states(moving)[:, :7], strict=True))
 
     def nodes_m(self) -> dict[str, NDArray[np.float64]]:
         """Return the nodes of each deformable body [m], shape [node_count, 3]."""
+        if self._last_view is not None:
+            return self._last_view[1]
         return {body.name: self._world.nodes(body.name).copy() for body in self.experiment.scene.deformables}
 
     def _record(self) -> NDArray[np.float64]:
@@ -335,6 +429,17 @@ class Episode:
             if fault:
                 return fault
         return self._rigid_bounds.fault(states)
+
+
+def run_on_together(episodes: Sequence[Episode], worlds: Worlds) -> None:
+    """Simulate worlds that run together past the last frame, as `Episode.run_on` does for one."""
+    zero = {number: np.zeros(episode.action_space.shape or 0) for number, episode in enumerate(episodes)}
+    while running := {number: episode for number, episode in enumerate(episodes) if episode.runs_on}:
+        for episode in running.values():
+            episode.begin_later_frame()
+        advance_together(running, worlds, zero)
+        for episode in running.values():
+            episode.end_later_frame()
 
 
 def advance_together(episodes: Mapping[int, Episode], worlds: Worlds, rates: Mapping[int, NDArray[np.float64]]) -> None:

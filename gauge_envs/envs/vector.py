@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Unpack, cast
+from typing import Any, ClassVar, Literal, Unpack, cast
 
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment
 from gauge_envs.envs.base import EngineEnvironment
-from gauge_envs.envs.episode import Episode, Observation, advance_together
+from gauge_envs.envs.episode import Episode, Observation, advance_together, run_on_together
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
@@ -110,7 +111,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
     def _build(self, experiments: Sequence[Experiment]) -> None:
         self.worlds = self._engine.build_worlds([one.scene for one in experiments], self._settings)
         self.episodes = [
-            Episode(one, world, band=self.band, marker_proxy=self.arguments.proxy)
+            Episode(one, world, band=self.band, marker_proxy=self.arguments.proxy, backend=self.backend_name)
             for one, world in zip(experiments, self.worlds.worlds, strict=True)
         ]
         self._running: dict[int, Episode] = {}
@@ -213,7 +214,12 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
     def scores(self) -> tuple[Score | None, ...]:
         """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
+        run_on_together(self.episodes, self.worlds)
         return tuple(episode.score() if episode.is_over else None for episode in self.episodes)
+
+    def deformations(self) -> tuple[DeformationScore | None, ...]:
+        """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""
+        return tuple(episode.deformation() if episode.is_over else None for episode in self.episodes)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`.
@@ -244,7 +250,7 @@ class ScoreEpisodes(VectorWrapper):
 
     Adds to `infos` at the step that ends an episode, in every autoreset mode: `score`, an array of `gauge_envs.Score`
     of shape [num_envs], None for a world whose episode did not end; and its mask `_score`. Scores that sub-environments
-    of `gymnasium.make` have already added are kept.
+    of `gymnasium.make` have already added are kept. `deformation` and its mask `_deformation` have the same form.
 
     Args:
         env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
@@ -285,24 +291,26 @@ class ScoreEpisodes(VectorWrapper):
         ended = np.flatnonzero(over & ~self._over).tolist()
         self._over = over
         if ended and "score" not in infos:
-            scores = self._scores(infos)
+            scores, deformations = self._ended(infos, "score"), self._ended(infos, "deformation")
             for number in ended:
                 if scores[number] is not None:
-                    infos = self._add_info(infos, {"score": scores[number]}, number)
+                    added = {"score": scores[number], "deformation": deformations[number]}
+                    infos = self._add_info(infos, added, number)
         return observations, rewards, terminations, truncations, infos
 
-    def _scores(self, infos: Mapping[str, Any]) -> Sequence[Score | None]:
+    def _ended(self, infos: Mapping[str, Any], name: Literal["score", "deformation"]) -> Sequence[Any]:
+        """Return what `GaugeEnv.score` or `GaugeEnv.deformation` returns, for each world."""
         env = self.env.unwrapped
         if isinstance(env, GaugeVectorEnv):
-            return env.scores()
+            return env.scores() if name == "score" else env.deformations()
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
-            return cast("SyncVectorEnv | AsyncVectorEnv", env).call("score")
+            return cast("SyncVectorEnv | AsyncVectorEnv", env).call(name)
         if "score" not in infos["final_info"]:
             raise EpisodeError(
                 "the sub-environments restart in the step that ends an episode, so its score is lost. Make them with "
                 "gymnasium.make, which scores each, or choose another autoreset mode."
             )
-        return cast("Sequence[Score | None]", infos["final_info"]["score"])
+        return cast("Sequence[Any]", infos["final_info"][name])
 
 
 def scored_vector_env(**arguments: Any) -> ScoreEpisodes:

@@ -18,6 +18,9 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
     and no metric, and `info["diverged"]` gives the reason. An episode that another wrapper cuts short has no score.
     Other wrappers may come before or after this one.
 
+    Adds also `deformation`, a `gauge_envs.evaluation.deformation.DeformationScore`, for a foam with real statistics of
+    deformation; None for others.
+
     Example:
         >>> import gymnasium as gym, gauge_envs
         >>> env = gym.make("GAUGE/BouncingBall-rubber")
@@ -43,6 +46,7 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
             score = env.score()
             if score is not None:
                 info["score"] = score
+                info["deformation"] = env.deformation()
         return observation, reward, terminated, truncated, info
 
 

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
 from gauge_envs.evaluation.metrics import (
     band_coverage,
     energy_loss,
@@ -23,10 +25,13 @@ from gauge_envs.evaluation.metrics import (
     trajectory_rmse,
     z_scores,
 )
+from gauge_envs.evaluation.trials import percentile_among, trial_distances
+from gauge_envs.evaluation.uncertainty import BudgetEntry, band_errors
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline
+from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -42,14 +47,24 @@ class Score:
     Attributes:
         grade: Grade of the band: `trials`, `recording`, `law` or `none`.
         unit: Unit of `rmse`, `dtw`, `rmse_aligned` and `signed_error`.
+        primary: Field with the score that reports show first: `rmse_aligned` for an experiment that starts with a
+            release, else `rmse`; None without a band.
         coordinates: Names of the scored coordinates, in the order of `signed_error`.
         rmse: E_RMSE of the paper.
-        rmse_normalized: `rmse` over the published baseline mean; below 1 is closer than a typical real trial.
+        rmse_normalized: `rmse` over the published baseline mean; 1 is the mean, and not the median, of real trials.
+        rmse_normalized_95: 95 % interval of `rmse_normalized`, low and high (`evaluation.uncertainty`).
+        percentile: Percentage of the real trials that are closer to their mean than the simulation, by RMSE; None
+            without single trials.
         dtw: E_DTW of the paper.
         dtw_normalized: `dtw` over the published baseline mean.
         release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
         rmse_aligned: RMSE after that shift.
-        rmse_aligned_normalized: `rmse_aligned` over the published baseline mean.
+        rmse_aligned_normalized: `rmse_aligned` over the published baseline mean, which is not aligned.
+        rmse_aligned_normalized_95: 95 % interval of `rmse_aligned_normalized`.
+        percentile_aligned: As `percentile`, with the simulation and each trial aligned.
+        compared_frames: Number of frames with a mean.
+        measured_frames: Number of those that at least half of the trials show; the others are extrapolated.
+        extrapolated_share: Share of the squared error, without alignment, in extrapolated frames.
         mean_abs_z: Mean |deviation| in units of sigma(t), over measured frames.
         inside_1sigma: Share of measured values within 1 sigma.
         inside_2sigma: Share within 2 sigma.
@@ -61,20 +76,31 @@ class Score:
         pd_s: Period [s].
         pd_normalized: `pd_s` over the published mean; 1 is ideal.
         el: Energy loss, ratio; 0 is ideal.
+        implied: Physical parameters that the trajectory implies, beside those of the real trials.
+        budget: Contributions to the uncertainty of the `primary` score, largest first.
+        sensitivities: Engine and settings whose sensitivities the interval uses; None if inputs are left out.
         withheld: Why the band is not used by default; None for a band that is.
         edited: Whether the scene is that of an asset which differs from the calibrated scene.
     """
 
     grade: str
     unit: str
+    primary: str | None = None
     coordinates: tuple[str, ...] | None = None
     rmse: float | None = None
     rmse_normalized: float | None = None
+    rmse_normalized_95: tuple[float, float] | None = None
+    percentile: float | None = None
     dtw: float | None = None
     dtw_normalized: float | None = None
     release_offset_s: float | None = None
     rmse_aligned: float | None = None
     rmse_aligned_normalized: float | None = None
+    rmse_aligned_normalized_95: tuple[float, float] | None = None
+    percentile_aligned: float | None = None
+    compared_frames: int | None = None
+    measured_frames: int | None = None
+    extrapolated_share: float | None = None
     mean_abs_z: float | None = None
     inside_1sigma: float | None = None
     inside_2sigma: float | None = None
@@ -86,8 +112,21 @@ class Score:
     pd_s: float | None = None
     pd_normalized: float | None = None
     el: float | None = None
+    implied: tuple[ImpliedParameter, ...] = ()
+    budget: tuple[BudgetEntry, ...] = ()
+    sensitivities: str | None = None
     withheld: str | None = None
     edited: bool = False
+
+    @property
+    def primary_normalized(self) -> float | None:
+        """The normalized score that reports show first."""
+        return None if self.primary is None else getattr(self, f"{self.primary}_normalized")
+
+    @property
+    def primary_95(self) -> tuple[float, float] | None:
+        """The 95 % interval of `primary_normalized`."""
+        return None if self.primary is None else getattr(self, f"{self.primary}_normalized_95")
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary of all fields."""
@@ -95,10 +134,13 @@ class Score:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Score:
-        """Build a score from `to_dict`; keys of later versions are ignored."""
+        """Build a score from `to_dict`; keys of later versions are ignored.
+
+        Raises:
+            pydantic.ValidationError: A value has the wrong type.
+        """
         known = {f.name for f in fields(cls)}
-        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k in known}
-        return cls(**given)
+        return TypeAdapter(cls).validate_python({key: value for key, value in values.items() if key in known})
 
 
 def score_trajectory(
@@ -107,6 +149,8 @@ def score_trajectory(
     *,
     times_s: FloatArray,
     values: FloatArray,
+    backend: str | None = None,
+    sensitivities: Sensitivities | None = None,
 ) -> Score:
     """Score a generalized trajectory.
 
@@ -114,8 +158,11 @@ def score_trajectory(
         experiment: Experiment that was simulated.
         band: Reference to score against; None leaves the metrics that need no band.
         times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count]. They contain
-            the 30 Hz frames; more samples make the release offset more precise.
+            the 30 Hz frames; more samples make the release offset more precise. Samples after the last frame let the
+            simulation be shifted to earlier times.
         values: g(t) at those times, shape [sample_count, coordinate_count].
+        backend: Engine of the trajectory, whose sensitivities the intervals use; None for one of unknown origin.
+        sensitivities: Measured sensitivities that replace the stored ones of the engine.
 
     Raises:
         ShapeError: A frame is missing, or values are not finite or have the wrong width.
@@ -124,7 +171,13 @@ def score_trajectory(
     baselines = experiment.baselines
     scores: dict[str, Any] = {}
     if band is not None:
-        scores |= _band_scores(band, baselines, times_s, values, frames)
+        # An edited scene is another one, whose sensitivities are not known.
+        if sensitivities is None and not experiment.edited:
+            sensitivities = load_sensitivities(experiment.name, backend)
+        scores |= _band_scores(experiment, band, times_s, values, frames, sensitivities)
+    scores["implied"] = implied_parameters(
+        experiment, band, times_s=times_s, values=values, release_offset_s=scores.get("release_offset_s")
+    )
     scores |= _metric_fields(_event_scores(experiment, frames), baselines)
     # NaN is an event that never happens, or a mean over no measured value. It is reported as None.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
@@ -167,8 +220,14 @@ def _metric_fields(raw: Mapping[str, float], baselines: Mapping[str, Baseline]) 
 
 
 def _band_scores(
-    band: Band, baselines: Mapping[str, Baseline], times_s: FloatArray, values: FloatArray, frames: FloatArray
+    experiment: Experiment,
+    band: Band,
+    times_s: FloatArray,
+    values: FloatArray,
+    frames: FloatArray,
+    sensitivities: Sensitivities | None,
 ) -> dict[str, Any]:
+    baselines = experiment.baselines
     simulated = band.project(frames)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
     known = np.isfinite(band.mean).any(axis=1)
@@ -176,23 +235,76 @@ def _band_scores(
         "rmse": trajectory_rmse(simulated, band.mean),
         "dtw": trajectory_dtw(simulated[known], band.mean[known]),
     }
-    # The mean of a law is exact from frame 0 on. A shift of time would only hide a drift.
-    offset_s, aligned = None, None
-    if band.grade is not BandGrade.LAW:
-        offset_s, aligned = release_offset(times_s, band.project(values), band.mean, frame_rate_hz=FRAME_RATE_HZ)
     # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
-    return _metric_fields(distances, baselines) | {
+    squares = np.nansum(np.square(simulated - band.mean), axis=1)
+    trials, baseline = trial_distances(band), baselines.get("rmse")
+    errors = band_errors(band, baseline, sensitivities).with_projection(band, frames)
+    scores = _metric_fields(distances, baselines) | {
+        "primary": "rmse",
         "coordinates": band.coordinates,
-        "release_offset_s": offset_s,
-        "rmse_aligned": aligned,
-        "rmse_aligned_normalized": None if aligned is None else _over(aligned, baselines, "rmse"),
+        "percentile": None if trials is None else percentile_among(trials.raw, distances["rmse"]),
+        "compared_frames": int(known.sum()),
+        "measured_frames": int((known & band.measured).sum()),
+        "extrapolated_share": float(squares[~band.measured].sum() / squares.sum()) if squares.any() else 0.0,
         "mean_abs_z": mean_abs_z(z),
         "inside_1sigma": band_coverage(z, 1.0),
         "inside_2sigma": band_coverage(z, 2.0),
         "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
+        "sensitivities": None if sensitivities is None else _origin(sensitivities),
     }
+    deviation = simulated - band.mean
+    # The mean of a law is exact from frame 0 on. A shift of time would only hide a drift.
+    if band.grade is not BandGrade.LAW:
+        projected = band.project(values)
+        offset_s, aligned = release_offset(times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ)
+        left, velocity = _shifted(times_s, projected, offset_s, len(band.mean))
+        left_errors = errors.aligned(velocity)
+        scores |= {
+            "release_offset_s": offset_s,
+            "rmse_aligned": aligned,
+            "rmse_aligned_normalized": _over(aligned, baselines, "rmse"),
+            "percentile_aligned": None if trials is None else percentile_among(trials.aligned, aligned),
+        }
+        if baseline is not None:
+            scores["rmse_aligned_normalized_95"] = _normalized(left_errors.interval(left - band.mean), baseline)
+        if not experiment.scene.drivers:
+            scores["primary"] = "rmse_aligned"
+            errors_of_primary, deviation_of_primary = left_errors, left - band.mean
+    if baseline is not None:
+        scores["rmse_normalized_95"] = _normalized(errors.interval(deviation), baseline)
+        if scores["primary"] == "rmse":
+            errors_of_primary, deviation_of_primary = errors, deviation
+        scores["budget"] = errors_of_primary.budget(deviation_of_primary, baseline=baseline.mean)
+    return scores
+
+
+def _origin(sensitivities: Sensitivities) -> str:
+    named = [*(f"{name} {text}" for name, text in sensitivities.versions.items()), *_settings(sensitivities)]
+    return f"{sensitivities.backend} ({', '.join(named)})"
+
+
+def _settings(sensitivities: Sensitivities) -> list[str]:
+    return [
+        f"{key}={value:.4g}" if isinstance(value, float) else f"{key} {value}"
+        for key, value in sensitivities.settings.items()
+    ]
+
+
+def _normalized(interval: tuple[float, float], baseline: Baseline) -> tuple[float, float]:
+    return interval[0] / baseline.mean, interval[1] / baseline.mean
+
+
+def _shifted(
+    times_s: FloatArray, values: FloatArray, offset_s: float, frame_count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return a simulation that is shifted in time, and its velocity, at the frames, each of shape [T, C]."""
+    queries_s = np.arange(frame_count) / FRAME_RATE_HZ - offset_s
+    shifted = np.column_stack([np.interp(queries_s, times_s, column) for column in values.T])
+    velocity = np.column_stack([np.interp(queries_s, times_s, np.gradient(column, times_s)) for column in values.T])
+    # Before its start the simulation is held.
+    return shifted, np.where(queries_s[:, None] < 0.0, 0.0, velocity)
 
 
 def _event_scores(experiment: Experiment, frames: FloatArray) -> dict[str, float]:

@@ -4,13 +4,14 @@ No physics engine is needed. Values are in the unit of the observable: mm for po
 face areas. Columns are the coordinates of g(t) in the order of `coordinate_names`.
 
 - CSV: one row per sample, an optional header, an optional column `time_s` that the header names. `#` starts a comment.
-- NPZ: arrays `g`, shape [T, C], and optionally `time_s`, shape [T].
+- NPZ: arrays `g`, shape [T, C]; optionally `time_s`, shape [T], and `markers_m`, shape [T, M, 3], the markers [m].
 - JSON: an object with `g`, a list of rows, and optionally `time_s` and `id`; or a result file of this package.
 
 A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is skipped.
 Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is within 0.5 ms
 and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames` counts them.
-Samples after the last published frame are not used.
+Samples of up to 10 frames after the last published one serve the release alignment: a file that ends with the last
+frame is not shifted to earlier times. Later ones are not used.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import io
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["UserTrajectory", "read_trajectory", "recorded_id"]
@@ -45,15 +48,18 @@ class UserTrajectory:
     """A generalized trajectory that covers every frame of its experiment.
 
     Attributes:
-        times_s: Strictly increasing times from 0 to the last frame [s], the 30 Hz frames among them, shape
+        times_s: Strictly increasing times from 0 to the last frame or later [s], the 30 Hz frames among them, shape
             [sample_count].
         values: g(t) at those times in the observable's unit, shape [sample_count, coordinate_count].
         interpolated_frames: Number of frames without a sample in the file.
+        markers_m: Marker positions at the 30 Hz frames [m], shape [frame_count, marker_count, 3]; None if the file does
+            not give them. A g(t) of marker positions gives them too.
     """
 
     times_s: NDArray[np.float64]
     values: NDArray[np.float64]
     interpolated_frames: int
+    markers_m: NDArray[np.float64] | None = None
 
 
 def recorded_id(file: Path) -> tuple[str | None, Any, bool]:
@@ -92,7 +98,23 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     times, values = reader(layout)
     if times is None:
         times = np.arange(len(values)) / FRAME_RATE_HZ
-    return _on_frames(file, times, values, experiment.frame_count)
+    markers = _npz_markers(layout, len(values), experiment) if reader is _read_npz else None
+    width = values.shape[1]
+    if markers is not None:
+        values = np.concatenate([values, markers.reshape(len(values), -1)], axis=1)
+    trajectory = _on_frames(file, times, values, experiment.frame_count)
+    if experiment.score.observable is Observable.MARKER_POSITION:
+        return replace(trajectory, markers_m=1e-3 * _frame_rows(trajectory)[:, :width].reshape(-1, width // 3, 3))
+    if markers is None:
+        return trajectory
+    markers_m = _frame_rows(trajectory)[:, width:].reshape(-1, *markers.shape[1:])
+    return replace(trajectory, values=trajectory.values[:, :width], markers_m=markers_m)
+
+
+def _frame_rows(trajectory: UserTrajectory) -> NDArray[np.float64]:
+    """Return the samples at the 30 Hz frames."""
+    frames = np.arange(round(trajectory.times_s[-1] * FRAME_RATE_HZ) + 1) / FRAME_RATE_HZ
+    return trajectory.values[np.searchsorted(trajectory.times_s, frames - 1e-9)]
 
 
 @dataclass(frozen=True)
@@ -272,6 +294,21 @@ def _read_npz(layout: _FileLayout) -> Columns:
     return times, g
 
 
+def _npz_markers(layout: _FileLayout, row_count: int, experiment: Experiment) -> NDArray[np.float64] | None:
+    """Return the array `markers_m` of a file, shape [T, M, 3]; None without one."""
+    with np.load(layout.file, allow_pickle=False) as archive:
+        if "markers_m" not in archive.files:
+            return None
+        markers = np.asarray(archive["markers_m"])
+    known = experiment.scene.markers
+    wanted = [row_count, 0 if known is None else len(known.positions_m), 3]
+    if list(markers.shape) != wanted:
+        raise layout.error("markers_m", f"shape is {list(markers.shape)}, expected {wanted}")
+    if markers.dtype.kind not in "fiu" or not np.isfinite(markers).all():
+        raise layout.error("markers_m", "a value is not a finite number [m]")
+    return markers.astype(np.float64)
+
+
 def _json_object(file: Path) -> dict[str, Any]:
     try:
         content = json.loads(_bytes(file).decode("utf-8-sig"))
@@ -288,6 +325,10 @@ def _read_json(layout: _FileLayout) -> Columns:
     if "g" not in content and isinstance(content.get("trajectory"), dict):
         content = content["trajectory"]
         key, times = "samples", content.get("times_s")
+        later_s, later = content.get("later_times_s"), content.get("later_samples")
+        if all(isinstance(entry, list) for entry in (times, content.get(key), later_s, later)):
+            content = content | {key: [*content[key], *later]}
+            times = [*times, *later_s]
     rows = content.get(key)
     if not isinstance(rows, list):
         raise layout.error("", f"no list {key!r} of rows; {layout.expected}")
@@ -306,7 +347,7 @@ def _read_json(layout: _FileLayout) -> Columns:
 def _on_frames(
     file: Path, times_s: NDArray[np.float64], values: NDArray[np.float64], frame_count: int
 ) -> UserTrajectory:
-    """Check the times, insert every frame, and cut after the last one."""
+    """Check the times, insert every frame, and cut what is too late for the release alignment."""
     frames = np.arange(frame_count) / FRAME_RATE_HZ
     needed = f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
     if len(times_s) < 2:
@@ -341,5 +382,5 @@ def _on_frames(
     added = np.column_stack([np.interp(between, times_s, column) for column in values.T])
     order = np.argsort(np.concatenate([times, between]), kind="stable")
     times, values = np.concatenate([times, between])[order], np.concatenate([values, added])[order]
-    used = times <= frames[-1]
+    used = times <= frames[-1] + MAX_RELEASE_OFFSET_S + FRAME_TOLERANCE_S
     return UserTrajectory(times_s=times[used], values=values[used], interpolated_frames=len(between))

@@ -7,7 +7,7 @@ variant is named `<Family>[-<subtask>]-<material>`, as in `SlopeSlider-2-wood`; 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -82,6 +82,8 @@ class Band:
         uncertainty: 1-sigma uncertainty of the measurement of the mean, shape [T, C]; NaN where the mean is unknown,
             None if it is not stated. It is the error of one measured trial; sigma is the spread between trials.
         withheld: Why the band is not used by default; None for a band that is.
+        trials: Band coordinates of each real trial, shape [trial_count, T, C]; NaN is unknown. None if only their mean
+            and scatter are known.
 
     Raises:
         ShapeError: The arrays do not agree in shape, or a sigma is negative.
@@ -99,9 +101,17 @@ class Band:
     sigma_source: SigmaSource = SigmaSource.TRIALS
     uncertainty: NDArray[np.float64] | None = None
     withheld: str | None = None
+    trials: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        arrays = {"projection": float, "mean": float, "sigma": float, "measured": bool, "uncertainty": float}
+        arrays = {
+            "projection": float,
+            "mean": float,
+            "sigma": float,
+            "measured": bool,
+            "uncertainty": float,
+            "trials": float,
+        }
         for name, dtype in arrays.items():
             if getattr(self, name) is None:
                 continue
@@ -119,6 +129,8 @@ class Band:
             raise ShapeError(f"measured has shape {self.measured.shape}; {self.mean.shape[:1]} is needed")
         if self.uncertainty is not None and self.uncertainty.shape != self.mean.shape:
             raise ShapeError(f"uncertainty has shape {self.uncertainty.shape}; {self.mean.shape} is needed")
+        if self.trials is not None and (self.trials.ndim != 3 or self.trials.shape[1:] != self.mean.shape):
+            raise ShapeError(f"trials has shape {self.trials.shape}; [trial_count, {self.mean.shape}] is needed")
         if (self.sigma < 0).any():
             raise ShapeError("sigma: a standard deviation is never negative")
 
@@ -268,7 +280,36 @@ def bundled_band(variant: str) -> Band | None:
 @cache
 def _bundled_band(folder: Path, variant: str) -> Band | None:
     file, sidecar_file = folder / f"{variant}.csv", folder / f"{variant}.toml"
-    return read_band(file, read_toml(sidecar_file, BandSidecar), sidecar_file) if file.is_file() else None
+    if not file.is_file():
+        return None
+    sidecar = read_toml(sidecar_file, BandSidecar)
+    band = read_band(file, sidecar, sidecar_file)
+    trials_file = folder.parent / "trials" / f"{variant}.csv"
+    if not trials_file.is_file():
+        return band
+    try:
+        return replace(band, trials=_read_trials(trials_file, sidecar.coordinates, sidecar.trial_count or 0))
+    except ShapeError as error:
+        raise ReferenceFileError(trials_file, None, str(error)) from None
+
+
+class _TrialsRow(FileModel):
+    """One row of the table of single trials; values are keyed `<trial>.<coordinate>`."""
+
+    frame: NonNegativeInt
+    trial: dict[str, float | None]
+
+
+def _read_trials(file: Path, coordinates: Sequence[str], trial_count: int) -> FloatArray:
+    """Return the trials of a table (format: scoring/README.md), shape [trial_count, T, C]."""
+    columns = [f"trial.{number + 1}.{coordinate}" for number in range(trial_count) for coordinate in coordinates]
+    rows = []
+    for line, row in read_rows(file, ["frame", *columns], _TrialsRow):
+        if row.frame != len(rows):
+            raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows)} is next")
+        rows.append(list(row.trial.values()))
+    values = np.array(rows, dtype=np.float64).reshape(len(rows), trial_count, len(coordinates))
+    return values.transpose(1, 0, 2)
 
 
 def bundled_sidecar(variant: str) -> BandSidecar | None:

@@ -31,6 +31,7 @@ from pydantic import ValidationError
 from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, first_fault
 from gauge_envs.files import write_whole
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.tables import FileModel
 from gauge_envs.scene.drivers import Driver, SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -125,6 +126,7 @@ class ImportFacts(FileModel):
         task_sha256: Hash of the task file that they were imported for.
         metrics: Score of the trials among themselves, by metric.
         drivers: Recorded drivers.
+        statistics: Names of the stored statistics of deformation; empty without markers on a solid.
     """
 
     variant: str
@@ -135,6 +137,7 @@ class ImportFacts(FileModel):
     task_sha256: str
     metrics: dict[str, SpreadRecord]
     drivers: tuple[DriverRecord, ...]
+    statistics: tuple[str, ...] = ()
 
 
 class VariantRecord(ImportFacts):
@@ -178,11 +181,13 @@ class ImportedVariant:
         band: Band of the trials, of grade `trials`.
         driver_values: Mean recorded coordinates of each driven body relative to its start [m or rad], shape
             [frame_count, motion_count]; NaN where no trial shows the body.
+        deformation: Statistics of deformation over the trials; None without any.
     """
 
     record: VariantRecord
     band: Band
     driver_values: Mapping[str, FloatArray]
+    deformation: DeformationReference | None = None
 
 
 # --- folder ----------------------------------------------------------------------------------------------------------
@@ -201,13 +206,19 @@ def _trials_folder() -> Path:
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
-def write_imported(band: Band, drivers: Mapping[str, FloatArray], facts: ImportFacts) -> VariantRecord:
+def write_imported(
+    band: Band,
+    drivers: Mapping[str, FloatArray],
+    facts: ImportFacts,
+    deformation: DeformationReference | None = None,
+) -> VariantRecord:
     """Store an imported variant in place of an earlier import of it.
 
     Args:
         band: Band of the trials, in the coordinates of g(t).
         drivers: Recorded coordinates of the driven bodies, as `ImportedVariant.driver_values`.
-        facts: Origin and scores of the trials.
+        facts: Origin and scores of the trials; `statistics` names those of `deformation`.
+        deformation: Statistics of deformation over the trials.
 
     Raises:
         DatasetError: The user's data folder cannot be written.
@@ -215,6 +226,8 @@ def write_imported(band: Band, drivers: Mapping[str, FloatArray], facts: ImportF
     stream = io.BytesIO()
     arrays: dict[str, Any] = {"mean": band.mean, "sigma": band.sigma, "measured": band.measured}
     arrays |= {f"driver.{body}": values for body, values in drivers.items()}
+    if deformation is not None:
+        arrays |= {"statistics.mean": deformation.mean, "statistics.sigma": deformation.sigma}
     np.savez_compressed(stream, **arrays)
     content = stream.getvalue()
     digest = hashlib.sha256(content).hexdigest()
@@ -279,9 +292,10 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
             band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"])
+            deformation = _deformation(record, arrays) if record.statistics else None
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise ReferenceFileError(arrays_file, None, f"{_reason(error)}; gauge data import renews it") from None
-    return ImportedVariant(record, band, drivers)
+    return ImportedVariant(record, band, drivers, deformation)
 
 
 def _record(file: Path) -> VariantRecord:
@@ -314,6 +328,17 @@ def _band(record: VariantRecord, mean: FloatArray, sigma: FloatArray, measured: 
         mean=mean,
         sigma=sigma,
         measured=measured,
+        trial_count=record.trial_count,
+        source=record.origin,
+    )
+
+
+def _deformation(record: VariantRecord, arrays: Mapping[str, FloatArray]) -> DeformationReference:
+    return DeformationReference(
+        statistics=record.statistics,
+        markers=None,
+        mean=arrays["statistics.mean"],
+        sigma=arrays["statistics.sigma"],
         trial_count=record.trial_count,
         source=record.origin,
     )

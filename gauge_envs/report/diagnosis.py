@@ -12,7 +12,7 @@ from rich.text import Text
 
 from gauge_envs.analysis.budget_fit import BudgetStage
 from gauge_envs.analysis.diagnosis import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, StagePart
-from gauge_envs.analysis.motion_kinds import Change
+from gauge_envs.evaluation.motion_kinds import Change
 from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.report.results import result_label

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -17,6 +18,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.report.convergence import convergence_rows, convergence_text
 from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import (
+    DEFORMATION_NOTE,
     ENGINE_TITLES,
     GRADE_NOTES,
     METRIC_TITLES,
@@ -28,7 +30,15 @@ from gauge_envs.report.text import (
 )
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = ["PLAIN", "configuration_labels", "configuration_parts", "result_label", "summary_view", "versions_text"]
+__all__ = [
+    "PLAIN",
+    "configuration_labels",
+    "configuration_parts",
+    "deformation_table",
+    "result_label",
+    "summary_view",
+    "versions_text",
+]
 
 PLAIN = ("parameters", "calibrated")
 """Part of a configuration that labels leave out."""
@@ -113,6 +123,46 @@ RESULT_COLUMNS = (
 )
 
 
+def _statistic_text(value: float) -> str:
+    # Adding 0.0 makes a rounded -0.0000 plain zero.
+    return f"{round(value, 4) + 0.0:.4f}"
+
+
+DEFORMATION_COLUMNS = (
+    Column("id", "experiment", short_id, place=Place.HEADING),
+    Column("label", "", place=Place.HEADING),
+    Column("name", "statistic"),
+    Column("unit", "unit", wide_only=True),
+    Column("frame", "frame", str, is_number=True),
+    Column("simulated", "simulated", _statistic_text, is_number=True),
+    Column("real", "real", _statistic_text, is_number=True),
+    Column("uncertainty", "+-", _statistic_text, is_number=True),
+    Column("z", "z", number_text, is_number=True),
+    Column("z_rms", "z rms", number_text, is_number=True),
+)
+
+
+def deformation_table(results: Sequence[Result]) -> Table:
+    """Return the statistics of deformation of results beside the real ones, grade `statistics`."""
+    rows = [
+        {"id": result.id, "label": result_label(result), **asdict(statistic)}
+        for result in results
+        if result.deformation is not None
+        for statistic in result.deformation.statistics
+    ]
+    notes = {
+        f"{short_id(result.id)}: {result.deformation.note}."
+        for result in results
+        if result.deformation is not None and result.deformation.note
+    }
+    return Table(
+        columns=DEFORMATION_COLUMNS,
+        rows=rows,
+        title="Deformation, grade statistics (no part of the score)",
+        notes=(DEFORMATION_NOTE, *sorted(notes)),
+    )
+
+
 def summary_view(results: Sequence[Result], *, wide: bool = False) -> Group:
     """Return scores of results beside the published ones, what the numbers mean, and what was not run and why."""
     ran = [result for result in results if result.error is None]
@@ -120,6 +170,8 @@ def summary_view(results: Sequence[Result], *, wide: bool = False) -> Group:
     if ran:
         rows = [row for result in ran for row in _score_rows(result)]
         parts.append(as_rich(Table(columns=RESULT_COLUMNS, rows=rows, notes=_score_notes(ran)), wide=wide))
+    if any(result.deformation is not None for result in ran):
+        parts.append(as_rich(deformation_table(ran), wide=wide))
     for result in ran:
         name = short_id(result.id)
         if result.score.withheld:

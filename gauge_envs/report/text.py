@@ -14,6 +14,7 @@ from gauge_envs.references.metrics import METRICS
 __all__ = [
     "ALIGNED_TITLE",
     "COST_TITLE",
+    "DEFORMATION_NOTE",
     "ENGINE_TITLES",
     "GRADE_NOTES",
     "METRIC_TITLES",
@@ -44,6 +45,11 @@ COST_TITLE = "wall s/sim s"
 NORMALIZED_NOTE = (
     "Normalized: score over the mean score of the real trials, so 1.0 is a typical real trial. RMSE and DTW: lower is "
     "closer. LSD, MTE, PD: 1 is ideal. EL is never normalized, 0 is ideal. Engines: as published (GAUGE, Table 5)."
+)
+
+DEFORMATION_NOTE = (
+    "Strain, volume or area ratio, and non-affine residual [mm] of the markers, at the last frame whose real value is "
+    "known. +-: 1-sigma uncertainty of one recording, or scatter over several trials. z: simulated minus real, over +-."
 )
 
 GRADE_NOTES = {

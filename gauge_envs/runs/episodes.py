@@ -14,7 +14,7 @@ from gauge_envs.backends import backend_for
 from gauge_envs.backends.base import Worlds
 from gauge_envs.envs.arguments import EnvArguments, jittered_experiment
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.episode import Episode, advance_together
+from gauge_envs.envs.episode import Episode, advance_together, run_on_together
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -100,7 +100,7 @@ def run_repeats(request: RunRequest) -> list[Result]:
         start = time.perf_counter()
         worlds.reset(request.seed)
         episodes = [
-            Episode(run, world, band=band, marker_proxy=request.proxy)
+            Episode(run, world, band=band, marker_proxy=request.proxy, backend=request.backend)
             for run, world in zip(runs, worlds.worlds, strict=True)
         ]
         run_together(episodes, worlds)
@@ -131,6 +131,7 @@ def run_together(episodes: Sequence[Episode], worlds: Worlds) -> None:
         advance_together(running, worlds, zero)
         for episode in running.values():
             episode.end_frame()
+    run_on_together(episodes, worlds)
 
 
 def planned_result(
@@ -179,6 +180,7 @@ def _finished(
         planned,
         outcome=Outcome.DIVERGED if episode.fault else Outcome.FINISHED,
         score=score,
+        deformation=episode.deformation() if episode.is_over else None,
         frames=len(recorded.frames),
         diverged=bool(episode.fault),
         diverged_reason=episode.fault,
@@ -187,5 +189,5 @@ def _finished(
         settings=json_ready(episode.settings),
         versions={**engine_versions, **versions()},
         error=None,
-        trajectory=RecordedTrajectory.of(episode.experiment, recorded.times_s, recorded.samples),
+        trajectory=RecordedTrajectory.of(episode.experiment, *recorded.dense),
     )

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.imported import BUNDLED_DATA
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["Outcome", "RecordedTrajectory", "Result"]
 
@@ -43,41 +45,55 @@ class RecordedTrajectory:
         coordinates: Names of the coordinates, as `cube.x`.
         times_s: Times [s], 180 a second, shape [sample_count].
         samples: g(t) at those times, shape [sample_count, coordinate_count]; None for a value that is not finite.
+        later_times_s: Times after the last frame [s], which the release alignment needs; shape [later_count].
+        later_samples: g(t) at those times, shape [later_count, coordinate_count].
     """
 
     unit: str
     coordinates: list[str]
     times_s: list[float]
     samples: list[list[float | None]]
+    later_times_s: list[float] = field(default_factory=list)
+    later_samples: list[list[float | None]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        if len(self.samples) != len(self.times_s):
-            raise ValueError(f"{len(self.times_s)} times but {len(self.samples)} samples")
-        if any(len(row) != len(self.coordinates) for row in self.samples):
+        for times_s, samples in ((self.times_s, self.samples), (self.later_times_s, self.later_samples)):
+            if len(samples) != len(times_s):
+                raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
+        if any(len(row) != len(self.coordinates) for row in (*self.samples, *self.later_samples)):
             raise ValueError(f"a sample does not have {len(self.coordinates)} coordinates")
 
     @classmethod
     def of(
         cls, experiment: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]
     ) -> RecordedTrajectory:
-        """Return the record of a generalized trajectory.
+        """Return the record of a generalized trajectory, split at the last frame.
 
         Args:
             experiment: The experiment of the trajectory.
             times_s: Times [s], shape [sample_count].
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
         """
+        count = int(np.searchsorted(times_s, (experiment.frame_count - 1) / FRAME_RATE_HZ + 1e-6))
+        rows = json_ready(samples.tolist())
         return cls(
             unit=experiment.score.observable.unit,
             coordinates=list(experiment.coordinates),
-            times_s=times_s.tolist(),
-            samples=json_ready(samples.tolist()),
+            times_s=times_s[:count].tolist(),
+            samples=rows[:count],
+            later_times_s=times_s[count:].tolist(),
+            later_samples=rows[count:],
         )
 
-    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None."""
-        samples = np.array(self.samples, dtype=np.float64)
-        return np.array(self.times_s), samples.reshape(len(self.times_s), len(self.coordinates))
+    def arrays(self, *, later: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None.
+
+        Args:
+            later: Whether to add the samples after the last frame.
+        """
+        times_s = [*self.times_s, *self.later_times_s] if later else self.times_s
+        samples = np.array([*self.samples, *self.later_samples] if later else self.samples, dtype=np.float64)
+        return np.array(times_s), samples.reshape(len(times_s), len(self.coordinates))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +106,7 @@ class Result:
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
         score: Distance to reality; a metric that does not apply is None.
+        deformation: Statistics of deformation beside real ones, grade `statistics`; None without them.
         task_sha256: Hash of the task file; for an experiment file, hash of it and of all files that it names.
         frames: Number of recorded frames, the first included.
         diverged: Whether the simulation left the physical bounds of the scene.
@@ -119,6 +136,7 @@ class Result:
     parameters: str | dict[str, Any]
     score: Score
     task_sha256: str
+    deformation: DeformationScore | None = None
     backend: str | None = None
     frames: int = 0
     diverged: bool = False

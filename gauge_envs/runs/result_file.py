@@ -77,6 +77,7 @@ def load_result(file: Path) -> Result:
         content.setdefault("marker_proxy", MarkerProxy.NODE.value)
         content["dataset"] = BUNDLED_DATA | dict(content.get("dataset") or {})
         content.setdefault("asset", {})
+        content.setdefault("deformation", None)
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")

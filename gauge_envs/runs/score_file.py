@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.evaluation.deformation import score_deformation
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.evaluation.trajectory_file import read_trajectory, recorded_id
@@ -17,6 +18,7 @@ from gauge_envs.references.imported import DataSource, dataset_record
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.scene_record import asset_record, recorded_experiment
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["score_file"]
 
@@ -56,9 +58,10 @@ def score_file(
         outcome=Outcome.FINISHED,
         parameters=json_ready(experiment.overrides) if experiment.parameters == "custom" else experiment.parameters,
         score=score,
+        deformation=None if trajectory.markers_m is None else score_deformation(experiment, trajectory.markers_m),
         task_sha256=experiment.file_sha256,
         frames=experiment.frame_count,
-        sim_s=float(trajectory.times_s[-1]),
+        sim_s=(experiment.frame_count - 1) / FRAME_RATE_HZ,
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),
         asset=asset_record(experiment),

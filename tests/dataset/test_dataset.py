@@ -687,3 +687,71 @@ def test_a_folder_that_cannot_be_written_is_an_error(tmp_path: Path, monkeypatch
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path / "file"))
     result = gauge("data", "import", tmp_path)
     assert result.exit_code == 2 and "cannot be" in result.stderr
+
+
+# --- statistics of deformation ----------------------------------------------------------------------------------------
+
+
+def stretching_trials(name: str, amounts: np.ndarray, *, placed_m: float = 0.0) -> list[dict]:
+    """Trials whose markers stretch along z by 1e-3 (frame + amount); amounts take effect after frame 0."""
+    experiment = load_experiment(name)
+    rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
+    frames = np.arange(experiment.frame_count)[:, None, None]
+    contents = []
+    for number, amount in enumerate(amounts):
+        placed = rest + 1e3 * placed_m * np.random.default_rng(number).normal(size=rest.shape)
+        elongation = 1e-3 * (frames + np.where(frames > 0, amount, 0.0))
+        moved = placed + elongation * (placed - placed[0]) * np.array([0.0, 0.0, 1.0])
+        assets = {"foam": marker_asset(moved, range(len(rest)))}
+        assets |= {driver.body: driven(experiment, driver.body) for driver in experiment.scene.drivers}
+        contents.append(trial_content(assets))
+    return contents
+
+
+def driven(experiment, body: str) -> dict:
+    start = 1e3 * np.asarray(experiment.scene.body(body).pose.position_m)
+    return body_asset(start + np.arange(experiment.frame_count)[:, None] * [0.0, 0.0, 0.3])
+
+
+@pytest.mark.parametrize("placed_m", [0.0, 0.0008])
+def test_statistics_of_deformation_come_back(placed_m: float, tmp_path: Path) -> None:
+    """Whatever the places of the dots, and a trial without some of its markers counts."""
+    name = "FoamStretching-soft"
+    for number, content in enumerate(stretching_trials(name, AMOUNT, placed_m=placed_m)):
+        if number == 0:
+            for axis in "xyz":
+                content["foam"]["4"][axis] = [None, *content["foam"]["4"][axis][1:]]
+        write_trial(tmp_path, name, number, content)
+    one = imported(tmp_path)[name]
+    assert (one.used, one.left_out) == (len(AMOUNT), 0)
+    found = load_imported(name).deformation
+    assert found.trial_count == len(AMOUNT) and found.markers is None and found.note is None
+    assert "area_ratio" not in found.statistics
+    frames = np.arange(len(found.mean))
+    elongation = 1e-3 * (frames[:, None] + np.where(frames[:, None] > 0, AMOUNT, 0.0))
+    for statistic, values in (("strain.zz", elongation), ("volume_ratio", 1 + elongation)):
+        column = found.statistics.index(statistic)
+        np.testing.assert_allclose(found.mean[:, column], values.mean(axis=1), rtol=0, atol=1e-6)
+        np.testing.assert_allclose(found.sigma[:, column], values.std(axis=1, ddof=1), rtol=0, atol=1e-6)
+    lateral = found.statistics.index("strain.lateral")
+    np.testing.assert_allclose(found.mean[:, lateral], 0.0, atol=1e-6)
+
+
+def test_imported_statistics_are_used_when_asked_for(tmp_path: Path) -> None:
+    name = "FoamStretching-soft"
+    for number, content in enumerate(stretching_trials(name, AMOUNT)):
+        write_trial(tmp_path, name, number, content)
+    imported(tmp_path)
+    bundled = run_episode(RunRequest(name, marker_proxy="material")).deformation
+    own = run_episode(RunRequest(name, marker_proxy="material", reference="imported")).deformation
+    assert (bundled.trial_count, own.trial_count) == (1, len(AMOUNT))
+    assert own["strain.zz"].real == pytest.approx(1e-3 * (29 + AMOUNT.mean()), abs=1e-6)
+    assert own["strain.zz"].uncertainty == pytest.approx(1e-3 * AMOUNT.std(ddof=1), abs=1e-6)
+    assert own["strain.zz"].simulated == bundled["strain.zz"].simulated
+    assert own.source.startswith("imported dataset")
+
+
+def test_rigid_imports_have_no_statistics(tmp_path: Path) -> None:
+    write_synthetic(tmp_path, "SlopeSlider-2-wood")
+    imported(tmp_path)
+    assert load_imported("SlopeSlider-2-wood").deformation is None

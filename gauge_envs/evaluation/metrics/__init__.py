@@ -13,6 +13,7 @@ from gauge_envs.evaluation.metrics.law import (
     quadratic_form_improvement,
 )
 from gauge_envs.evaluation.metrics.trajectory import (
+    MAX_RELEASE_OFFSET_S,
     band_coverage,
     dtw_path,
     mean_abs_z,
@@ -24,6 +25,7 @@ from gauge_envs.evaluation.metrics.trajectory import (
 )
 
 __all__ = [
+    "MAX_RELEASE_OFFSET_S",
     "band_coverage",
     "coefficient_of_determination",
     "dtw_path",

@@ -17,6 +17,7 @@ from scipy.spatial.distance import cdist
 from gauge_envs.errors import ShapeError
 
 __all__ = [
+    "MAX_RELEASE_OFFSET_S",
     "band_coverage",
     "dtw_path",
     "mean_abs_z",
@@ -28,6 +29,9 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+
+MAX_RELEASE_OFFSET_S = 10 / 30
+"""Largest time shift of a release alignment in either direction [s]; recorded bodies are released within 9 frames."""
 
 _OFFSET_GRID_S = 1e-3
 _OFFSET_CHUNK = 1_000_000  # numbers in one batch of shifts, 8 MB per array
@@ -111,13 +115,15 @@ def release_offset(
     real_mean: ArrayLike,
     *,
     frame_rate_hz: float = 30.0,
-    max_offset_s: float = 10 / 30,
+    max_offset_s: float = MAX_RELEASE_OFFSET_S,
 ) -> tuple[float, float]:
     """Return the constant time shift of the simulation that minimises its RMSE, and the RMSE after the shift.
 
     A real object is released some frames after the recording starts, a simulated one at time 0. Shifted by s, frame k
-    shows the simulated state at time k / frame_rate - s. The state is linear between samples, and constant before the
-    first and after the last one. This metric is not in the paper. It is reported beside E_RMSE and never replaces it.
+    shows the simulated state at time k / frame_rate - s. The state is linear between samples and constant before the
+    first one, as before a release. Nothing is assumed after the last sample: a simulation that ends at the last frame
+    is not shifted to earlier times, and one that runs on by `max_offset_s` has the whole range. This metric is not in
+    the paper. It is reported beside E_RMSE and never replaces it.
 
     Args:
         times_s: Sample times of the simulation, strictly ascending, time 0 is frame 0, shape [sample_count], s.
@@ -126,7 +132,8 @@ def release_offset(
         real_mean: Mean over real trials at the frames, shape [frame_count, coordinate_count]; NaN where nothing was
             measured.
         frame_rate_hz: Frame rate of the real mean, Hz.
-        max_offset_s: Largest shift in both directions, s.
+        max_offset_s: Largest shift in both directions, s. Towards earlier times it is at most as long as the simulation
+            runs on after the last frame with a mean.
 
     Returns:
         The offset in s, positive if the real object is released later than the simulated one; and the RMSE after the
@@ -159,12 +166,15 @@ def release_offset(
     if frame_count == 0:
         raise ShapeError("simulated and real_mean share no measured entry")
     steps = math.ceil(max_offset_s / _OFFSET_GRID_S)
+    last_s = frame_times_s[np.flatnonzero(measured.any(axis=1))[-1]]
+    least_s = -min(max(float(times_s[-1] - last_s), 0.0), max_offset_s)
     grid_s = np.linspace(-max_offset_s, max_offset_s, 2 * steps + 1)
+    grid_s = np.unique(np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]]))
     grid_s = grid_s[np.argsort(np.abs(grid_s), kind="stable")]  # argmin takes the first, hence smallest, of equals
     chunks = np.array_split(grid_s, math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK))
     grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
     best = int(np.argmin(grid_rmse))
-    bounds = np.clip(grid_s[best] + np.array([-_OFFSET_GRID_S, _OFFSET_GRID_S]), -max_offset_s, max_offset_s)
+    bounds = np.clip(grid_s[best] + np.array([-_OFFSET_GRID_S, _OFFSET_GRID_S]), least_s, max_offset_s)
     refined = minimize_scalar(
         lambda offset_s: float(shifted_rmse(np.array([offset_s]))[0]),
         bounds=bounds,

@@ -1,0 +1,171 @@
+"""Compare the deformation of a solid with real trials: strain, volume ratio and non-affine residual of its markers.
+
+The grade of these numbers is `statistics`. They stand beside the score and enter no other number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid, statistic_unit
+from gauge_envs.references.deformation import DeformationReference, bundled_deformation
+from gauge_envs.references.imported import DataSource, load_imported
+
+__all__ = ["DeformationScore", "StatisticScore", "deformation_reference", "score_deformation"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatisticScore:
+    """One statistic of deformation, simulated and real, at the last frame where the real one is known.
+
+    Attributes:
+        name: Name, as `strain.zz`; see `gauge_envs.observables.deformation.deformation_statistics`.
+        unit: `mm` for `non_affine`, `1` for the others.
+        frame: Frame of the values.
+        simulated: Simulated value.
+        real: Real value.
+        uncertainty: 1-sigma uncertainty of the real value, or scatter over several trials.
+        z: Simulated minus real value, in units of the uncertainty; None where that is 0.
+        z_rms: Root mean square of z over all known frames.
+    """
+
+    name: str
+    unit: str
+    frame: int
+    simulated: float
+    real: float
+    uncertainty: float
+    z: float | None
+    z_rms: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeformationScore:
+    """Statistics of the deformation of an episode beside real ones.
+
+    Attributes:
+        grade: Always `statistics`.
+        trial_count: Number of real trials.
+        source: Source of the real values.
+        note: What limits them; None without a limit.
+        statistics: The statistics.
+    """
+
+    grade: Literal["statistics"] = "statistics"
+    trial_count: int
+    source: str
+    note: str | None
+    statistics: tuple[StatisticScore, ...]
+
+    def __getitem__(self, name: str) -> StatisticScore:
+        """Return a statistic by its name; raise KeyError if it is not known."""
+        for statistic in self.statistics:
+            if statistic.name == name:
+                return statistic
+        raise KeyError(name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready dictionary of all fields."""
+        return asdict(self) | {"statistics": [asdict(statistic) for statistic in self.statistics]}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> DeformationScore:
+        """Build a score from `to_dict`; keys of later versions are ignored."""
+        known = {f.name for f in fields(cls)}
+        names = {f.name for f in fields(StatisticScore)}
+        statistics = tuple(
+            StatisticScore(**{k: v for k, v in row.items() if k in names}) for row in values["statistics"]
+        )
+        return cls(**{k: v for k, v in values.items() if k in known} | {"statistics": statistics})
+
+
+def deformation_reference(experiment: Experiment) -> DeformationReference | None:
+    """Return the real statistics of an experiment from its reference source; None without any.
+
+    Raises:
+        ReferenceFileError: A file of the reference is damaged.
+    """
+    if experiment.reference is not None:
+        return None
+    if experiment.reference_source is DataSource.BUNDLED:
+        return bundled_deformation(experiment.name)
+    imported = load_imported(experiment.name)
+    return None if imported is None else imported.deformation
+
+
+def score_deformation(
+    experiment: Experiment,
+    markers_m: ArrayLike,
+    *,
+    reference: DeformationReference | None = None,
+) -> DeformationScore | None:
+    """Compare the deformation of a rollout with real trials.
+
+    Rest is the first frame. If the reference rests on some of the markers, the simulated statistics use the same ones.
+
+    Args:
+        experiment: Experiment that was simulated.
+        markers_m: Marker positions at the 30 Hz frames [m], shape [frame_count, marker_count, 3].
+        reference: Real statistics; None takes those of `deformation_reference`.
+
+    Returns:
+        The comparison; None if the experiment has no markers on a solid, or no real statistics.
+
+    Raises:
+        ShapeError: Frames or markers of rollout or reference are not those of the experiment.
+        ReferenceFileError: A file of the reference is damaged.
+    """
+    solid = marked_solid(experiment.scene)
+    reference = deformation_reference(experiment) if reference is None else reference
+    if solid is None or reference is None or experiment.scene.markers is None:
+        return None
+    markers = np.asarray(markers_m, dtype=np.float64)
+    wanted = (experiment.frame_count, len(experiment.scene.markers.positions_m), 3)
+    if markers.shape != wanted:
+        raise ShapeError(f"markers_m has shape {markers.shape}; {experiment.name} needs {wanted}")
+    if len(reference.mean) != experiment.frame_count:
+        raise ShapeError(
+            f"the reference has {len(reference.mean)} frames; {experiment.name} needs {experiment.frame_count}. "
+            "An import of another version is renewed by gauge data import."
+        )
+    if reference.markers is not None:
+        markers = markers[:, list(reference.markers)]
+    simulated = deformation_statistics(markers[0], markers, solid)
+    scores = [
+        _score(name, simulated[:, STATISTICS.index(name)], mean, sigma)
+        for name, mean, sigma in zip(reference.statistics, reference.mean.T, reference.sigma.T, strict=True)
+    ]
+    return DeformationScore(
+        trial_count=reference.trial_count,
+        source=reference.source,
+        note=reference.note,
+        statistics=tuple(score for score in scores if score is not None),
+    )
+
+
+def _score(name: str, simulated: FloatArray, mean: FloatArray, sigma: FloatArray) -> StatisticScore | None:
+    known = np.isfinite(simulated) & np.isfinite(mean) & np.isfinite(sigma)
+    if not known.any():
+        return None
+    frame = int(np.flatnonzero(known)[-1])
+    usable = known & (sigma > 0.0)
+    z = np.divide(simulated - mean, sigma, out=np.full(len(mean), np.nan), where=usable)
+    return StatisticScore(
+        name=name,
+        unit=statistic_unit(name),
+        frame=frame,
+        simulated=float(simulated[frame]),
+        real=float(mean[frame]),
+        uncertainty=float(sigma[frame]),
+        z=float(z[frame]) if usable[frame] else None,
+        z_rms=float(np.sqrt(np.square(z[usable]).mean())) if usable.any() else None,
+    )

@@ -1,0 +1,271 @@
+"""Physical parameters that a trajectory implies, beside those that the real trials imply by the same method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.evaluation.metrics import oscillation_period
+from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact, recognized
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band
+from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = ["ImpliedParameter", "implied_parameters"]
+
+FloatArray = NDArray[np.float64]
+
+LEAST_SAMPLES = 4
+"""Smallest number of frames that determine an acceleration with its uncertainty."""
+
+LEAST_INCLINE = 0.05
+"""Sine of the slope below which a body that slides is not driven by its weight."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImpliedParameter:
+    """One parameter that a trajectory implies.
+
+    Attributes:
+        parameter: `friction`, `restitution`, `release_time`, `period` or `decay_rate`.
+        unit: Unit of all numbers; `1` for a ratio.
+        value: Value that the simulated trajectory implies.
+        uncertainty: Standard uncertainty of `value`, from the misfit of the law.
+        real: The same of the real trials, their mean; None if it is not known.
+        real_uncertainty: Standard uncertainty of `real`; None if it is not known.
+        real_scatter: Standard deviation between real trials; None if it is not known.
+        source: Law that was fitted, and origin of the real value.
+    """
+
+    parameter: str
+    unit: str
+    value: float
+    uncertainty: float
+    real: float | None
+    real_uncertainty: float | None
+    real_scatter: float | None
+    source: str
+
+
+def implied_parameters(
+    experiment: Experiment,
+    band: Band | None,
+    *,
+    times_s: FloatArray,
+    values: FloatArray,
+    release_offset_s: float | None = None,
+) -> tuple[ImpliedParameter, ...]:
+    """Return the parameters that a trajectory of a single undriven body implies.
+
+    Args:
+        experiment: The experiment.
+        band: Its band; None leaves motions that need one.
+        times_s: Times from frame 0 on [s], shape [S].
+        values: g(t) at those times [mm], shape [S, D].
+        release_offset_s: Release offset of the score [s]; None without one.
+    """
+    single = experiment.score.observable is Observable.POSITION and len(experiment.recorded) == 1
+    if not single or experiment.scene.drivers:
+        return ()
+    found: list[ImpliedParameter] = []
+    if band is not None:
+        last_s = float(np.flatnonzero(np.isfinite(band.mean).any(axis=1))[-1]) / FRAME_RATE_HZ
+        seen = times_s <= last_s + 1e-6
+        motion = recognized(experiment, band, times_s[seen], band.project(values[seen]))
+        if motion.kind is MotionKind.UNIFORM_ACCELERATION:
+            found += _friction(experiment, band, times_s[seen], values[seen])
+        elif motion.impact is not None:
+            found.append(_restitution(band, motion.impact.restitution))
+        if release_offset_s is not None and not experiment.scene.joints:
+            found.append(_release_time(band, release_offset_s))
+    if experiment.score.period_axis is not None or "pd" in experiment.score.metrics:
+        found += _swing(experiment, times_s, values)
+    return tuple(found)
+
+
+# --- slide -----------------------------------------------------------------------------------------------------------
+
+
+def _friction(experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray) -> list[ImpliedParameter]:
+    """Return the friction of a slide: mu = (g sin - a) / (g cos), with the slope of the path."""
+    body = experiment.recorded[0]
+    if not any(body in (*contact.first, *contact.second) for contact in experiment.scene.contacts):
+        return []
+    path = values[-1] - values[0]
+    direction = path / np.linalg.norm(path)
+    if -direction[2] < LEAST_INCLINE:
+        return []
+    gravity = experiment.scene.gravity_m_per_s2
+    acceleration, error = _acceleration(times_s, 1e-3 * (values - values[0]) @ direction)
+    value = _friction_of(acceleration, -direction[2], gravity)
+    across = gravity * math.sqrt(1.0 - direction[2] ** 2)
+    real = _real_friction(band)
+    return [
+        ImpliedParameter(
+            parameter="friction",
+            unit="1",
+            value=value,
+            uncertainty=error / across,
+            real=None if real is None else real[0],
+            real_uncertainty=None if real is None else real[1],
+            real_scatter=None if real is None else real[2],
+            source="quadratic through the slide, (g sin - a) / (g cos); real: the same for each trial, tilt included",
+        )
+    ]
+
+
+def _friction_of(acceleration: float, sine: float, gravity: float) -> float:
+    return (gravity * sine - acceleration) / (gravity * math.sqrt(1.0 - sine**2))
+
+
+def _acceleration(times_s: FloatArray, path_m: FloatArray) -> tuple[float, float]:
+    """Return the acceleration of the moving part of a path and its standard error [m/s^2].
+
+    Only the part after 2 mm of travel is fitted, as for the trials: a body that is held is not in the law.
+    """
+    moving = path_m > 2e-3
+    if moving.sum() < LEAST_SAMPLES:
+        moving = np.ones(len(path_m), dtype=bool)
+    coefficients, covariance = np.polyfit(times_s[moving], path_m[moving], 2, cov="unscaled")
+    residual = path_m[moving] - np.polyval(coefficients, times_s[moving])
+    variance = float(residual @ residual) / max(int(moving.sum()) - 3, 1)
+    return 2.0 * float(coefficients[0]), 2.0 * math.sqrt(variance * float(covariance[0, 0]))
+
+
+@lru_cache(maxsize=64)
+def _real_friction(band: Band) -> tuple[float, float, float] | None:
+    """Return mean, standard uncertainty and scatter over trials of the friction; None without single trials."""
+    if band.trials is None or len(band.trials) < 2:
+        return None
+    path = band.mean[band.measured][-1] - band.mean[band.measured][0]
+    direction = np.linalg.pinv(band.projection) @ (path / np.linalg.norm(path))
+    sine = -float(direction[2] / np.linalg.norm(direction))
+    if not LEAST_INCLINE < sine < 1.0:
+        return None
+    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    found = []
+    for trial in band.trials:
+        seen = band.measured & np.isfinite(trial).all(axis=1)
+        if seen.sum() < LEAST_SAMPLES:
+            continue
+        along = 1e-3 * trial[seen] @ (path / np.linalg.norm(path))
+        acceleration = 2.0 * float(np.polyfit(times_s[seen], along, 2)[0])
+        found.append(_friction_of(acceleration, sine, GRAVITY_M_PER_S2))
+    if len(found) < 2:
+        return None
+    mean, scatter = float(np.mean(found)), float(np.std(found, ddof=1))
+    tilt = math.radians(input_uncertainties().tilt.std) * (1.0 + mean * sine / math.sqrt(1.0 - sine**2))
+    return mean, math.hypot(scatter / math.sqrt(len(found)), tilt), scatter
+
+
+# --- rebound ---------------------------------------------------------------------------------------------------------
+
+
+def _restitution(band: Band, value: float) -> ImpliedParameter:
+    real = _real_restitution(band)
+    return ImpliedParameter(
+        parameter="restitution",
+        unit="1",
+        value=value,
+        uncertainty=0.0,
+        real=None if real is None else real[0],
+        real_uncertainty=None if real is None else real[1],
+        real_scatter=None if real is None else real[2],
+        source="speeds where the parabolas before and after the first impact meet; real: the same for each trial",
+    )
+
+
+@lru_cache(maxsize=64)
+def _real_restitution(band: Band) -> tuple[float, float, float] | None:
+    if band.trials is None:
+        return None
+    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    impacts = [
+        find_impact(times_s[seen], trial[seen])
+        for trial in band.trials
+        if (seen := np.isfinite(trial).all(axis=1)).sum() > 2 * LEAST_SAMPLES
+    ]
+    found = [impact.restitution for impact in impacts if impact is not None]
+    if len(found) < 2:
+        return None
+    scatter = float(np.std(found, ddof=1))
+    return float(np.mean(found)), scatter / math.sqrt(len(found)), scatter
+
+
+# --- release and swing -----------------------------------------------------------------------------------------------
+
+
+def _release_time(band: Band, release_offset_s: float) -> ImpliedParameter:
+    scatter = _release_scatter_s(band)
+    count = 0 if band.trials is None else len(band.trials)
+    return ImpliedParameter(
+        parameter="release_time",
+        unit="s",
+        value=0.0,
+        uncertainty=0.0,
+        real=release_offset_s,
+        real_uncertainty=None if scatter is None else scatter / math.sqrt(count),
+        real_scatter=scatter,
+        source="the simulation starts at frame 0; real: the time shift that fits this simulation best",
+    )
+
+
+@lru_cache(maxsize=64)
+def _release_scatter_s(band: Band) -> float | None:
+    """Return the standard deviation over trials of their time shift against the mean, to first order [s]."""
+    if band.trials is None or len(band.trials) < 2:
+        return None
+    velocity = np.nan_to_num(np.gradient(band.mean, 1.0 / FRAME_RATE_HZ, axis=0))
+    residuals = np.nan_to_num(band.trials - band.mean)
+    size = float(np.square(velocity).sum())
+    return float(np.std((residuals * velocity).sum(axis=(1, 2)) / size, ddof=1)) if size > 0.0 else None
+
+
+def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> list[ImpliedParameter]:
+    """Return period and decay rate of a swing."""
+    axis = "xyz".index(experiment.score.period_axis or "x")
+    step_s = float(np.median(np.diff(times_s)))
+    swing = values[:, axis] - 1e3 * experiment.scene.joints[0].anchor_m[axis] if experiment.scene.joints else None
+    if swing is None or np.ptp(swing) == 0.0:
+        return []
+    baseline = experiment.baselines.get("pd")
+    frames = experiment.frame_count if baseline is None else baseline.frames
+    seen = times_s <= (frames - 1) / FRAME_RATE_HZ + 1e-6
+    period_s = oscillation_period(swing[seen], frame_rate_hz=1.0 / step_s)
+    count = input_uncertainties().trials.count
+    found = [
+        ImpliedParameter(
+            parameter="period",
+            unit="s",
+            value=period_s,
+            uncertainty=0.0,
+            real=None if baseline is None else baseline.mean,
+            real_uncertainty=None if baseline is None or baseline.std is None else baseline.std / math.sqrt(count),
+            real_scatter=None if baseline is None else baseline.std,
+            source=f"strongest frequency of the windowed spectrum; real: published mean, {count} trials",
+        )
+    ]
+    size = np.abs(swing)
+    apexes = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])) + 1
+    if len(apexes) >= LEAST_SAMPLES:
+        line, covariance = np.polyfit(times_s[apexes], np.log(size[apexes]), 1, cov=True)
+        found.append(
+            ImpliedParameter(
+                parameter="decay_rate",
+                unit="1/s",
+                value=-float(line[0]),
+                uncertainty=math.sqrt(float(covariance[0, 0])),
+                real=None,
+                real_uncertainty=None,
+                real_scatter=None,
+                source="slope of the logarithm of the turning points; no real value is published",
+            )
+        )
+    return found

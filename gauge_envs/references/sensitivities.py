@@ -1,0 +1,201 @@
+"""Standard uncertainties of the inputs of a simulation, and how its trajectory changes with each of them.
+
+The bundled tables are in `scoring/sensitivities/<engine>/<variant>.json`. The command `gauge run --uncertainty` writes
+those of other engines to the user's data folder, in the same format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PositiveInt, ValidationError
+
+from gauge_envs.errors import ReferenceFileError, first_fault
+from gauge_envs.files import write_whole
+from gauge_envs.references.imported import user_data_folder
+from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
+
+__all__ = [
+    "InputUncertainty",
+    "Sensitivities",
+    "StandardUncertainties",
+    "input_uncertainties",
+    "load_sensitivities",
+    "sensitivities_text",
+    "write_sensitivities",
+]
+
+FALLBACK_ENGINE = "mujoco"
+"""Engine whose sensitivities serve others without their own: to first order they are those of the physics."""
+
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class StandardUncertainty(FileModel):
+    """Standard uncertainty of one kind of input (`scoring/uncertainties.toml`)."""
+
+    std: Positive
+    unit: str
+    source: str
+
+
+class _TrialCount(FileModel):
+    """Number of real trials where only their mean and standard deviation are published."""
+
+    count: PositiveInt
+    source: str
+
+
+class StandardUncertainties(FileModel):
+    """The file `scoring/uncertainties.toml`: 1-sigma uncertainties, each with its source."""
+
+    friction: StandardUncertainty
+    restitution: StandardUncertainty
+    start: StandardUncertainty
+    tilt: StandardUncertainty
+    trials: _TrialCount
+
+
+def input_uncertainties() -> StandardUncertainties:
+    """Return the standard uncertainties of inputs.
+
+    Raises:
+        ReferenceFileError: The file is damaged.
+    """
+    return _uncertainties(scoring_folder("uncertainties.toml"))
+
+
+@lru_cache(maxsize=4)
+def _uncertainties(file: Path) -> StandardUncertainties:
+    return read_toml(file, StandardUncertainties)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InputUncertainty:
+    """One uncertain input, and the change of the trajectory for one standard uncertainty of it.
+
+    Attributes:
+        name: Name of the input, as `friction cube/board` or `time step`.
+        kind: `constant`, `start`, `tilt` or `discretization`.
+        std: Standard uncertainty, in `unit`.
+        unit: Unit of `std`.
+        source: Origin of `std`.
+        change: Change of g(t) per standard uncertainty at the frames, shape [T, D], in the observable's unit.
+    """
+
+    name: str
+    kind: str
+    std: float
+    unit: str
+    source: str
+    change: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensitivities:
+    """Uncertain inputs of one experiment on one engine.
+
+    Attributes:
+        variant: Name of the variant.
+        backend: Engine that was perturbed.
+        versions: Versions of its packages.
+        settings: Preset and settings that were in force, as `preset` and `timestep_s`.
+        inputs: The inputs.
+        left_out: Inputs without a value, with the reason.
+    """
+
+    variant: str
+    backend: str
+    versions: dict[str, str]
+    settings: dict[str, float | str]
+    inputs: tuple[InputUncertainty, ...]
+    left_out: tuple[str, ...] = ()
+
+
+class _InputTable(FileModel):
+    name: str
+    kind: str
+    std: Positive
+    unit: str
+    source: str
+    change: tuple[tuple[float, ...], ...]
+
+
+class _SensitivityTable(FileModel):
+    variant: str
+    backend: str
+    versions: dict[str, str]
+    settings: dict[str, float | str]
+    left_out: tuple[str, ...]
+    inputs: tuple[_InputTable, ...]
+
+
+def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | None:
+    """Return how the trajectory of a variant changes with its uncertain inputs.
+
+    The user's own table of the engine comes first, then the bundled one, then that of MuJoCo; `Sensitivities.backend`
+    states the engine.
+
+    Args:
+        variant: Name of the variant.
+        backend: Name of the engine; None for a trajectory of unknown origin.
+
+    Returns:
+        The table, or None if there is none.
+
+    Raises:
+        ReferenceFileError: A table is damaged.
+    """
+    for engine in dict.fromkeys(filter(None, (backend, FALLBACK_ENGINE))):
+        for folder in (user_data_folder() / "sensitivities", scoring_folder("sensitivities")):
+            file = folder / engine / f"{variant}.json"
+            try:
+                stamp = file.stat()
+            except OSError:
+                continue
+            return _read(file, stamp.st_mtime_ns)
+    return None
+
+
+@lru_cache(maxsize=128)
+def _read(file: Path, mtime_ns: int) -> Sensitivities:
+    try:
+        table = _SensitivityTable.model_validate_json(file.read_bytes())
+        inputs = tuple(
+            InputUncertainty(**{**dict(entry), "change": np.array(entry.change, dtype=np.float64)})
+            for entry in table.inputs
+        )
+        if len({entry.change.shape for entry in inputs}) > 1:
+            raise ReferenceFileError(file, None, "the inputs disagree in the number of frames or coordinates")
+    except ValidationError as error:
+        raise ReferenceFileError(file, None, ": ".join(first_fault(error))) from None
+    except (OSError, ValueError) as error:
+        raise ReferenceFileError(file, None, f"cannot be read: {error}") from None
+    return Sensitivities(**{**dict(table), "inputs": inputs})
+
+
+def sensitivities_text(table: Sensitivities) -> str:
+    """Return a table as the text of its file; changes are rounded to 4 significant digits."""
+    rows = []
+    for entry in table.inputs:
+        change = [[float(f"{value:.4g}") for value in row] for row in entry.change.tolist()]
+        rows.append(_InputTable(**{**vars(entry), "change": change}))
+    model = _SensitivityTable(**{**vars(table), "inputs": tuple(rows)})
+    return model.model_dump_json() + "\n"
+
+
+def write_sensitivities(table: Sensitivities) -> Path:
+    """Store a table in the user's data folder, and return its file.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    file = user_data_folder() / "sensitivities" / table.backend / f"{table.variant}.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, sensitivities_text(table).encode())
+    return file

@@ -1,0 +1,222 @@
+"""Measure how a simulated trajectory changes with each uncertain input: constants, start, tilt and time step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import Backend
+from gauge_envs.backends.registry import backend_for
+from gauge_envs.envs.episode import Episode
+from gauge_envs.errors import EpisodeError, GaugeError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.sensitivities import InputUncertainty, Sensitivities, input_uncertainties
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.scene import Contact, Motion, Scene, Sphere
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.tilt import tilted
+
+__all__ = ["measure_sensitivities"]
+
+FloatArray = NDArray[np.float64]
+
+DISCRETIZATION_FACTOR = 2.0 / math.sqrt(3.0)
+"""Standard uncertainty of a discretization over the change by half its size.
+
+An error of first order is twice that change. It is the half width of a rectangular distribution (GUM 4.3.7).
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Perturbation:
+    """Two scenes, one standard uncertainty of an input below and above."""
+
+    name: str
+    kind: str
+    std: float
+    unit: str
+    source: str
+    low: Scene
+    high: Scene
+    low_rotation: Rotation | None = None
+    high_rotation: Rotation | None = None
+    width: float = 2.0
+    """Distance of the two scenes, in standard uncertainties."""
+
+
+def measure_sensitivities(request: RunRequest) -> Sensitivities:
+    """Run an experiment with each uncertain input one standard uncertainty lower and higher.
+
+    Inputs are the friction and restitution of each contact, the start of the recorded bodies, the tilt of the set-up
+    against gravity, and the time step. `scoring/uncertainties.toml` states their uncertainties.
+
+    Args:
+        request: The run; `seed`, `repeats` and `jitter` do not apply.
+
+    Raises:
+        EpisodeError: The unchanged experiment diverges.
+        GaugeError: See `run_episode`.
+    """
+    experiment = request.experiment()
+    engine = backend_for(request.backend, experiment.model_file)
+    nominal, settings = _frames(request, engine, experiment, request.settings)
+    inputs, left_out = [], []
+    for one in _perturbations(experiment):
+        try:
+            low, high = (
+                _rotated_back(_frames(request, engine, replace(experiment, scene=scene), request.settings)[0], turn)
+                for scene, turn in ((one.low, one.low_rotation), (one.high, one.high_rotation))
+            )
+        except GaugeError as error:
+            left_out.append(f"{one.name}: {error}")
+            continue
+        inputs.append(_input(one, (high - low) / one.width))
+    try:
+        half = dict(request.settings or {}) | {"timestep_s": 0.5 * float(settings["timestep_s"])}
+        finer, _ = _frames(request, engine, experiment, half)
+        inputs.append(
+            InputUncertainty(
+                name="time step",
+                kind="discretization",
+                std=float(settings["timestep_s"]),
+                unit="s",
+                source="change of the trajectory by half the time step; the error of first order is twice that",
+                change=DISCRETIZATION_FACTOR * (finer - nominal),
+            )
+        )
+    except GaugeError as error:
+        left_out.append(f"time step: {error}")
+    if experiment.scene.deformables:
+        left_out.append("constants of deformable bodies: no uncertainty is published")
+    return Sensitivities(
+        variant=experiment.name,
+        backend=request.backend,
+        versions=engine.versions(),
+        settings={key: settings[key] for key in ("preset", "timestep_s") if key in settings},
+        inputs=tuple(inputs),
+        left_out=tuple(left_out),
+    )
+
+
+def _input(one: _Perturbation, change: FloatArray) -> InputUncertainty:
+    return InputUncertainty(name=one.name, kind=one.kind, std=one.std, unit=one.unit, source=one.source, change=change)
+
+
+def _frames(
+    request: RunRequest, engine: Backend, experiment: Experiment, settings: Mapping[str, Any] | None
+) -> tuple[FloatArray, Mapping[str, Any]]:
+    """Return g(t) at the frames, shape [T, D], and the settings in force."""
+    simulation = engine.build(experiment.scene, settings)
+    try:
+        simulation.reset(0)
+        episode = Episode(experiment, simulation, band=None, marker_proxy=request.proxy)
+        episode.begin()
+        zero = np.zeros(episode.action_space.shape or 0)
+        while not episode.is_over:
+            episode.advance(simulation, zero)
+            episode.end_frame()
+        if episode.fault is not None:
+            raise EpisodeError(f"{experiment.id}: diverged: {episode.fault}")
+        return episode.trajectory().frames, simulation.settings
+    finally:
+        simulation.close()
+
+
+def _rotated_back(frames: FloatArray, rotation: Rotation | None) -> FloatArray:
+    """Return positions in the frame of a scene that was rotated about the origin."""
+    if rotation is None:
+        return frames
+    turned: FloatArray = rotation.inv().apply(frames.reshape(-1, 3)).reshape(frames.shape)
+    return turned
+
+
+def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
+    scene, known = experiment.scene, input_uncertainties()
+    for constant in ("friction", "restitution"):
+        entry = getattr(known, constant)
+        # Contacts with one value share one calibrated number.
+        for value in dict.fromkeys(getattr(contact, constant) for contact in scene.contacts):
+            group = [contact for contact in scene.contacts if getattr(contact, constant) == value]
+            low, high = max(value - entry.std, 0.0), value + entry.std
+            if constant == "restitution":
+                high = min(high, 1.0)
+            yield _Perturbation(
+                name=f"{constant} {', '.join(map(_pair, group))}",
+                kind="constant",
+                std=entry.std,
+                unit=entry.unit,
+                source=entry.source,
+                low=_with_contacts(scene, group, constant, low),
+                high=_with_contacts(scene, group, constant, high),
+                width=(high - low) / entry.std,
+            )
+    for name, direction in _start_directions(experiment):
+        shift = known.start.std * direction
+        yield _Perturbation(
+            name=f"start of {', '.join(experiment.recorded)} along {name}",
+            kind="start",
+            std=known.start.std,
+            unit=known.start.unit,
+            source=known.start.source,
+            low=_shifted(scene, experiment.recorded, -shift),
+            high=_shifted(scene, experiment.recorded, shift),
+        )
+    if experiment.score.observable is not Observable.POSITION or not experiment.recorded:
+        return
+    angle, origin = math.radians(known.tilt.std), np.zeros(3)
+    for axis, name in ((np.array([1.0, 0.0, 0.0]), "x"), (np.array([0.0, 1.0, 0.0]), "y")):
+        yield _Perturbation(
+            name=f"tilt about {name}",
+            kind="tilt",
+            std=known.tilt.std,
+            unit=known.tilt.unit,
+            source=known.tilt.source,
+            low=tilted(scene, -angle * axis, origin),
+            high=tilted(scene, angle * axis, origin),
+            low_rotation=Rotation.from_rotvec(-angle * axis),
+            high_rotation=Rotation.from_rotvec(angle * axis),
+        )
+
+
+def _pair(contact: Contact) -> str:
+    return f"{contact.first[0]}/{contact.second[0]}"
+
+
+def _with_contacts(scene: Scene, group: list[Contact], constant: str, value: float) -> Scene:
+    changed = tuple(replace(one, **{constant: value}) if one in group else one for one in scene.contacts)
+    return replace(scene, contacts=changed)
+
+
+def _start_directions(experiment: Experiment) -> Iterator[tuple[str, FloatArray]]:
+    """Yield directions in which the recorded bodies may start elsewhere, so that none starts inside another."""
+    scene = experiment.scene
+    if not experiment.recorded or scene.joints:
+        return
+    bodies = [scene.body(name) for name in experiment.recorded]
+    if any(body.motion is not Motion.DYNAMIC for body in bodies):
+        return
+    if all(isinstance(body.shape, Sphere) for body in bodies):
+        yield from zip("xyz", np.eye(3), strict=True)
+        return
+    axes = bodies[0].pose.rotation.as_matrix().T
+    normal = int(np.abs(axes[:, 2]).argmax())
+    for number, axis in enumerate(axes):
+        if number != normal:
+            yield f"its {'xyz'[number]} axis", axis
+
+
+def _shifted(scene: Scene, names: tuple[str, ...], shift_m: FloatArray) -> Scene:
+    bodies = tuple(
+        replace(body, pose=replace(body.pose, position_m=vector(np.asarray(body.pose.position_m) + shift_m)))
+        if body.name in names
+        else body
+        for body in scene.bodies
+    )
+    return replace(scene, bodies=bodies)

@@ -1,0 +1,62 @@
+"""Scenes that lean as a whole: the same as another direction of gravity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene.bodies import Hinge
+from gauge_envs.scene.geometry import Pose, Vector, vector
+from gauge_envs.scene.scene import Scene
+
+__all__ = ["tilted"]
+
+
+def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
+    """Return a scene that is rotated as a whole about a point.
+
+    Gravity stays vertical. In the rotated frame, the motion is that of the original scene with leaning gravity.
+
+    Args:
+        scene: The scene.
+        rotation_rad: Rotation vector [rad], shape [3].
+        about_m: Fixed point of the rotation [m], shape [3].
+    """
+    rotation, centre = Rotation.from_rotvec(rotation_rad), np.asarray(about_m, dtype=np.float64)
+
+    def place(point_m: ArrayLike) -> Vector:
+        moved: NDArray[np.float64] = rotation.apply(np.asarray(point_m) - centre) + centre
+        return vector(moved)
+
+    def direction(axis: ArrayLike) -> Vector:
+        return vector(rotation.apply(axis))
+
+    def pose(start: Pose) -> Pose:
+        return Pose.from_rotation(place(start.position_m), rotation * start.rotation)
+
+    markers = scene.markers
+    return replace(
+        scene,
+        bodies=tuple(replace(body, pose=pose(body.pose)) for body in scene.bodies),
+        deformables=tuple(replace(body, pose=pose(body.pose)) for body in scene.deformables),
+        joints=tuple(
+            replace(joint, anchor_m=place(joint.anchor_m), axis=direction(joint.axis))
+            if isinstance(joint, Hinge)
+            else replace(joint, anchor_m=place(joint.anchor_m))
+            for joint in scene.joints
+        ),
+        drivers=tuple(
+            replace(
+                driver,
+                motions=tuple(
+                    replace(motion, axis=direction(motion.axis), point_m=place(motion.point_m))
+                    for motion in driver.motions
+                ),
+            )
+            for driver in scene.drivers
+        ),
+        markers=None if markers is None else replace(markers, positions_m=tuple(map(place, markers.positions_m))),
+    )
