@@ -24,7 +24,7 @@ def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, 
     Args:
         rows: Rows of `convergence_rows`.
         has_cells: Whether the experiment has deformable bodies, whose cells can be halved.
-        with_unit: Whether to add the root mean square and the maximum in the unit of g(t).
+        with_unit: Whether to add the root mean square and the maximum over frames in the unit of g(t).
 
     Example:
         >>> row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
@@ -46,13 +46,15 @@ def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, 
 
 
 def _amount(row: Mapping[str, Any], *, with_unit: bool) -> str:
-    quantity = f"{quantity_text(row['rms'])} {row['unit']} rms"
-    if with_unit:
-        quantity += f", {quantity_text(row['max'])} {row['unit']} at most"
+    """Return the share of the scatter; without a published scatter, the distance of the observed points."""
     if row["share"] is None:
-        return quantity
-    share = f"{_percent(row['share'])} % of the scatter"
-    return f"{share} ({quantity})" if with_unit else share
+        amount = f"{quantity_text(row['points_rms_mm'])} mm (rms of the observed points)"
+    else:
+        amount = f"{_percent(row['share'])} % of the scatter"
+    if not with_unit:
+        return amount
+    rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])
+    return f"{amount}, g(t) by {rms} {row['unit']} rms and {largest} {row['unit']} at most"
 
 
 def _percent(share: float) -> str:

@@ -102,6 +102,9 @@ def test_an_engine_without_a_table_was_not_measured() -> None:
     assert convergence_table("another").of("SlopeSlider-2-wood") == {}
     assert convergence_text({}, has_cells=True) == "half step: not measured; half cell: not measured"
     assert convergence_text({}, has_cells=False) == "half step: not measured"
+    unscored = ROW.model_copy(update={"share": None}).model_dump()
+    expected = "half step moves the trajectory by 0.062 mm (rms of the observed points)"
+    assert convergence_text({"timestep_s": unscored}, has_cells=False) == expected
     assert convergence_text({"cell_m": DIVERGED.model_dump()}, has_cells=True).endswith("half cell: diverged")
 
 
