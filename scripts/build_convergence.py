@@ -228,7 +228,14 @@ def _family(name: str) -> str:
 def _range(values: Sequence[float | None]) -> str:
     """Return the range of values, or nothing if there are none."""
     known = [value for value in values if value is not None]
-    texts = ["below 0.01" if value < 0.01 else f"{value:.2g}" for value in (min(known), max(known))] if known else []
+    texts = (
+        [
+            "below 0.01" if value < 0.01 else f"{value:.0f}" if value >= 9.5 else f"{value:.2g}"
+            for value in (min(known), max(known))
+        ]
+        if known
+        else []
+    )
     return " to ".join(dict.fromkeys(texts))
 
 
