@@ -62,9 +62,9 @@ def run(
     marker_proxy: Annotated[
         str,
         typer.Option(
-            help="Marker proxy on a deformable body: node, the nearest tracked node; or material, the material point."
+            help="Marker proxy on a deformable body: material, its material point; or node, the nearest node (paper)."
         ),
-    ] = "node",
+    ] = "material",
     repeats: Annotated[
         int, typer.Option(min=1, help="Runs of each experiment, from starts with the scatter of real ones.")
     ] = 1,

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from gauge_envs.backends.registry import backend_names
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import AssetKind, Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
@@ -19,6 +20,7 @@ from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade, SigmaSource
 from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
 from gauge_envs.references.published import law_for
+from gauge_envs.report.convergence import convergence_rows, convergence_text
 from gauge_envs.report.listing import unsupported_features_of
 from gauge_envs.report.table import Column, Facts, Place, Table, as_rich
 from gauge_envs.report.text import (
@@ -68,6 +70,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "reference": _reference(experiment),
             "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
             "backends": unsupported_features_of(experiment),
+            "convergence": {name: convergence_rows(name, experiment.name) for name in backend_names()},
         }
     )
 
@@ -263,6 +266,17 @@ def _general_facts(values: Mapping[str, Any]) -> dict[str, str]:
         **_asset_facts(values),
         **_band_facts(values),
         **{f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()},
+        **_convergence_facts(values),
+    }
+
+
+def _convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return what half the step and half the cell change on each engine that runs the experiment."""
+    has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
+    return {
+        f"convergence, {name}": convergence_text(rows, has_cells=has_cells, with_unit=True)
+        for name, rows in values["convergence"].items()
+        if not values["backends"].get(name)
     }
 
 

@@ -10,9 +10,12 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gauge_envs.analysis.configuration import RunConfiguration
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import published_baselines
+from gauge_envs.report.convergence import convergence_rows, convergence_text
 from gauge_envs.report.estimators import estimator_lines
 from gauge_envs.report.table import Column, Place, Table, as_rich
 from gauge_envs.report.text import (
@@ -82,13 +85,13 @@ def configuration_parts(configuration: RunConfiguration, *, digits: int = 4) -> 
     def assignments(values: Mapping[str, Any]) -> list[str]:
         return [f"{key}={f'{v:.{digits}g}' if isinstance(v, float) else value_text(v)}" for key, v in values.items()]
 
-    named = configuration.parameters
+    named, proxy = configuration.parameters, configuration.marker_proxy
     return [
         ("engine", configuration.backend or "file"),
         ("parameters", named if isinstance(named, str) else ",".join(assignments(named))),
         *(("setting", text) for text in assignments(configuration.settings_given)),
         *([("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")] if configuration.jitter else []),
-        *([("markers", f"markers by {configuration.marker_proxy}")] if configuration.marker_proxy != "node" else []),
+        *([("markers", f"markers by {proxy}")] if proxy != MarkerProxy.MATERIAL else []),
         *([("asset", _asset_text(configuration.asset))] if configuration.asset else []),
     ]
 
@@ -119,6 +122,7 @@ RESULT_COLUMNS = (
     *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
     Column("extrapolated", "extrapolated", lambda share: f"{100.0 * share:.0f} %", is_number=True, wide_only=True),
     Column("z", "|z|", number_text, is_number=True, wide_only=True),
+    Column("convergence", "discretization", place=Place.BELOW),
     Column("shift", "shift", lambda shift_s: f"{shift_s:+.3f} s", is_number=True, wide_only=True),
 )
 
@@ -265,6 +269,15 @@ def _outcome_lines(results: Sequence[Result]) -> Iterator[Text]:
             yield Text.assemble((f"{outcome.value}: ", style), f"{shortened(ids)}: {reason}")
 
 
+def _convergence(result: Result) -> str | None:
+    """Return the convergence of the experiment on the engine, or None for other settings or another scene."""
+    if result.backend is None or result.settings_given or result.is_edited or result.has_experiment_file:
+        return None
+    name = short_id(result.id)
+    has_cells = bool(load_experiment(name).scene.deformables)
+    return convergence_text(convergence_rows(result.backend, name), has_cells=has_cells)
+
+
 def _score_rows(result: Result) -> list[dict[str, Any]]:
     """Return a row for each metric that the result or the paper has."""
     driver = ", nominal driver" if "nominal" in (result.driver_provenance or "") else ""
@@ -301,6 +314,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         }
         if metric == "rmse":
             row |= {"z": score.mean_abs_z, "percentile": score.percentile, "extrapolated": score.extrapolated_share}
+            row["convergence"] = _convergence(result)
             if normalized is not None:
                 row["normalized"] = interval_text(normalized, score.rmse_normalized_95)
         rows.append(row)
