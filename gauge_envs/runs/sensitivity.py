@@ -55,7 +55,8 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
     """Run an experiment with each uncertain input one standard uncertainty lower and higher.
 
     Inputs are the friction and restitution of each contact, the start of the recorded bodies, the tilt of the set-up
-    against gravity, the time step, and the cell of deformable bodies. `scoring/uncertainties.toml` states their uncertainties.
+    against gravity, the time step, and the cell of deformable bodies. `scoring/uncertainties.toml` states their
+    uncertainties.
 
     Args:
         request: The run; `seed`, `repeats` and `jitter` do not apply.
