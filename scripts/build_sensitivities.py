@@ -32,7 +32,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     for engine in options.backend or ENGINES:
         for variant in variants():
-            scored = band_grade(variant.name) is not BandGrade.NONE
             band = reference_band(load_experiment(variant.name))
             is_scored = band is not None and band.normalized_by_baseline
             if not (is_scored and fnmatchcase(variant.name, options.ids)):
