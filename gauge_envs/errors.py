@@ -186,6 +186,9 @@ def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]
         return place, f"missing {noun}"
     if fault["type"] == "union_tag_not_found":
         return f"{place}.{fault['ctx']['discriminator'].strip(chr(39))}".lstrip("."), f"missing {noun}"
-    given = repr(fault["input"])
-    shown = f" (given: {given})" if isinstance(fault["input"], int | float | str) and len(given) <= 60 else ""
+    value = fault["input"]
+    # Python writes no integer of thousands of digits.
+    is_short = isinstance(value, float | str) or (isinstance(value, int) and value.bit_length() <= 200)
+    given = repr(value) if is_short else ""
+    shown = f" (given: {given})" if 0 < len(given) <= 60 else ""
     return place, fault["msg"].removeprefix("Value error, ") + shown

@@ -1,18 +1,75 @@
-"""Find the data folders of a checkout or a wheel, write files whole, and prepare values for JSON."""
+"""Find data folders, read files of strangers within limits, write files whole, and prepare values for JSON."""
 
 from __future__ import annotations
 
+import errno
+import io
+import json
+import math
 import os
 import platform
-from collections.abc import Mapping
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from secrets import token_hex
+from stat import S_ISREG
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["data_folder", "json_ready", "versions", "write_whole"]
+__all__ = [
+    "MEGABYTE",
+    "check_json_size",
+    "child_refusal",
+    "data_folder",
+    "json_document",
+    "json_ready",
+    "locked",
+    "npz_arrays",
+    "npz_names",
+    "printable",
+    "read_regular",
+    "toml_document",
+    "versions",
+    "write_whole",
+]
+
+MEGABYTE = 10**6
+
+MOST_JSON_CONTAINERS = 1_000_000
+"""Largest count of objects and lists of a JSON file; each takes up to 64 bytes of memory, and 3 bytes of the file."""
+
+MOST_TOML_BYTES = 2 * MEGABYTE
+
+MOST_KEY_DOTS = 64
+"""Largest count of dots in a key of a TOML file; the parser's time grows with the square of the count."""
+
+CHILD_MEMORY = 1000 * MEGABYTE
+CHILD_CPU_S = 8
+CHILD_WALL_S = 60
+CHILD_REFUSED = 3
+"""Exit code of a child that prints why it refuses a file."""
+
+CHILD_START = """
+import runpy, sys
+memory, seconds = int(sys.argv.pop(1)), int(sys.argv.pop(1))
+if sys.platform != "win32":
+    import resource
+    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+sys.argv.pop(0)
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+"""Program of a child: it limits itself, and then runs a script."""
 
 
 def data_folder(name: str) -> Path:
@@ -26,6 +83,184 @@ def data_folder(name: str) -> Path:
         if folder.is_dir() and not (folder / "__init__.py").exists():
             return folder
     raise FileNotFoundError(f"gauge-envs is installed without its {name!r} folder (looked in {package} and beside it)")
+
+
+def printable(text: str) -> str:
+    """Return the text with escapes for characters that a terminal or a JSON file cannot hold."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+# --- files of strangers ----------------------------------------------------------------------------------------------
+
+
+def read_regular(file: Path, most_bytes: int) -> bytes:
+    """Return the content of a regular file of limited size.
+
+    A FIFO, a device or a folder is never opened for reading, and nothing is read of a file that is too large.
+
+    Raises:
+        OSError: The file cannot be read, is not a regular file, or is too large; `strerror` states which.
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        # Opening a device can have effects, so the kind is checked before and after.
+        _check_regular(file, file.stat(), most_bytes)
+        with os.fdopen(os.open(file, flags), "rb") as stream:
+            _check_regular(file, os.fstat(stream.fileno()), most_bytes)
+            content = stream.read(most_bytes + 1)
+    except ValueError:
+        raise OSError(errno.EINVAL, "its name holds a null character", str(file)) from None
+    if len(content) > most_bytes:
+        raise OSError(errno.EFBIG, f"it is larger than the limit of {most_bytes / MEGABYTE:g} MB", str(file))
+    return content
+
+
+def _check_regular(file: Path, status: os.stat_result, most_bytes: int) -> None:
+    if not S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "it is not a regular file", str(file))
+    if status.st_size > most_bytes:
+        size, limit = status.st_size / MEGABYTE, most_bytes / MEGABYTE
+        raise OSError(errno.EFBIG, f"it has {size:.6g} MB, the limit is {limit:g} MB", str(file))
+
+
+def check_json_size(content: bytes) -> None:
+    """Check that a JSON document has few objects and lists, which take twenty times their bytes in memory.
+
+    Raises:
+        ValueError: The document has too many.
+    """
+    count = content.count(b"{") + content.count(b"[")
+    if count > MOST_JSON_CONTAINERS:
+        raise ValueError(f"it has {count} objects and lists, the limit is {MOST_JSON_CONTAINERS}")
+
+
+def json_document(content: bytes) -> Any:
+    """Return the value of a JSON document.
+
+    Raises:
+        ValueError: It is not JSON, is nested too deeply, or has too many objects and lists.
+    """
+    check_json_size(content)
+    try:
+        return json.loads(content.removeprefix(b"\xef\xbb\xbf"))
+    except RecursionError:
+        raise ValueError("its objects and lists are nested too deeply") from None
+
+
+def toml_document(content: bytes) -> dict[str, Any]:
+    """Return the tables of a TOML document.
+
+    Raises:
+        ValueError: It is not TOML in UTF-8, is nested too deeply, is too large, or a number has too many digits.
+    """
+    if len(content) > MOST_TOML_BYTES:
+        raise ValueError(f"it has {len(content)} bytes, the limit is {MOST_TOML_BYTES}")
+    text = content.decode("utf-8")
+    dots = max(part.count(".") for part in re.split(r"[\n\r,={}\[\]#]+", text.replace(" ", "").replace("\t", "")))
+    if dots > MOST_KEY_DOTS:
+        raise ValueError(f"a key or text has {dots} dots between two delimiters, the limit is {MOST_KEY_DOTS}")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("its tables and arrays are nested too deeply") from None
+
+
+def npz_names(content: bytes) -> list[str]:
+    """Return the names of the arrays of an NPZ file.
+
+    Raises:
+        ValueError: The content is no NPZ file.
+    """
+    with _archive(content) as archive:
+        return [name.removesuffix(".npy") for name in archive.namelist()]
+
+
+def npz_arrays(content: bytes, names: Iterable[str], most_bytes: int) -> dict[str, NDArray[Any]]:
+    """Return arrays of an NPZ file by name, without the names that it lacks; other arrays are not read.
+
+    Args:
+        content: The content of the file.
+        names: Arrays to read.
+        most_bytes: Limit of the sum of their sizes in memory.
+
+    Raises:
+        ValueError: The content is no NPZ file, an array is damaged or holds no numbers, or the arrays are too large.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    left = most_bytes
+    with _archive(content) as archive:
+        known = set(archive.namelist())
+        for name in names:
+            if f"{name}.npy" in known:
+                arrays[name] = _npz_member(archive, name, left, most_bytes)
+                left -= arrays[name].nbytes
+    return arrays
+
+
+@contextmanager
+def _archive(content: bytes) -> Iterator[zipfile.ZipFile]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            yield archive
+    except ValueError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy raise many types for a damaged archive.
+        raise ValueError(str(error) or type(error).__name__) from error
+
+
+def _npz_member(archive: zipfile.ZipFile, name: str, left: int, most_bytes: int) -> NDArray[Any]:
+    info = archive.getinfo(f"{name}.npy")
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name}: compression {info.compress_type} is not supported")
+    header_bytes = 10_240
+    if info.file_size > left + header_bytes:
+        raise ValueError(f"{name}: it has {info.file_size} bytes, the limit of all arrays is {most_bytes}")
+    stream = io.BytesIO(archive.read(info))
+    major, _ = np.lib.format.read_magic(stream)
+    if major not in (1, 2):
+        raise ValueError(f"{name}: version {major} of the NPY format holds no plain numbers")
+    reader = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+    shape, is_fortran, dtype = reader(stream)
+    if dtype.kind not in "biuf":
+        raise ValueError(f"{name}: holds {dtype} values, expected numbers")
+    data = stream.getbuffer()[stream.tell() :]
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(data):
+        raise ValueError(f"{name}: shape {list(shape)} does not fit {len(data)} bytes")
+    return np.frombuffer(bytes(data), dtype=dtype).reshape(shape, order="F" if is_fortran else "C")
+
+
+def child_refusal(script: Path, *arguments: str, content: bytes = b"") -> str | None:
+    """Run a script on a file of a stranger in a child process with limits of memory and time.
+
+    Use it for a library that offers no limit of its own. The script loads the file as the library does. It exits with
+    `CHILD_REFUSED` after it printed a reason, and otherwise normally, also for a file that is wrong.
+
+    Args:
+        script: Script that needs no module of this package.
+        arguments: Arguments of the script.
+        content: Standard input of the script.
+
+    Returns:
+        Why the file must not be loaded; None for a file that stays within the limits.
+    """
+    command = [sys.executable, "-P", "-c", CHILD_START, str(CHILD_MEMORY), str(CHILD_CPU_S), str(script), *arguments]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"}
+    try:
+        done = subprocess.run(
+            command, input=content, capture_output=True, timeout=CHILD_WALL_S, env=environment, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"loading it takes more than {CHILD_WALL_S} s"
+    if done.returncode == 0:
+        return None
+    if done.returncode == CHILD_REFUSED:
+        return done.stdout.decode(errors="replace").strip()
+    if -done.returncode in (getattr(signal, "SIGXCPU", 0), getattr(signal, "SIGKILL", 0)):
+        return f"loading it takes more than {CHILD_CPU_S} s of processor time"
+    return f"loading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory, or the library crashes on it"
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
 
 
 def json_ready(value: Any) -> Any:
@@ -60,3 +295,22 @@ def write_whole(file: Path, content: bytes) -> None:
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, which one process at a time has; the end of a process releases it.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    with (folder / ".lock").open("a") as stream:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        yield

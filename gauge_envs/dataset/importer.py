@@ -14,16 +14,23 @@ from numpy.typing import NDArray
 from gauge_envs.dataset.layout import Layout
 from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_markers_m, trial_trajectory
 from gauge_envs.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
-from gauge_envs.dataset.trial import ImportFinding, Trial, TrialError, parse_trial
+from gauge_envs.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import json_ready
+from gauge_envs.files import json_ready, read_regular
 from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.deformation import DeformationReference
-from gauge_envs.references.imported import DriverRecord, ImportFacts, SpreadRecord, VariantRecord, write_imported
+from gauge_envs.references.imported import (
+    DriverRecord,
+    ImportFacts,
+    SpreadRecord,
+    VariantRecord,
+    remove_leftovers,
+    write_imported,
+)
 from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
@@ -33,6 +40,9 @@ __all__ = ["BaselineRow", "ImportedTrials", "import_trials"]
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between own and published baselines above which they are flagged."""
+
+DOUBLED_CHANGES = 3
+"""Least number of changes between pairs of equal frames at which a trial counts as doubled; a body may rest longer."""
 
 LEAST_TRIALS = 2
 """Number of trials that scatter needs."""
@@ -137,6 +147,7 @@ def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = No
     Raises:
         DatasetError: The user's data folder cannot be written.
     """
+    remove_leftovers()
     seen: dict[str, str] = {}
     for variant, files in layout.files.items():
         importer = _VariantImporter(variant, layout, seen)
@@ -175,7 +186,7 @@ class _VariantImporter:
         """Add one trial file, or a finding that says why it is left out."""
         file = self._layout.relative(path)
         try:
-            content = _content(path)
+            content = self._content(path)
             digest = hashlib.sha256(content).hexdigest()
             if digest in self._seen:
                 raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
@@ -187,6 +198,10 @@ class _VariantImporter:
         self._seen[digest] = file
         self._files[file] = digest
         self.spool.add(trajectory)
+        if _is_doubled(trajectory):
+            twice = "every frame occurs twice"
+            note = TrialError("(file)", twice, f"{FRAME_RATE_HZ:g} different frames a second are expected")
+            self._add_finding(file, note, left_out=False)
         self._add_statistics(trial)
         self._add_events(file, trajectory)
         self._add_drivers(file, trial)
@@ -211,6 +226,14 @@ class _VariantImporter:
             rows=rows,
             findings=tuple(self._findings),
         )
+
+    def _content(self, path: Path) -> bytes:
+        if not self._layout.holds(path):
+            raise TrialError("(file)", "it links to a file outside of the dataset", "a copy of the file is expected")
+        try:
+            return read_regular(path, MOST_TRIAL_BYTES)
+        except OSError as error:
+            raise TrialError("(file)", f"it cannot be read: {error.strerror or error}", "a file is expected") from None
 
     def _add_finding(self, file: str, error: TrialError, *, left_out: bool) -> None:
         self._findings.append(
@@ -419,8 +442,11 @@ def _spread_records(rows: tuple[BaselineRow, ...]) -> dict[str, SpreadRecord]:
     }
 
 
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise TrialError("(file)", f"it cannot be read: {error.strerror or error}", "a file is expected") from None
+def _is_doubled(trajectory: FloatArray) -> bool:
+    """Return whether every frame of a moving trajectory occurs twice in a row, from the first or the second frame."""
+    for first in (0, 1):
+        pairs = trajectory[first : first + (len(trajectory) - first) // 2 * 2].reshape(-1, 2, trajectory.shape[1])
+        changes = (pairs[1:, 0] != pairs[:-1, 0]) & ~np.isnan(pairs[1:, 0]) & ~np.isnan(pairs[:-1, 0])
+        if changes.any(axis=1).sum() >= DOUBLED_CHANGES and np.array_equal(pairs[:, 0], pairs[:, 1], equal_nan=True):
+            return True
+    return False

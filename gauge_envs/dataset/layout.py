@@ -15,6 +15,7 @@ Its irregularities are read too:
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,11 +24,12 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from gauge_envs.dataset.trial import ImportFinding, printable
+from gauge_envs.dataset.trial import ImportFinding
 from gauge_envs.errors import DatasetError, UnknownNameError
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group, TaskSpec
 from gauge_envs.experiments.variants import Variant, variants
+from gauge_envs.files import MEGABYTE, json_document, printable, read_regular
 
 __all__ = ["REVISION_FILE", "Layout", "find_trials", "write_revision"]
 
@@ -55,6 +57,13 @@ class Layout:
     revision: str | None
     files: Mapping[Variant, tuple[Path, ...]]
     findings: tuple[ImportFinding, ...]
+
+    def holds(self, path: Path) -> bool:
+        """Return whether a file, with its links resolved, is in the dataset's folder or in its download cache."""
+        folder = self.root.resolve()
+        # The client of the dataset's host links the files of a snapshot to a folder beside all snapshots.
+        top = folder.parent.parent if folder.parent.name == "snapshots" else folder
+        return path.resolve().is_relative_to(top)
 
     @property
     def count(self) -> int:
@@ -114,7 +123,7 @@ def _revision(root: Path) -> str | None:
     """Return the stated revision, or None; nothing is computed from it, so a damaged file is no error."""
     for folder in (root, root.parent):
         try:
-            revision = json.loads((folder / REVISION_FILE).read_bytes())["revision"]
+            revision = json_document(read_regular(folder / REVISION_FILE, MEGABYTE))["revision"]
         except (OSError, ValueError, TypeError, KeyError):
             continue
         if isinstance(revision, str) and revision:
@@ -159,7 +168,7 @@ def _read_task(root: Path, task: Path, found: dict[Variant, list[Path]], finding
     if not sources:
         findings.append(_finding(root, task, "it has no folder 'json'", "trials are in <task>/json/<material>"))
     for source in sources:
-        for path in _json_files(source):
+        for path in _json_files(root, source, findings):
             place = _variant(task_spec(family), path.relative_to(source).parts[:-1])
             if isinstance(place, Variant):
                 found.setdefault(place, []).append(path)
@@ -167,11 +176,19 @@ def _read_task(root: Path, task: Path, found: dict[Variant, list[Path]], finding
                 findings.append(_finding(root, path.parent, *place))
 
 
-def _json_files(folder: Path) -> Iterator[Path]:
-    for path in sorted(folder.rglob("*")):
-        hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if path.suffix.lower() == ".json" and not hidden:
-            yield path
+def _json_files(root: Path, folder: Path, findings: list[ImportFinding]) -> Iterator[Path]:
+    """Yield the JSON files below a folder; add a finding for each folder that cannot be read."""
+
+    def unreadable(error: OSError) -> None:
+        problem = f"it cannot be read: {error.strerror or error}"
+        findings.append(_finding(root, Path(error.filename), problem, "a readable folder is expected"))
+
+    found: list[Path] = []
+    for parent, folders, files in os.walk(folder, onerror=unreadable):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        names = [*files, *folders]
+        found += [Path(parent, name) for name in names if name.lower().endswith(".json") and not name.startswith(".")]
+    yield from sorted(found)
 
 
 def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str]:

@@ -8,6 +8,7 @@ marker id. Each list has one sample per frame; `null` or NaN is a sample that wa
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.files import MEGABYTE, check_json_size, printable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["ImportFinding", "PoseTrack", "Trial", "TrialError", "parse_trial", "printable"]
+__all__ = ["MOST_TRIAL_BYTES", "ImportFinding", "PoseTrack", "Trial", "TrialError", "parse_trial"]
 
 FloatArray = NDArray[np.float64]
 
@@ -28,13 +30,11 @@ UNIT = "mm"
 NORM_TOLERANCE = 0.01
 """Largest error of the norm of a unit quaternion; files round to three digits or more."""
 
+MOST_TRIAL_BYTES = 64 * MEGABYTE
+"""Largest size of a trial file: 500 markers of 2,000 frames."""
+
 LARGEST_MM = 1e5
 """Largest coordinate; the capture volume is a few metres wide, and squares of larger values may overflow."""
-
-
-def printable(text: str) -> str:
-    """Return the text with escapes for characters that a terminal or a JSON file cannot hold."""
-    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +137,7 @@ def _json_object(content: bytes) -> dict[str, Any]:
     if not content.strip():
         raise TrialError("(file)", "it is empty", "a JSON object is expected")
     try:
+        check_json_size(content)
         values = json.loads(content, object_pairs_hook=_unique)
     except RecursionError:
         raise TrialError("(file)", "its objects are nested too deeply", "assets hold lists of numbers") from None
@@ -152,8 +153,7 @@ def _json_object(content: bytes) -> dict[str, Any]:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
+        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
         raise TrialError(twice, "the key occurs twice", "unique names of assets, markers and lists are expected")
     return values
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +30,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.files import MEGABYTE, json_document, npz_arrays, npz_names, read_regular
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -38,6 +38,9 @@ __all__ = ["StatedOrigin", "UserTrajectory", "read_trajectory", "stated_origin"]
 
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
+
+MOST_FILE_BYTES = 32 * MEGABYTE
+MOST_ARRAY_BYTES = 256 * MEGABYTE
 
 LARGEST = 10**12
 """Larger values are mistakes, and their squares overflow."""
@@ -197,7 +200,7 @@ Columns = tuple[NDArray[np.float64] | None, NDArray[np.float64]]
 
 def _bytes(file: Path) -> bytes:
     try:
-        content = file.read_bytes()
+        content = read_regular(file, MOST_FILE_BYTES)
     except OSError as error:
         raise TrajectoryFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     if not content.strip():
@@ -288,13 +291,12 @@ def _csv_columns(layout: _FileLayout, header: list[str] | None) -> tuple[list[in
 def _read_npz(layout: _FileLayout) -> Columns:
     content = _bytes(layout.file)
     try:
-        archive = np.load(io.BytesIO(content), allow_pickle=False)
-        members = {name: archive[name] for name in archive.files} if isinstance(archive, np.lib.npyio.NpzFile) else {}
-    except Exception as error:  # zipfile, zlib and numpy raise many types for a damaged archive.
+        arrays = npz_arrays(content, ("g", "time_s"), MOST_ARRAY_BYTES)
+        names = npz_names(content)
+    except ValueError as error:
         raise layout.error("", f"not an NPZ file: {error}") from error
-    arrays = {name: member for name, member in members.items() if isinstance(member, np.ndarray)}
     if "g" not in arrays:
-        raise layout.error("", f"no array 'g', it has: {', '.join(arrays) or 'none'}; {layout.expected}")
+        raise layout.error("", f"no array 'g', it has: {', '.join(names[:8]) or 'none'}; {layout.expected}")
     for name, array in arrays.items():
         if name in ("g", "time_s") and array.dtype.kind not in "fiu":
             raise layout.error(name, f"holds {array.dtype} values, expected numbers")
@@ -316,10 +318,12 @@ def _read_npz(layout: _FileLayout) -> Columns:
 
 def _npz_markers(layout: _FileLayout, row_count: int, experiment: Experiment) -> NDArray[np.float64] | None:
     """Return the array `markers_m` of a file, shape [T, M, 3]; None without one."""
-    with np.load(layout.file, allow_pickle=False) as archive:
-        if "markers_m" not in archive.files:
-            return None
-        markers = np.asarray(archive["markers_m"])
+    try:
+        markers = npz_arrays(_bytes(layout.file), ["markers_m"], MOST_ARRAY_BYTES).get("markers_m")
+    except ValueError as error:
+        raise layout.error("", f"not an NPZ file: {error}") from error
+    if markers is None:
+        return None
     known = experiment.scene.markers
     wanted = [row_count, 0 if known is None else len(known.positions_m), 3]
     if list(markers.shape) != wanted:
@@ -331,8 +335,8 @@ def _npz_markers(layout: _FileLayout, row_count: int, experiment: Experiment) ->
 
 def _json_object(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(_bytes(file).decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
+        content = json_document(_bytes(file))
+    except ValueError as error:
         raise TrajectoryFileError(f"{file}: not a JSON file: {error}") from error
     if not isinstance(content, dict):
         raise TrajectoryFileError(f"{file}: expected a JSON object with 'g', got a {type(content).__name__}")

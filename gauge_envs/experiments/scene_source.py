@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.experiment import Asset, AssetKind
+from gauge_envs.files import MEGABYTE, read_regular
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Hinge, Motion
 from gauge_envs.scene.diff import scene_changes
@@ -30,6 +31,9 @@ USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 EXPERIMENT_SUFFIX = ".toml"
 
+MOST_ASSET_BYTES = 256 * MEGABYTE
+"""Largest size of an asset or of a file that it refers to."""
+
 
 def is_experiment_file(path: Path) -> bool:
     """Return whether the suffix of a path is that of an experiment file."""
@@ -43,7 +47,7 @@ def read_bytes(path: Path) -> bytes:
         AssetError: The file cannot be read.
     """
     try:
-        return path.read_bytes()
+        return read_regular(path, MOST_ASSET_BYTES)
     except OSError as error:
         raise AssetError(path, "", f"cannot be read: {error.strerror or error}") from error
 

@@ -49,7 +49,7 @@ class PlateWithHoleSpec(FileModel):
     kind: Literal["plate_with_hole"]
     size_m: tuple[Positive, Positive, Positive]
     hole_radius_m: Positive
-    hole_segments: Annotated[int, Field(ge=8, multiple_of=4)]
+    hole_segments: Annotated[int, Field(ge=8, le=1000, multiple_of=4)]
 
     def build(self) -> ConvexUnion:
         """Return the pieces between the plate's outline and the polygon of the hole, which circumscribes the circle."""

@@ -6,7 +6,6 @@ Everything that differs between variants is data in `tasks/*.toml`. No Python fi
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
 from functools import cache
@@ -19,6 +18,7 @@ from gauge_envs.errors import TaskFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.tables import PROVENANCES
 from gauge_envs.experiments.task_format import SubtaskSpec, TaskSpec
 from gauge_envs.experiments.variants import task_path
+from gauge_envs.files import MEGABYTE, read_regular, toml_document
 from gauge_envs.scene import Plane
 
 __all__ = ["load_task", "task_file_error", "task_sha256", "task_spec"]
@@ -32,8 +32,10 @@ def load_task(path: Path) -> TaskSpec:
             without provenance.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raw = toml_document(read_regular(path, MEGABYTE))
+    except OSError as error:
+        raise TaskFileError(path, "(file)", f"cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
         raise TaskFileError(path, "(file)", str(error)) from error
     try:
         spec = TaskSpec.model_validate(raw)

@@ -6,7 +6,6 @@ the numbers are from.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -21,6 +20,7 @@ from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read
 from gauge_envs.experiments.tables import DriverSpec, Fraction
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
+from gauge_envs.files import toml_document
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
@@ -29,9 +29,19 @@ from gauge_envs.references.tables import FileModel
 from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
 
-__all__ = ["ExperimentFile", "FileExperiment", "experiment_record", "load_experiment_file", "recorded_experiment_file"]
+__all__ = [
+    "EXPERIMENT_NAME",
+    "ExperimentFile",
+    "FileExperiment",
+    "experiment_record",
+    "load_experiment_file",
+    "recorded_experiment_file",
+]
+
+EXPERIMENT_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
+"""Pattern of the name of an experiment file, which is part of ids and of file names."""
 
 
 class PairSpec(FileModel):
@@ -99,12 +109,12 @@ class ExperimentFile(FileModel):
         provenance: Origin of the numbers, by topic.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+    name: Annotated[str, Field(pattern=f"^{EXPERIMENT_NAME}$")]
     title: str
     summary: str = ""
     evaluates: tuple[str, ...] = ()
     usd: str
-    frames: Annotated[int, Field(ge=2)]
+    frames: Annotated[int, Field(ge=2, le=MOST_FRAMES)]
     friction: Literal["dynamic", "static"] | None = None
     score: ScoreSpec
     recorded: tuple[str, ...] = ()
@@ -138,11 +148,11 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     path = Path(path)
     content = read_bytes(path)
     try:
-        definition = ExperimentFile.model_validate(tomllib.loads(content.decode("utf-8")))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise TaskFileError(path, "(file)", str(error)) from error
+        definition = ExperimentFile.model_validate(toml_document(content))
     except ValidationError as error:
         raise task_file_error(path, error) from error
+    except ValueError as error:
+        raise TaskFileError(path, "(file)", str(error)) from error
     layer = path.parent / definition.usd
     scene, recorded, used_files = _scene(path, layer, definition)
     contents = [content, read_bytes(layer), *map(read_bytes, used_files)]

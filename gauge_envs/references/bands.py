@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.tables import FileModel, csv_header, read_rows, read_toml, scoring_folder
+from gauge_envs.references.tables import FileModel, csv_header, header_fault, read_rows, read_toml, scoring_folder
 from gauge_envs.scene.geometry import NonNegative, Positive
+from gauge_envs.scene.timing import MOST_FRAMES
 
 __all__ = [
     "Band",
@@ -33,6 +34,9 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+
+MOST_COORDINATES = 10_000
+"""Largest width of g(t) that a file can state."""
 
 
 class BandGrade(StrEnum):
@@ -212,7 +216,7 @@ class BandSpec(FileModel):
     coordinates: Annotated[tuple[str, ...], Field(min_length=1)]
     projection: tuple[tuple[float, ...], ...] | None = None
     indices: tuple[int, ...] | None = None
-    width: PositiveInt | None = None
+    width: Annotated[int, Field(ge=1, le=MOST_COORDINATES)] | None = None
     sigma: Positive | None = None
     trial_count: PositiveInt | None = None
     source: str
@@ -235,7 +239,9 @@ class BandSpec(FileModel):
         if self.projection is not None:
             return np.array(self.projection, dtype=np.float64)
         if self.indices is not None and self.width is not None:
-            return np.eye(self.width)[list(self.indices)]
+            matrix = np.zeros((len(self.indices), self.width))
+            matrix[np.arange(len(self.indices)), list(self.indices)] = 1.0
+            return matrix
         return np.eye(len(self.coordinates))
 
 
@@ -265,7 +271,7 @@ class BandSidecar(BandSpec):
     """
 
     unit: str
-    frames: PositiveInt | None = None
+    frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)] | None = None
     withheld: str | None = None
     normalized_by_baseline: bool = True
     rmse: TrialScores | None = None
@@ -401,7 +407,9 @@ def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, FloatArra
     header = csv_header(file)
     quantities = [q for q in ("mean", "sigma", "uncertainty") if any(name.startswith(f"{q}.") for name in header)]
     if "mean" not in quantities:
-        raise ReferenceFileError(file, 1, f"columns are {','.join(header)}, expected mean.{coordinates[0]} among them")
+        raise ReferenceFileError(
+            file, 1, f"{header_fault(header, ['frame'])}, expected mean.{coordinates[0]} among them"
+        )
     optional = [name for name in ("time_s", "measured", "measured_trials") if name in header]
     expected = ["frame", *optional, *(f"{q}.{coordinate}" for q in quantities for coordinate in coordinates)]
     rows: dict[str, list[list[Any]]] = {"measured": [], **{q: [] for q in quantities}}

@@ -2,7 +2,7 @@
 
 Each variant has a file `<variant>.json`, which describes the numbers, and an NPZ file with the numbers, named by its
 hash. The NPZ file is written first, and the JSON file then replaces the old one. An interrupted writer therefore leaves
-the old import or the new one, never a mixture.
+the old import or the new one, never a mixture. Writers hold a lock on the folder: of two imports, the last one counts.
 
 The environment variable `GAUGE_DATA_DIR` names the folder. The default is the platform's folder for user data, on Linux
 `$XDG_DATA_HOME/gauge-envs` or `~/.local/share/gauge-envs`.
@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -29,7 +28,7 @@ from platformdirs import user_data_path
 from pydantic import ValidationError
 
 from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, first_fault
-from gauge_envs.files import write_whole
+from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, read_regular, write_whole
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.tables import FileModel
@@ -48,11 +47,18 @@ __all__ = [
     "has_import",
     "load_imported",
     "recorded_drivers",
+    "remove_leftovers",
     "user_data_folder",
     "write_imported",
 ]
 
 FloatArray = NDArray[np.float64]
+
+MOST_RECORD_BYTES = 8 * MEGABYTE
+MOST_ARRAYS_BYTES = 256 * MEGABYTE
+
+READ_ATTEMPTS = 5
+"""Number of times that a variant is read while imports replace it."""
 
 
 class DataSource(StrEnum):
@@ -194,9 +200,18 @@ class ImportedVariant:
 
 
 def user_data_folder() -> Path:
-    """Return the folder of imported data, which need not exist."""
+    """Return the folder of imported data, which need not exist.
+
+    Raises:
+        DatasetError: `GAUGE_DATA_DIR` names the home folder of an unknown user.
+    """
     given = os.environ.get("GAUGE_DATA_DIR")
-    return Path(given).expanduser() if given else user_data_path("gauge-envs", appauthor=False)
+    if not given:
+        return user_data_path("gauge-envs", appauthor=False)
+    try:
+        return Path(given).expanduser()
+    except RuntimeError:
+        raise DatasetError(f"GAUGE_DATA_DIR={given}: the home folder is unknown. Set the full path.") from None
 
 
 def _trials_folder() -> Path:
@@ -248,14 +263,42 @@ def write_imported(
     text = record.model_dump_json(indent=1) + "\n"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / record.arrays, content)
-        write_whole(folder / f"{facts.variant}.json", text.encode())
+        with locked(folder):
+            write_whole(folder / record.arrays, content)
+            write_whole(folder / f"{facts.variant}.json", text.encode())
+            for stale in folder.glob(f"{facts.variant}.*.npz"):
+                if stale.name != record.arrays:
+                    stale.unlink(missing_ok=True)
     except OSError as error:
         raise DatasetError(f"{folder}: {facts.variant} cannot be written: {error.strerror or error}") from error
-    for stale in folder.glob(f"{facts.variant}.*.npz"):
-        if stale.name != record.arrays:
-            stale.unlink(missing_ok=True)
     return record
+
+
+def remove_leftovers() -> None:
+    """Remove the files of imports that were killed: half-written files, and arrays that no variant names.
+
+    Raises:
+        DatasetError: The user's data folder cannot be written.
+    """
+    folder = _trials_folder()
+    if not folder.is_dir():
+        return
+    try:
+        with locked(folder):
+            used = {_arrays_name(file) for file in folder.glob("*.json")}
+            for file in [*folder.glob(".*.tmp"), *folder.glob("*.npz")]:
+                if file.name not in used:
+                    file.unlink(missing_ok=True)
+    except OSError as error:
+        raise DatasetError(f"{folder}: cannot be written: {error.strerror or error}") from error
+
+
+def _arrays_name(file: Path) -> str | None:
+    """Return the name of the NPZ file of a variant; None for a damaged file, which has no use for its arrays."""
+    try:
+        return str(json_document(read_regular(file, MOST_RECORD_BYTES))["arrays"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------
@@ -273,13 +316,28 @@ def load_imported(variant: str) -> ImportedVariant | None:
         ReferenceFileError: The files are damaged, or of another version of gauge-envs.
     """
     file = _trials_folder() / f"{variant}.json"
+    for _ in range(READ_ATTEMPTS):
+        stamp = _stamp(file)
+        if stamp is None:
+            return None
+        try:
+            return _load(file, *stamp)
+        except ReferenceFileError:
+            # A file that was replaced while it was read is read again.
+            if _stamp(file) == stamp:
+                raise
+    raise ReferenceFileError(file, None, "imports replace it all the time; wait until they end")
+
+
+def _stamp(file: Path) -> tuple[int, int] | None:
+    """Return time and inode of a file; None without it."""
     try:
-        stamp = file.stat()
+        status = file.stat()
     except FileNotFoundError:
         return None
     except OSError as error:
         raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from error
-    return _load(file, stamp.st_mtime_ns, stamp.st_ino)
+    return status.st_mtime_ns, status.st_ino
 
 
 @lru_cache(maxsize=256)
@@ -288,23 +346,24 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
     record = _record(file)
     arrays_file = file.with_name(record.arrays)
     try:
-        content = arrays_file.read_bytes()
+        content = read_regular(arrays_file, MOST_ARRAYS_BYTES)
         if hashlib.sha256(content).hexdigest() != record.arrays_sha256:
             raise ValueError("its content differs from what was imported")
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
-            # Imports of older versions hold no single trials.
-            trials = arrays.get("trials")
-            band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"], trials)
-            deformation = _deformation(record, arrays) if record.statistics else None
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        wanted = ["mean", "sigma", "measured", "trials", "statistics.mean", "statistics.sigma"]
+        wanted += [f"driver.{entry.body}" for entry in record.drivers]
+        arrays = npz_arrays(content, wanted, MOST_ARRAYS_BYTES)
+        drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
+        # Imports of older versions hold no single trials.
+        band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"], arrays.get("trials"))
+        deformation = _deformation(record, arrays) if record.statistics else None
+    except (OSError, ValueError, KeyError) as error:
         raise ReferenceFileError(arrays_file, None, f"{_reason(error)}; gauge data import renews it") from None
     return ImportedVariant(record, band, drivers, deformation)
 
 
 def _record(file: Path) -> VariantRecord:
     try:
-        record = VariantRecord.model_validate_json(file.read_bytes())
+        record = VariantRecord.model_validate_json(read_regular(file, MOST_RECORD_BYTES))
     except ValidationError as error:
         place, reason = first_fault(error)
         raise ReferenceFileError(

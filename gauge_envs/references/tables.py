@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import csv
-import tomllib
+import io
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gauge_envs.errors import ReferenceFileError, first_fault
-from gauge_envs.files import data_folder
+from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
 
-__all__ = ["FileModel", "csv_header", "read_rows", "read_toml", "scoring_folder"]
+__all__ = ["FileModel", "csv_header", "header_fault", "read_rows", "read_toml", "scoring_folder"]
+
+
+MOST_TABLE_BYTES = 16 * MEGABYTE
 
 
 class FileModel(BaseModel):
@@ -36,10 +40,8 @@ def read_toml(file: Path, model: type[Model]) -> Model:
     Raises:
         ReferenceFileError: The file is missing, is not TOML, or does not fit the model.
     """
-    if not file.is_file():
-        raise ReferenceFileError(file, None, "the file is missing")
     try:
-        return model.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+        return model.model_validate(toml_document(_content(file)))
     except ValidationError as error:
         raise ReferenceFileError(file, None, ": ".join(filter(None, first_fault(error)))) from None
     except ValueError as error:
@@ -50,12 +52,36 @@ def csv_header(file: Path) -> list[str]:
     """Return the names of the columns of a CSV file.
 
     Raises:
-        ReferenceFileError: The file is missing.
+        ReferenceFileError: The file is missing or is not CSV.
     """
-    if not file.is_file():
-        raise ReferenceFileError(file, None, "the file is missing")
-    with file.open(encoding="utf-8", newline="") as stream:
-        return next(csv.reader(stream), [])
+    return next(_csv_rows(file), (1, []))[1]
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return read_regular(file, MOST_TABLE_BYTES)
+    except FileNotFoundError:
+        raise ReferenceFileError(file, None, "the file is missing") from None
+    except OSError as error:
+        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
+
+
+def _csv_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line number and the fields of each row."""
+    line = 0
+    try:
+        reader = csv.reader(io.StringIO(_content(file).decode("utf-8"), newline=""))
+        for fields in reader:
+            line = reader.line_num
+            yield line, fields
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ReferenceFileError(file, line + 1, f"is not CSV in UTF-8: {error}") from None
+
+
+def header_fault(header: Sequence[str], columns: Sequence[str]) -> str:
+    """Return the known columns of a header, and the number of unknown ones: the file may be a private one."""
+    known = [name for name in header if name in columns]
+    return f"columns are {','.join(known) or 'none of these'} and {len(header) - len(known)} unknown ones"
 
 
 def read_rows(file: Path, columns: Sequence[str], model: type[Model]) -> Iterator[tuple[int, Model]]:
@@ -76,17 +102,14 @@ def read_rows(file: Path, columns: Sequence[str], model: type[Model]) -> Iterato
     """
     header = csv_header(file)
     if header != list(columns):
-        raise ReferenceFileError(file, 1, f"columns are {','.join(header)}, expected {','.join(columns)}")
-    with file.open(encoding="utf-8", newline="") as stream:
-        reader = csv.reader(stream)
-        next(reader)
-        for fields in reader:
-            if len(fields) != len(columns):
-                raise ReferenceFileError(file, reader.line_num, f"{len(fields)} fields, expected {len(columns)}")
-            try:
-                yield reader.line_num, model.model_validate(_nested(columns, fields))
-            except ValidationError as error:
-                raise ReferenceFileError(file, reader.line_num, ": ".join(first_fault(error))) from None
+        raise ReferenceFileError(file, 1, f"{header_fault(header, columns)}, expected {','.join(columns)}")
+    for line, fields in islice(_csv_rows(file), 1, None):
+        if len(fields) != len(columns):
+            raise ReferenceFileError(file, line, f"{len(fields)} fields, expected {len(columns)}")
+        try:
+            yield line, model.model_validate(_nested(columns, fields))
+        except ValidationError as error:
+            raise ReferenceFileError(file, line, ": ".join(first_fault(error))) from None
 
 
 def _nested(columns: Sequence[str], fields: Sequence[str]) -> dict[str, Any]:

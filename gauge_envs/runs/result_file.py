@@ -7,19 +7,26 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import ResultFileError, UnknownNameError, first_fault
+from gauge_envs.experiments.experiment import ASSET_NAME, AssetKind
+from gauge_envs.experiments.user_file import EXPERIMENT_NAME
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.files import write_whole
+from gauge_envs.files import MEGABYTE, json_document, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 
 __all__ = ["load_result", "result_file_name", "write_result"]
+
+
+MOST_RESULT_BYTES = 32 * MEGABYTE
 
 
 def result_file_name(result: Result) -> str:
@@ -69,28 +76,67 @@ def load_result(file: Path) -> Result:
         ResultFileError: The file cannot be read, or is not a complete and consistent result file.
     """
     try:
-        content = json.loads(file.read_bytes())
+        content = json_document(read_regular(file, MOST_RESULT_BYTES))
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
         # Files of older versions lack these keys; they have the defaults of that time.
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", MarkerProxy.NODE.value)
-        content["dataset"] = BUNDLED_DATA | dict(content.get("dataset") or {})
+        stated = content.get("dataset") or {}
+        content["dataset"] = BUNDLED_DATA | stated if isinstance(stated, dict) else stated
         content.setdefault("asset", {})
         content.setdefault("deformation", None)
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")
         result = TypeAdapter(Result).validate_python(content)
-        if not result.has_experiment_file:
-            find_variant(result.id)
-        if result.trajectory is None:
-            raise ValueError("it has no trajectory")
+        _check(result)
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
         place, reason = first_fault(error)
         raise ResultFileError(f"{file}: not a result file: {place}: {reason}") from error
-    except (ValueError, RecursionError, UnknownNameError) as error:
+    except (ValueError, UnknownNameError) as error:
         raise ResultFileError(f"{file}: not a result file: {error}") from error
     return result
+
+
+class _AssetRecord(BaseModel):
+    """The asset of a result; `scene` and `experiment` are checked when the scene is built again."""
+
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+    file: str
+    kind: Annotated[AssetKind, Field(strict=False)]
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{8,64}$")]
+    edited: bool
+    changes: list[str]
+
+
+def _check(result: Result) -> None:
+    """Check what types alone do not state.
+
+    Raises:
+        ValueError: A value is impossible.
+        ValidationError: The asset is damaged.
+        UnknownNameError: The experiment is unknown.
+    """
+    if result.asset:
+        _AssetRecord.model_validate(result.asset)
+    if not result.has_experiment_file:
+        find_variant(result.id)
+    elif not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
+        raise ValueError(f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits")
+    stated = {"score.grade": (result.score.grade, BandGrade), "marker_proxy": (result.marker_proxy, MarkerProxy)}
+    stated |= {f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA}
+    for key, (value, known) in stated.items():
+        if value not in tuple(known):
+            raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
+    trajectory = result.trajectory
+    if trajectory is None:
+        raise ValueError("it has no trajectory")
+    if not (trajectory.times_s and trajectory.coordinates):
+        raise ValueError("trajectory: it has no samples")
+    times_s = [*trajectory.times_s, *trajectory.later_times_s]
+    if any(later <= earlier for earlier, later in pairwise(times_s)):
+        raise ValueError("trajectory.times_s: increasing times are expected")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-__all__ = ["DRIVE_INTERVAL_S", "FRAME_RATE_HZ", "SAMPLES_PER_FRAME", "SAMPLE_INTERVAL_S"]
+__all__ = ["DRIVE_INTERVAL_S", "FRAME_RATE_HZ", "MOST_FRAMES", "SAMPLES_PER_FRAME", "SAMPLE_INTERVAL_S"]
 
 FRAME_RATE_HZ = 30.0
 """Rate at which trajectories are recorded and scored [Hz] (paper, data acquisition)."""
+
+MOST_FRAMES = 18_000
+"""Largest number of frames that a file can state: 10 minutes."""
 
 SAMPLES_PER_FRAME = 6
 """Samples kept per frame: 180 Hz, the rate of the motion-capture cameras (paper, data acquisition)."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,7 @@ from gauge_envs.backends.mujoco.model import CONES, INTEGRATORS, SOLVERS, build_
 from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import AssetError, ShapeError
+from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
@@ -46,6 +48,10 @@ DRIVER_PREFIX = "driver/"
 
 DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
+
+SHORTEST_STEP_S = 1e-7
+
+MOST_FILE_BYTES = 16 * MEGABYTE
 
 SAME_MOTION = 1e-6
 """Relative difference below which rows of driven motion are equal; accelerations are second differences of poses."""
@@ -78,19 +84,37 @@ def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec,
 
 def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     try:
-        spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
-        model = spec.compile()
-    except (OSError, UnicodeDecodeError) as error:
+        content = read_regular(path, MOST_FILE_BYTES)
+        text = content.decode("utf-8")
+    except OSError as error:
+        raise AssetError(path, "", f"cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
         raise AssetError(path, "", f"cannot be read: {error}") from error
+    refusal = _refusal(content)
+    if refusal is not None:
+        raise AssetError(path, "", f"{refusal}: simplify the model")
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+        model = spec.compile()
     except ValueError as error:
         raise AssetError(path, "", f"MuJoCo cannot load it: {' '.join(str(error).split())}") from None
     _complete(path, model)
     return spec, model
 
 
+@lru_cache(maxsize=64)
+def _refusal(content: bytes) -> str | None:
+    """Return why a model must not be compiled in this process, or None."""
+    return child_refusal(Path(__file__).with_name("mjcf_probe.py"), content=content)
+
+
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
     """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
     option = model.opt
+    if not option.timestep >= SHORTEST_STEP_S:
+        raise AssetError(
+            path, "option timestep", f"is {option.timestep:g} s: {SHORTEST_STEP_S:g} s or more is expected"
+        )
     steps = DRIVE_INTERVAL_S / option.timestep
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
         raise AssetError(

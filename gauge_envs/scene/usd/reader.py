@@ -37,6 +37,9 @@ from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
 
 __all__ = ["UsdScene", "from_usd", "read_points", "read_usd"]
 
+MOST_BODIES = 1000
+"""Largest number of bodies; the number of pairs that may collide grows with the square."""
+
 LEVEL = 1e-6
 """Largest angle between gravity and the vertical [rad]."""
 
@@ -157,6 +160,8 @@ class _Reader:
         self.joints = joint_prims(source)
         found = self._find()
         deformable = [prim for prim in source.prims() if is_deformable(prim)]
+        if len(found) + len(deformable) > MOST_BODIES:
+            raise source.fault("", f"it has {len(found) + len(deformable)} bodies, the limit is {MOST_BODIES}")
         self.names = self._names([*(one.prim for one in found), *deformable])
         bodies: dict[Sdf.Path, RigidBody] = {}
         drivers: list[tuple[int, Driver]] = []
@@ -268,13 +273,13 @@ class _Reader:
         """Return names in the scene: `gauge:name` if given, else the prim's name if unique, else its path."""
         often = Counter(prim.GetName() for prim in prims)
         names: dict[Sdf.Path, str] = {}
+        paths: dict[str, Sdf.Path] = {}
         for prim in prims:
             short = prim.GetName() if often[prim.GetName()] == 1 else str(prim.GetPath())[1:]
             name = self.source.text(prim.GetAttribute("gauge:name")) or short
-            if name in names.values():
-                other = next(path for path, taken in names.items() if taken == name)
-                raise self.source.fault(prim, f"is named {name!r}, as {other} is: rename one of them")
-            names[prim.GetPath()] = name
+            if name in paths:
+                raise self.source.fault(prim, f"is named {name!r}, as {paths[name]} is: rename one of them")
+            names[prim.GetPath()], paths[name] = name, prim.GetPath()
         return names
 
     def _party(self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...], motion: Motion = Motion.DYNAMIC) -> Party:
