@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, Wide, matching_variants
-from gauge_envs.cli.output import counted, print_json_lines, print_table, stdout_console
+from gauge_envs.cli.output import (
+    EXIT_FAILED,
+    counted,
+    plain_text,
+    print_json_lines,
+    print_table,
+    stderr_console,
+    stdout_console,
+)
 from gauge_envs.references.imported import DataSource
 
 __all__ = ["list_", "materials", "show"]
@@ -19,17 +27,32 @@ def list_(
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
-    """List experiments with their observable, the grade of their reference, and the backends that can run them."""
-    from gauge_envs.references.bands import BandGrade
-    from gauge_envs.report import control_summary, list_rows, list_table
+    """List experiments with their observable, the grade of their reference, and the backends that can run them.
 
-    rows = [row for row in list_rows(matching_variants(pattern)) if not scored or row["grade"] != BandGrade.NONE]
+    Exit code 1 when a wrong task file was skipped.
+    """
+    from gauge_envs.experiments.task_files import task_file_faults
+    from gauge_envs.references.bands import BandGrade
+    from gauge_envs.report import list_rows, list_table
+
+    faults = task_file_faults()
+    for fault in faults.values():
+        stderr_console().print(f"[yellow]skipped:[/] {plain_text(str(fault))}", soft_wrap=True)
+    listed = [variant for variant in matching_variants(pattern) if variant.family not in faults]
+    rows = [row for row in list_rows(listed) if not scored or row["grade"] != BandGrade.NONE]
     print_table(list_table(rows), json_lines=json_lines, wide=wide)
-    if json_lines:
-        return
+    if not json_lines:
+        _print_counts(rows, with_control=pattern == "*" and not scored)
+    if faults:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
+    from gauge_envs.report import control_summary
+
     families = len({row["family"] for row in rows})
     console = stdout_console()
-    if pattern == "*" and not scored:
+    if with_control:
         console.print(control_summary())
     console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
 

@@ -8,11 +8,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
+from rich.control import Control
+from rich.segment import Segment
 
+from gauge_envs.files import printable
 from gauge_envs.report.table import Table, as_rich, as_rows
 
 __all__ = [
@@ -44,19 +48,47 @@ EXIT_INTERRUPTED = 130
 
 def stdout_console() -> Console:
     """Return the console of results."""
-    return _widened(Console())
+    return _prepared(Console(emoji=False))
 
 
 def stderr_console() -> Console:
     """Return the console of messages and progress."""
-    return _widened(Console(stderr=True, highlight=False))
+    return _prepared(Console(stderr=True, highlight=False, emoji=False))
 
 
-def _widened(console: Console) -> Console:
-    """Give a console without a terminal a fixed width, unless `COLUMNS` states one."""
+def _prepared(console: Console) -> Console:
+    """Show control characters as escapes; give a console without a terminal a fixed width unless `COLUMNS` states one.
+
+    Names in files of strangers may hold escape sequences, which a terminal would execute.
+    """
+    console.push_render_hook(_PrintableHook())
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = PIPE_WIDTH
     return console
+
+
+class _PrintableHook(RenderHook):
+    """Hook of a console that makes all texts printable; styles and the control codes of rich stay."""
+
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        """Return renderables whose texts are printable."""
+        return [one if isinstance(one, Control) else _Printable(one) for one in renderables]
+
+
+@dataclass(frozen=True)
+class _Printable:
+    """A renderable whose texts hold no control characters but ends of lines."""
+
+    inner: ConsoleRenderable
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the segments of the renderable."""
+        for segment in console.render(self.inner, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                text = "\n".join(map(printable, segment.text.split("\n")))
+                yield Segment(text, segment.style)
 
 
 def plain_text(text: str) -> str:

@@ -26,7 +26,7 @@ from pathlib import Path
 
 from gauge_envs.dataset.trial import ImportFinding
 from gauge_envs.errors import DatasetError, UnknownNameError
-from gauge_envs.experiments.task_files import task_spec
+from gauge_envs.experiments.task_files import task_file_faults, task_spec
 from gauge_envs.experiments.task_format import Group, TaskSpec
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.files import MEGABYTE, json_document, printable, read_regular
@@ -219,11 +219,14 @@ def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str
 def _families() -> dict[str, str]:
     """Return the family of each task folder, by the folder's letters and digits in lower case."""
     families = {}
-    for family in dict.fromkeys(variant.family for variant in variants()):
+    wrong = task_file_faults()
+    for family in dict.fromkeys(variant.family for variant in variants() if variant.family not in wrong):
         metadata = task_spec(family).source.metadata
         name = metadata.partition(".json")[0].rpartition("/")[2]
         families[_plain(name)] = family
     for spelling, name in FOLDER_SPELLINGS.items():
+        if _plain(name) not in families:
+            continue
         families[_plain(spelling)] = families[_plain(name)]
     return families
 

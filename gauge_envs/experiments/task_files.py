@@ -15,21 +15,22 @@ from typing import Any
 from pydantic import ValidationError
 
 from gauge_envs.errors import TaskFileError, UnknownNameError, first_fault
+from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.tables import PROVENANCES
 from gauge_envs.experiments.task_format import SubtaskSpec, TaskSpec
-from gauge_envs.experiments.variants import task_path
+from gauge_envs.experiments.variants import Variant, task_path, unreadable_task_files, variants
 from gauge_envs.files import MEGABYTE, read_regular, toml_document
 from gauge_envs.scene import Plane
 
-__all__ = ["load_task", "task_file_error", "task_sha256", "task_spec"]
+__all__ = ["load_task", "task_file_error", "task_file_faults", "task_sha256", "task_spec"]
 
 
 def load_task(path: Path) -> TaskSpec:
     """Read and validate one task file.
 
     Raises:
-        TaskFileError: The file is not TOML, or has an unknown key, a value out of range, an undefined name, or a number
-            without provenance.
+        TaskFileError: The file is not TOML, or has an unknown key, a value out of range, an undefined name, a number
+            without provenance, or a scene that cannot be built.
     """
     try:
         raw = toml_document(read_regular(path, MEGABYTE))
@@ -44,7 +45,33 @@ def load_task(path: Path) -> TaskSpec:
     _check_names(path, spec)
     _check_constants(path, spec)
     _check_provenance(path, spec, raw)
+    _check_scenes(path, spec)
     return spec
+
+
+def _check_scenes(path: Path, spec: TaskSpec) -> None:
+    """Check that the scene of every variant can be built."""
+    for subtask in spec.subtasks or [None]:
+        for material in spec.materials:
+            variant = Variant(spec.family, subtask, material)
+            try:
+                SceneBuilder(path, spec, variant, {}).build()
+            except TaskFileError:
+                raise
+            except (ValueError, LookupError, StopIteration) as error:
+                cause = f"no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+                raise TaskFileError(path, "(file)", f"the scene of {variant.name} cannot be built: {cause}") from error
+
+
+def task_file_faults() -> dict[str, TaskFileError]:
+    """Return the errors of all wrong task files, by family; by path for a file whose family cannot be read."""
+    faults = {str(error.file): error for error in unreadable_task_files()}
+    for family in dict.fromkeys(variant.family for variant in variants()):
+        try:
+            task_spec(family)
+        except TaskFileError as error:
+            faults[family] = error
+    return faults
 
 
 def task_file_error(path: Path, error: ValidationError, prefix: str = "") -> TaskFileError:

@@ -5,16 +5,16 @@ This module reads names alone and imports no pydantic model, so that importing t
 
 from __future__ import annotations
 
-import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TaskFileError, UnknownNameError
-from gauge_envs.files import data_folder
+from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
 
-__all__ = ["Variant", "find_variant", "task_files", "task_path", "variants"]
+__all__ = ["Variant", "find_variant", "task_files", "task_path", "unreadable_task_files", "variants"]
 
 
 @dataclass(frozen=True, order=True)
@@ -42,16 +42,54 @@ def task_files() -> tuple[Path, ...]:
 
 
 @cache
-def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
-    """Return path and raw content of every task file, by family, without validation."""
-    headers = {}
+def _read_files() -> tuple[dict[str, tuple[Path, dict[str, Any]]], tuple[TaskFileError, ...]]:
+    """Return path and raw content of every task file, by family, and the errors of files that cannot be read.
+
+    A file is validated when one of its variants is loaded.
+    """
+    headers, faults = {}, []
     for path in task_files():
         try:
-            raw = tomllib.loads(path.read_text(encoding="utf-8"))
-            headers[raw["family"]] = (path, raw)
-        except (tomllib.TOMLDecodeError, KeyError) as error:
-            raise TaskFileError(path, "family", f"cannot be read: {error}") from error
-    return headers
+            raw = toml_document(read_regular(path, MEGABYTE))
+            headers[_header(raw)] = (path, raw)
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            faults.append(TaskFileError(path, "(file)", f"cannot be read: {reason}; correct or remove the file"))
+    return headers, tuple(faults)
+
+
+def _header(raw: dict[str, Any]) -> str:
+    """Return the family of a task file, of which the names of its variants can be read.
+
+    Raises:
+        ValueError: A name is missing or is not text.
+    """
+    family, materials, subtasks = raw.get("family"), raw.get("materials"), raw.get("subtasks", {})
+    if not isinstance(family, str):
+        raise ValueError("family: a name is expected")
+    if not (isinstance(materials, list) and materials and all(isinstance(name, str) for name in materials)):
+        raise ValueError("materials: a list of names is expected")
+    if not isinstance(subtasks, dict):
+        raise ValueError("subtasks: a table is expected")
+    return family
+
+
+def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
+    return _read_files()[0]
+
+
+def unreadable_task_files() -> tuple[TaskFileError, ...]:
+    """Return an error for each task file whose names cannot be read; the variants of the others are listed."""
+    return _read_files()[1]
+
+
+def _unknown(kind: str, name: str, known: Iterable[str]) -> TaskFileError | UnknownNameError:
+    """Return the error for an unknown name: that of the unreadable task file which may define it, if there is one."""
+    plain = name.removeprefix("GAUGE/").lower()
+    for fault in unreadable_task_files():
+        if plain.startswith(fault.file.stem.replace("_", "").lower()):
+            return fault
+    return UnknownNameError(kind, name, known)
 
 
 def task_path(family: str) -> Path:
@@ -59,11 +97,12 @@ def task_path(family: str) -> Path:
 
     Raises:
         UnknownNameError: No such family.
+        TaskFileError: Its file cannot be read.
     """
     try:
         return _headers()[family][0]
     except KeyError:
-        raise UnknownNameError("family", family, _headers()) from None
+        raise _unknown("family", family, _headers()) from None
 
 
 @cache
@@ -82,9 +121,10 @@ def find_variant(name: str) -> Variant:
 
     Raises:
         UnknownNameError: There is no such variant.
+        TaskFileError: The task file of its family cannot be read.
     """
     by_name = {variant.name: variant for variant in variants()}
     try:
         return by_name[name.removeprefix("GAUGE/")]
     except KeyError:
-        raise UnknownNameError("experiment", name, by_name) from None
+        raise _unknown("experiment", name, by_name) from None

@@ -121,7 +121,7 @@ def as_rows(table: Table) -> list[dict[str, Any]]:
 
 def as_markdown(table: Table) -> str:
     """Return a table as GitHub Markdown, with all columns."""
-    lines = [f"**{table.title}**", ""] if table.title else []
+    lines = [f"**{markdown_text(table.title)}**", ""] if table.title else []
     lines.append(markdown_row([column.label for column in table.columns]))
     lines.append(f"| {' | '.join('---:' if column.is_number else '---' for column in table.columns)} |")
     lines += [markdown_row([column.text(row) for column in table.columns]) for row in table.rows]

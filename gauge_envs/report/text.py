@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.text import Text
 
+from gauge_envs.files import printable
 from gauge_envs.references.bands import BandGrade, SigmaSource
 from gauge_envs.references.metrics import METRICS
 
@@ -141,5 +142,7 @@ def markdown_row(cells: Sequence[str]) -> str:
 
 
 def markdown_text(text: str) -> str:
-    """Return a text in which Markdown changes nothing."""
-    return re.sub(r"([|*_<\\])", r"\\\1", text)
+    """Return a text in one line in which Markdown changes nothing and makes no link, picture or code."""
+    plain = printable(" ".join(text.split()))
+    # A bracket alone stays, as in intervals; it makes a link only with what follows it.
+    return re.sub(r"([|*_<`\\]|\](?=[(\[])|!(?=\[))", r"\\\1", plain)

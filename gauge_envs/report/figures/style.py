@@ -57,8 +57,14 @@ def save_png(figure: Figure, path: Path) -> Path:
     Raises:
         ResultFileError: The file cannot be written.
     """
+    from matplotlib.text import Text
+
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        for text in figure.findobj(Text):
+            # A dollar sign in the name or title of an experiment starts no formula; ticks get their formulas later.
+            if isinstance(text, Text) and "$" in text.get_text():
+                text.set_parse_math(False)
         figure.savefig(path, dpi=120)
     except OSError as error:
         raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -142,8 +142,8 @@ def test_files_that_are_no_layers(suffix: str, content: bytes, tmp_path: Path) -
 
 
 def test_files_that_do_not_exist(tmp_path: Path) -> None:
-    for path in (tmp_path / "gone.usda", tmp_path):
-        with pytest.raises(AssetError, match="there is no such file"):
+    for path, reason in ((tmp_path / "gone.usda", "there is no such file"), (tmp_path, "it is not a regular file")):
+        with pytest.raises(AssetError, match=reason):
             from_usd(path)
 
 
