@@ -10,7 +10,7 @@ import typer
 
 from gauge_envs.cli.arguments import Json, Wide, WithheldOption, check_one_format
 from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, stderr_console, stdout_console
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 
 if TYPE_CHECKING:
     from gauge_envs.analysis.diagnosis import Diagnosis
@@ -29,7 +29,7 @@ def plot(
     """Plot results over the real band, one PNG per experiment. Exit code 1 when a damaged file was skipped."""
     from gauge_envs.report.figures.experiment import save_figures
 
-    results, skipped = _loaded(sources)
+    results, skipped = _loaded(sources, with_scene=True)
     for path in save_figures(results, out):
         typer.echo(path)
     if skipped:
@@ -60,7 +60,7 @@ def compare(
 
     check_one_format(json_lines, markdown)
     chosen = check_metrics(metrics or [])
-    results, skipped = _loaded(sources)
+    results, skipped = _loaded(sources, with_scene=out is not None)
     comparison = compare_results(results)
     if json_lines:
         print_json_lines(comparison_rows(comparison, chosen))
@@ -105,7 +105,7 @@ def diagnose(
 
     stages = stage_order(part.strip() for part in order.split(","))
     if name is None:
-        results, skipped = _loaded(sources)
+        results, skipped = _loaded(sources, with_scene=True)
     else:
         if not sources:
             raise ParameterError("--id needs trajectory files: give one or more")
@@ -134,17 +134,27 @@ def diagnose(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _loaded(sources: Sequence[Path] | None) -> tuple[list[Result], int]:
-    """Return the results of files and folders, each file once, and the number of damaged files."""
+def _loaded(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[list[Result], int]:
+    """Return the results of files and folders, each file once, and the number of skipped files.
+
+    Args:
+        sources: Files and folders; None for `results/`.
+        with_scene: Whether to skip also results whose scene cannot be built again.
+    """
     from gauge_envs.runs.result_file import load_result
+    from gauge_envs.runs.scene_record import recorded_experiment
 
     files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))
     results: list[Result] = []
     for file in files:
         try:
-            results.append(load_result(file))
-        except ResultFileError as error:
-            stderr_console().print(f"[yellow]skipped:[/] {plain_text(str(error))}", soft_wrap=True)
+            result = load_result(file)
+            if with_scene:
+                recorded_experiment(result)
+            results.append(result)
+        except GaugeError as error:
+            place = "" if isinstance(error, ResultFileError) else f"{file}: "
+            stderr_console().print(f"[yellow]skipped:[/] {plain_text(f'{place}{error}')}", soft_wrap=True)
     return results, len(files) - len(results)
 
 

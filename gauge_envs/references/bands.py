@@ -420,4 +420,6 @@ def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, FloatArra
         rows["measured"].append([row.measured == "1" if "measured" in optional else has_mean])
         for quantity in quantities:
             rows[quantity].append(list(getattr(row, quantity).values()))
+    if not rows["measured"]:
+        raise ReferenceFileError(file, None, "it has no rows: a row for each frame is expected")
     return {name: np.array(values, dtype=np.float64) for name, values in rows.items()}

@@ -1,0 +1,232 @@
+"""Attack every parser with damaged files: each must end in an error for people, in little time and memory.
+
+A file is damaged at random with a fixed seed: bytes change, parts are cut, repeated or exchanged, and hostile tokens
+are put in. An error that is no error of gauge-envs, a call of more than 10 s, or a peak of memory above 1 GB is a
+failure. Examples:
+
+    python benchmarks/attack.py
+    python benchmarks/attack.py --count 1000 --only usda --seed 3
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import resource
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf
+
+from gauge_envs import load_experiment
+from gauge_envs.analysis.comparison import compare
+from gauge_envs.dataset.observation import driver_tracks, trial_trajectory
+from gauge_envs.dataset.trial import TrialError, parse_trial
+from gauge_envs.errors import GaugeError
+from gauge_envs.evaluation.trajectory_file import read_trajectory, stated_origin
+from gauge_envs.experiments.resolve import load_experiment_from_asset
+from gauge_envs.experiments.task_files import load_task
+from gauge_envs.experiments.user_file import load_experiment_file
+from gauge_envs.experiments.variants import task_path
+from gauge_envs.files import data_folder
+from gauge_envs.references.bands import BandSidecar, read_band
+from gauge_envs.references.tables import read_toml, scoring_folder
+from gauge_envs.report import comparison_markdown
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import load_result, write_result
+from gauge_envs.scene.usd.reader import from_usd
+
+MOST_S = 10.0
+MOST_MEMORY_MB = 1000.0
+
+NAME = "SlopeSlider-2-wood"
+
+TOKENS = (
+    *(b"nan", b"-inf", b"1e999", b"-1", b"0", b"1e-320", b"0x" + b"f" * 9000, b"9" * 10_000, b"1000000000", b"null"),
+    *(b"true", b'"', b"'", b"{", b"}", b"[", b"]", b"[" * 5000, b'{"a":' * 3000, b"a." * 3000, b"\x00", b"\xff\xfe"),
+    *(
+        b"\x1b[2J",
+        b"\n# heading\n",
+        b"$\\frac{$",
+        b":smile:",
+        b"~nosuchuser/x",
+        b"../../../etc/passwd",
+        b",",
+        b"=",
+        b"\r",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A parser under attack.
+
+    Attributes:
+        suffix: Suffix of the damaged file.
+        seeds: Contents that are valid.
+        read: Reads a file; an error of gauge-envs is the expected outcome.
+        share: Number of files relative to other parsers; slow parsers get fewer.
+    """
+
+    suffix: str
+    seeds: list[bytes]
+    read: Callable[[Path], object]
+    share: float = 1.0
+
+
+def mutated(content: bytes, chance: random.Random) -> bytes:
+    """Return a damaged content."""
+    values = bytearray(content)
+    for _ in range(chance.choice((1, 1, 1, 2, 3, 8))):
+        size = len(values)
+        place, other = chance.randrange(size + 1), chance.randrange(size + 1)
+        length = chance.choice((1, 2, 4, 16, 64, 1024))
+        kind = chance.randrange(7)
+        if kind == 0 and place < size:
+            values[place] = chance.randrange(256)
+        elif kind == 1:
+            del values[place : place + length]
+        elif kind == 2:
+            values[place:place] = values[other : other + length] * chance.choice((1, 2, 50))
+        elif kind == 3:
+            values[place : place + length] = values[other : other + length]
+        elif kind == 4:
+            values[place:place] = chance.choice(TOKENS)
+        elif kind == 5:
+            values[place : place + length] = chance.choice(TOKENS)
+        elif chance.random() < 0.2:
+            del values[place:]
+    return bytes(values)
+
+
+def targets(folder: Path) -> dict[str, Target]:
+    """Return the parsers by name."""
+    experiment = load_experiment(NAME)
+    frames, steps = experiment.frame_count, np.linspace(0.0, 40.0, experiment.frame_count)
+    start_mm = 1e3 * np.asarray(experiment.scene.body("cube").pose.position_m)
+    columns = {axis: (start_mm[index] + steps).round(3).tolist() for index, axis in enumerate("xyz")}
+    turned = {axis: [0.0 if axis != "qw" else 1.0] * frames for axis in ("qx", "qy", "qz", "qw")}
+    trial = json.dumps({"FPS": 30, "translation unit": "mm", "cube": columns | turned}).encode()
+    path = np.column_stack([columns[axis] for axis in "xyz"])
+    result_file = folder / "seed-result.json"
+    write_result(run_episode(RunRequest(NAME, backend="mujoco")), result_file)
+    np.savez(folder / "g.npz", g=path, time_s=np.arange(frames) / 30.0)
+    np.savez_compressed(folder / "small.npz", g=path)
+    table = "\n".join(["cube.x,cube.y,cube.z", *(",".join(map(str, row)) for row in path.tolist())])
+    band = scoring_folder("bands") / f"{NAME}.csv"
+    sidecar = read_toml(band.with_suffix(".toml"), BandSidecar)
+    layer = data_folder("assets") / "usd" / f"{NAME}.usda"
+    (folder / "scene.usda").write_bytes(layer.read_bytes())
+    own = "\n".join(
+        [
+            'name = "crate"',
+            'title = "A crate on a slope"',
+            'usd = "scene.usda"',
+            f"frames = {frames}",
+            'recorded = ["cube"]',
+            'score = { observable = "position" }',
+            "[provenance]",
+            'all = "nominal: a seed"',
+        ]
+    )
+    Sdf.Layer.FindOrOpen(str(layer)).Export(str(folder / "scene.usdc"))
+
+    def trial_read(file: Path) -> None:
+        found = parse_trial(file.read_bytes())
+        trial_trajectory(found, experiment)
+        driver_tracks(found, experiment)
+
+    def trajectory_read(file: Path) -> None:
+        stated_origin(file)
+        read_trajectory(file, experiment)
+
+    return {
+        "trial": Target(".json", [trial], trial_read, 2.0),
+        "csv": Target(".csv", [table.encode()], trajectory_read, 2.0),
+        "npz": Target(".npz", [(folder / name).read_bytes() for name in ("g.npz", "small.npz")], trajectory_read, 2.0),
+        "json": Target(".json", [json.dumps({"id": NAME, "g": path.tolist()}).encode()], trajectory_read, 2.0),
+        "result": Target(
+            ".json", [result_file.read_bytes()], lambda file: comparison_markdown(compare([load_result(file)])), 0.5
+        ),
+        "band": Target(".csv", [band.read_bytes()], lambda file: read_band(file, sidecar, file), 1.0),
+        "task": Target(".toml", [task_path("SlopeSlider").read_bytes()], load_task, 0.2),
+        "experiment": Target(".toml", [own.encode()], load_experiment_file, 0.5),
+        "usda": Target(".usda", [layer.read_bytes()], lambda file: from_usd(file, duration_s=1.0), 0.5),
+        "usdc": Target(
+            ".usdc", [(folder / "scene.usdc").read_bytes()], lambda file: from_usd(file, duration_s=1.0), 0.01
+        ),
+        "mjcf": Target(
+            ".xml",
+            [(data_folder("assets") / "mjcf" / f"{NAME}.xml").read_bytes()],
+            lambda file: load_experiment_from_asset(NAME, file),
+            0.01,
+        ),
+    }
+
+
+def main() -> None:
+    """Attack the parsers, print a line for each, and exit with 1 after a failure."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--count", type=int, default=10_000, help="files for a parser of share 1")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", action="append", help="parser to attack; repeatable; all by default")
+    parser.add_argument("--keep", type=Path, help="folder for the files that fail")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        known = targets(Path(folder))
+        failures = sum(attack(name, known[name], given, Path(folder)) for name in given.only or known)
+    raise SystemExit(failures > 0)
+
+
+def attack(name: str, target: Target, given: argparse.Namespace, folder: Path) -> int:
+    """Attack one parser and return the number of failures."""
+    chance = random.Random(f"{name} {given.seed}")
+    count = max(1, round(given.count * target.share))
+    failures, refused, slowest_s = 0, 0, 0.0
+    for index in range(count):
+        # A new name for each file, as readers cache files by their path.
+        file = folder / f"{name}-{index}{target.suffix}"
+        file.write_bytes(mutated(chance.choice(target.seeds), chance))
+        start = time.perf_counter()
+        try:
+            with _quiet():
+                target.read(file)
+        except (GaugeError, TrialError):
+            refused += 1
+        except Exception:
+            failures += 1
+            print(f"{name} {index}: {traceback.format_exc(limit=-3)}", file=sys.stderr)
+            if given.keep:
+                (given.keep / file.name).write_bytes(file.read_bytes())
+        slowest_s = max(slowest_s, time.perf_counter() - start)
+        file.unlink()
+    peak_mb = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1e3
+    print(
+        f"{name:10} {count:7} files, {refused:7} refused, {failures} tracebacks, slowest {slowest_s:.2f} s, "
+        f"peak {peak_mb:.0f} MB",
+        flush=True,
+    )
+    return failures + (slowest_s > MOST_S) + (peak_mb > MOST_MEMORY_MB)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Leave out the warnings that libraries print through Python."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,136 @@
+"""Result files of strangers: a damaged one is named and skipped, and its texts change nothing but themselves."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from gauge_envs.cli import output
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ResultFileError
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import load_result
+
+NAME = "SlopeSlider-2-wood"
+
+HOSTILE = "mujoco\n# heading\n![picture](http://a.b/c)\x1b[2J|`:smile:`$\\frac{$"
+
+
+@pytest.fixture(scope="module")
+def content() -> dict[str, Any]:
+    """Content of a valid result file."""
+    return json.loads(json.dumps(run_episode(RunRequest(NAME, backend="mujoco")).to_dict()))
+
+
+def asset(**changes: Any) -> dict[str, Any]:
+    return {"file": "a.usda", "kind": "usd", "sha256": "0" * 64, "edited": True, "changes": []} | changes
+
+
+# Key, value that is impossible, and what the error says.
+DAMAGES = [
+    ("asset", asset(sha256=5), "sha256"),
+    ("asset", asset(changes=3), "changes"),
+    ("asset", asset(kind="picture"), "kind"),
+    ("asset", {"edited": True}, "file"),
+    ("dataset", 5, "dataset"),
+    ("dataset", {"drivers": "elsewhere"}, "dataset.drivers is 'elsewhere'"),
+    ("marker_proxy", "ghost", "marker_proxy is 'ghost'"),
+    ("score.grade", "gold", "score.grade is 'gold'"),
+    ("trajectory.samples", [], "times but 0 samples"),
+    ("trajectory", {"unit": "mm", "coordinates": ["x"], "times_s": [], "samples": []}, "it has no samples"),
+    ("trajectory", None, "no trajectory"),
+    ("id", "GAUGE/../../x", "unknown experiment"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "reason"), DAMAGES)
+def test_one_damaged_file_is_skipped(
+    key: str, value: Any, reason: str, content: dict[str, Any], tmp_path: Path
+) -> None:
+    damaged = copy.deepcopy(content)
+    place = damaged
+    *path, last = key.split(".")
+    for part in path:
+        place = place[part]
+    place[last] = value
+    (tmp_path / "a.json").write_text(json.dumps(damaged))
+    (tmp_path / "b.json").write_text(json.dumps(content))
+    with pytest.raises(ResultFileError, match="not a result file") as caught:
+        load_result(tmp_path / "a.json")
+    assert reason in str(caught.value)
+    for command in ("compare", "diagnose"):
+        result = CliRunner().invoke(app, [command, str(tmp_path)])
+        assert result.exit_code == 1
+        assert "skipped:" in result.stderr and "SlopeSlider" in result.stdout
+
+
+def test_a_result_whose_scene_cannot_be_built_is_skipped(content: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(json.dumps(content | {"parameters": {"ghost.friction": 1.0}}))
+    (tmp_path / "b.json").write_text(json.dumps(content))
+    for command in ("plot", "compare", "diagnose"):
+        result = CliRunner(env={"COLUMNS": "400"}).invoke(app, [command, str(tmp_path), "--out", str(tmp_path / "out")])
+        assert result.exit_code == 1
+        assert "a.json: SlopeSlider-2-wood: override 'ghost.friction' names no body" in result.stderr
+        assert list((tmp_path / "out").glob("*.png"))
+
+
+def test_the_id_of_an_experiment_file_leads_to_no_other_folder(content: dict[str, Any], tmp_path: Path) -> None:
+    stranger = content | {"asset": asset(kind="experiment", edited=False), "id": "GAUGE/Asset-../../escaped"}
+    file = tmp_path / "a.json"
+    file.write_text(json.dumps(stranger))
+    with pytest.raises(ResultFileError, match="a name of letters and digits"):
+        load_result(file)
+
+
+@pytest.fixture
+def hostile(content: dict[str, Any], tmp_path: Path) -> Path:
+    """A folder with a result whose texts try to leave their place."""
+    folder = tmp_path / "results"
+    folder.mkdir()
+    for number, name in enumerate(("mujoco", HOSTILE)):
+        changed = content | {"backend": name, "settings_given": {HOSTILE: 1.0}, "versions": {HOSTILE: HOSTILE}}
+        (folder / f"{number}.json").write_text(json.dumps(changed))
+    return folder
+
+
+def test_markdown_gets_no_heading_picture_or_code(hostile: Path) -> None:
+    result = CliRunner().invoke(app, ["compare", str(hostile), "--markdown"])
+    assert result.exit_code == 0
+    assert not [line for line in result.stdout.splitlines() if line.startswith("#")]
+    assert not re.search(r"(?<!\\)(!\[|\]\()", result.stdout) and "\x1b" not in result.stdout
+    for block in result.stdout.split("\n\n"):
+        rows = [line.replace("\\|", "") for line in block.splitlines() if line.startswith("|")]
+        assert len({row.count("|") for row in rows}) <= 1
+    assert r"\`:smile:\`" in result.stdout
+
+
+@pytest.mark.parametrize("command", ["compare", "diagnose"])
+def test_a_terminal_gets_no_escapes_of_a_file(command: str, hostile: Path) -> None:
+    result = CliRunner(env={"COLUMNS": "400"}).invoke(app, [command, str(hostile), "--wide"])
+    assert result.exit_code == 0
+    assert "\x1b" not in result.stdout and r"\x1b[2J" in result.stdout and ":smile:" in result.stdout
+
+
+def test_styles_of_a_terminal_stay(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    original: Callable[..., Console] = Console
+    monkeypatch.setattr(
+        output, "Console", lambda **options: original(force_terminal=True, color_system="standard", **options)
+    )
+    output.stdout_console().print("[red]error:[/] a\x1b[2Jb :smile:", highlight=False)
+    assert capsys.readouterr().out == "\x1b[31merror:\x1b[0m a\\x1b[2Jb :smile:\n"
+
+
+def test_a_dollar_sign_starts_no_formula(hostile: Path, tmp_path: Path) -> None:
+    for arguments in (["plot", str(hostile)], ["compare", str(hostile)], ["diagnose", str(hostile)]):
+        result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / arguments[0])])
+        assert result.exit_code == 0, result.exception
+        assert list((tmp_path / arguments[0]).glob("*.png"))

@@ -1,0 +1,236 @@
+"""Files of strangers: what is no regular file, too large, too deep or a bomb is refused in little time and memory."""
+
+from __future__ import annotations
+
+import io
+import os
+import stat
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gauge_envs import load_experiment
+from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TrajectoryFileError
+from gauge_envs.evaluation.trajectory_file import read_trajectory
+from gauge_envs.experiments.resolve import load_experiment_from_asset
+from gauge_envs.experiments.user_file import load_experiment_file
+from gauge_envs.files import MEGABYTE, json_document, npz_arrays, read_regular, toml_document, write_whole
+from gauge_envs.references.tables import csv_header
+from gauge_envs.runs.result_file import load_result
+from gauge_envs.scene.usd.reader import from_usd
+
+NAME = "SlopeSlider-2-wood"
+
+
+def fifo(file: Path) -> None:
+    os.mkfifo(file)
+
+
+def device(file: Path) -> None:
+    file.symlink_to("/dev/zero")
+
+
+def sparse(file: Path) -> None:
+    with file.open("wb") as stream:
+        stream.truncate(10**12)
+
+
+def folder(file: Path) -> None:
+    file.mkdir()
+
+
+SPECIAL = {"it is not a regular file": (fifo, device, folder), "1e+06 MB, the limit is": (sparse,)}
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "result.json": load_result,
+    "g.csv": lambda file: read_trajectory(file, load_experiment(NAME)),
+    "g.npz": lambda file: read_trajectory(file, load_experiment(NAME)),
+    "scene.usda": from_usd,
+    "scene.usdc": from_usd,
+    "scene.xml": lambda file: load_experiment_from_asset(NAME, file),
+    "own.toml": load_experiment_file,
+    "band.csv": csv_header,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize(("reason", "make"), [(reason, make) for reason, made in SPECIAL.items() for make in made])
+def test_only_regular_files_of_limited_size_are_read(
+    name: str, reason: str, make: Callable[[Path], None], tmp_path: Path
+) -> None:
+    file = tmp_path / name
+    make(file)
+    with pytest.raises(GaugeError) as caught:
+        READERS[name](file)
+    assert reason in str(caught.value) and str(file) in str(caught.value)
+
+
+def test_a_file_that_grows_while_it_is_read_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a"
+    file.write_bytes(b"1234567")
+    monkeypatch.setattr("gauge_envs.files._check_regular", lambda *_: None)
+    assert read_regular(file, 7) == b"1234567"
+    with pytest.raises(OSError, match="larger than the limit"):
+        read_regular(file, 6)
+
+
+def test_a_name_with_a_null_character_is_an_error() -> None:
+    with pytest.raises(OSError, match="null character"):
+        read_regular(Path("a\0b"), 10)
+
+
+@pytest.mark.parametrize("mask", [0o002, 0o022, 0o077])
+def test_modes_follow_the_umask(mask: int, tmp_path: Path) -> None:
+    before = os.umask(mask)
+    try:
+        write_whole(tmp_path / "a.json", b"{}")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == 0o666 & ~mask
+
+
+# --- documents -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"[" * 100_000 + b"]" * 100_000, "nested too deeply"),
+        (b"9" * 10_000, "4300 digits"),
+        (b"[" + b"{}," * 1_000_001 + b"0]", "1000002 objects and lists"),
+    ],
+)
+def test_json_is_limited(content: bytes, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        json_document(content)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+        (b"a = " + b"9" * 10_000, "4300 digits"),
+        (b"a." * 100_000 + b"a = 1", "100000 dots"),
+        (b"x = {" + b"a . " * 100_000 + b"a = 1}", "100000 dots"),
+        (b"# \n" * 1_000_000, "the limit is"),
+        (b"a = '\xff'", "utf-8"),
+    ],
+)
+def test_toml_is_limited(content: bytes, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        toml_document(content)
+
+
+def npz(**members: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return stream.getvalue()
+
+
+def npy(values: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, values)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("dtype", ["f8", ">f4", "i2", "u1", "?"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_arrays_are_those_of_numpy(dtype: str, order: str) -> None:
+    values = np.asarray(np.arange(12).reshape(3, 4) % 2, dtype=dtype, order=order)
+    (found,) = npz_arrays(npz(a=npy(values), b=b"damaged"), ["a", "gone"], MEGABYTE).values()
+    np.testing.assert_array_equal(found, values)
+    assert found.dtype == values.dtype
+
+
+def test_an_array_that_is_not_used_is_not_read() -> None:
+    content = npz(a=npy(np.ones(3)), bomb=npy(np.zeros(20_000_000)))
+    tracemalloc.start()
+    npz_arrays(content, ["a"], MEGABYTE)
+    assert tracemalloc.get_traced_memory()[1] < 5 * MEGABYTE
+    tracemalloc.stop()
+    with pytest.raises(ValueError, match="bomb: it has 160000128 bytes, the limit of all arrays is 1000000"):
+        npz_arrays(content, ["a", "bomb"], MEGABYTE)
+
+
+def test_a_header_that_states_more_than_the_file_holds_is_refused() -> None:
+    header = npy(np.ones((1, 1))).replace(b"(1, 1)", b"(9**9,)")
+    for content in (header, npy(np.ones((2, 2))).replace(b"(2, 2)", b"(9, 9)"), npy(np.array([{}], dtype=object))):
+        with pytest.raises(ValueError, match=r".+"):
+            npz_arrays(npz(a=content), ["a"], MEGABYTE)
+
+
+def test_a_trajectory_in_a_bomb_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "g.npz"
+    file.write_bytes(npz(g=npy(np.zeros((40_000_000, 1)))))
+    assert len(file.read_bytes()) < MEGABYTE
+    with pytest.raises(TrajectoryFileError, match="g: it has 320000128 bytes, the limit"):
+        read_trajectory(file, load_experiment(NAME))
+
+
+def test_a_table_that_is_no_csv_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "band.csv"
+    file.write_text(f"frame,{'x' * 200_000}\n")
+    with pytest.raises(ReferenceFileError, match="line 1: is not CSV in UTF-8: field larger than field limit"):
+        csv_header(file)
+
+
+# --- scenes ----------------------------------------------------------------------------------------------------------
+
+HEADER = '#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = "Z"\n)\n'
+
+
+def exponential(levels: int) -> str:
+    """A layer in which each class refers ten times to the one before it."""
+    layers = ['class "L0" { double a = 1 }']
+    for level in range(1, levels):
+        children = "\n".join(f'def "c{k}" (inherits = </L{level - 1}>) {{}}' for k in range(10))
+        layers.append(f'class "L{level}" {{\n{children}\n}}')
+    return HEADER + "\n".join(layers) + f'\ndef "World" (inherits = </L{levels - 1}>) {{}}\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (HEADER + "\n".join(f'def "p{n}" {{}}' for n in range(30_000)), "more than 20000 prims"),
+        (exponential(9), "prims|memory|processor time"),
+    ],
+    ids=["many prims", "exponential"],
+)
+def test_a_layer_of_too_many_prims_is_refused(text: str, reason: str, tmp_path: Path) -> None:
+    file = tmp_path / "bomb.usda"
+    file.write_text(text)
+    with pytest.raises(AssetError, match=reason):
+        from_usd(file, duration_s=1.0)
+
+
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        ('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "memory|too large|MuJoCo"),
+        (
+            '<worldbody><replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate></worldbody>',
+            "memory|processor time",
+        ),
+        ('<size memory="100G"/>', "memory"),
+    ],
+    ids=["height field", "replicate", "arena"],
+)
+def test_a_model_that_takes_all_memory_is_refused(body: str, reason: str, tmp_path: Path) -> None:
+    file = tmp_path / "bomb.xml"
+    file.write_text(f"<mujoco>{body}</mujoco>")
+    with pytest.raises(AssetError, match=reason):
+        load_experiment_from_asset(NAME, file)
+
+
+@pytest.mark.parametrize("step", ["nan", "0", "-1", "1e-320"])
+def test_a_time_step_that_is_no_step_is_refused(step: str, tmp_path: Path) -> None:
+    file = tmp_path / "step.xml"
+    file.write_text(f'<mujoco><option timestep="{step}"/></mujoco>')
+    with pytest.raises(AssetError, match=r"timestep|MuJoCo cannot load"):
+        load_experiment_from_asset(NAME, file)
