@@ -53,7 +53,9 @@ MOST_PRIMS = 20_000
 
 SPECIFIER = re.compile(rb"\b(?:def|over|class)\b")
 
-COMPOSITION = re.compile(rb"subLayers|references|payload|inherits|specializes|variant|instanceable|clips|relocates")
+COMPOSITION = re.compile(
+    rb"subLayers|references|payload|inherits|specializes|variants|variantSet|instanceable|clips|relocates"
+)
 """What makes the prims of a text layer more than those that it writes out."""
 
 
