@@ -119,7 +119,7 @@ def _assigned(text: str) -> tuple[str, Any]:
         raise ParameterError(f"{text!r}: expected NAME=VALUE")
     try:
         return key, json.loads(value)
-    except ValueError:
+    except (ValueError, RecursionError):
         return key, value
 
 
