@@ -20,6 +20,7 @@ import numpy as np
 from generated import write_or_check
 from numpy.typing import NDArray
 
+from gauge_envs import load_experiment
 from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.references.published import published_baselines
 
@@ -29,6 +30,8 @@ SLOPE_RAD = math.radians(30)
 SLOPE_MATERIALS = ("wood", "plastic", "metal")
 BALL_VARIANT = "BouncingBall-rubber"
 BALL_FIRST_MEASURED_FRAME = 4  # the arcs lack three or four first frames; the count of each trial is unknown
+
+BALL_FIT_STD_MM = 0.1  # residual of the ballistic fits, scoring/README.md
 
 GENERATED = "# Written by scripts/build_bands.py; do not edit."
 DATASET = "InternRobotics/GAUGE-Dataset, revision 9e0acb7, MIT licence"
@@ -45,6 +48,7 @@ class Trials:
         direction: Its unit vector in the motion-capture world frame, shape [3].
         positions_mm: Coordinate of the body's centre, in mm, shape [trial_count, frame_count].
         measured: Whether the trial was measured at the frame, shape [trial_count, frame_count].
+        fit_std_mm: Standard error of each trial's position, from the misfit of its law, same shape.
         method: How the trials were reconstructed.
     """
 
@@ -52,6 +56,7 @@ class Trials:
     direction: tuple[float, float, float]
     positions_mm: FloatArray
     measured: NDArray[np.bool_]
+    fit_std_mm: FloatArray
     method: str
 
 
@@ -66,6 +71,13 @@ class Slide:
 
     frames: FloatArray
     positions_mm: FloatArray
+
+    def standard_error_mm(self, frame_count: int) -> FloatArray:
+        """Return the standard error of the quadratic at each frame [mm], shape [frame_count]."""
+        times = self.frames / FRAME_RATE_HZ
+        coefficients, covariance = np.polyfit(times, self.positions_mm, 2, cov=True)
+        powers = np.vander(np.arange(frame_count) / FRAME_RATE_HZ, len(coefficients))
+        return np.sqrt(np.einsum("fi,ij,fj->f", powers, covariance, powers))
 
     def quadratic(self) -> tuple[float, float, float]:
         """Return the acceleration in mm/s^2, and the vertex: its time in s and its position in mm."""
@@ -138,6 +150,7 @@ def reconstruct_slides(slides: Sequence[Slide], frame_count: int) -> Trials:
     """Return trials of the measured samples; other frames take their quadratic, at rest before its vertex."""
     positions = np.empty((len(slides), frame_count))
     measured = np.zeros((len(slides), frame_count), dtype=bool)
+    errors = np.array([slide.standard_error_mm(frame_count) for slide in slides])
     for trial, slide in enumerate(slides):
         acceleration, start_time, start = slide.quadratic()
         sliding_time = np.maximum(np.arange(frame_count) / FRAME_RATE_HZ - start_time, 0)
@@ -151,6 +164,7 @@ def reconstruct_slides(slides: Sequence[Slide], frame_count: int) -> Trials:
         direction=(math.cos(SLOPE_RAD), 0.0, -math.sin(SLOPE_RAD)),
         positions_mm=positions,
         measured=measured,
+        fit_std_mm=errors,
         method="samples where listed; elsewhere the quadratic through them, at rest before its vertex",
     )
 
@@ -172,6 +186,7 @@ def reconstruct_bounces(impacts: Sequence[Impact], frame_count: int) -> Trials:
         direction=(0.0, 0.0, 1.0),
         positions_mm=positions,
         measured=measured,
+        fit_std_mm=np.full(positions.shape, BALL_FIT_STD_MM),
         method="at rest until released, then free fall into and out of the first impact",
     )
 
@@ -185,15 +200,32 @@ def trial_scores(trials: Trials) -> dict[str, FloatArray]:
     }
 
 
-def band_csv(trials: Trials) -> str:
+def uncertainty_mm(trials: Trials, variant: str) -> FloatArray:
+    """Return the 1-sigma uncertainty of the mean over trials at each frame [mm], without their scatter.
+
+    It is the misfit of the laws over the root of the number of trials. Before the first sample of a trial, the start
+    may also be that of the metadata: the difference is the half width of a rectangular distribution.
+    """
+    count = len(trials.measured)
+    experiment = load_experiment(variant)
+    start_mm = 1e3 * np.dot(trials.direction, experiment.scene.body(experiment.recorded[0]).pose.position_m)
+    offset = abs(float(trials.positions_mm[:, 0].mean()) - float(start_mm))
+    before = ~np.logical_or.accumulate(trials.measured, axis=1)
+    misfit = np.square(trials.fit_std_mm).mean(axis=0) / count
+    return np.sqrt(misfit + before.mean(axis=0) * offset**2 / 3)
+
+
+def band_csv(trials: Trials, variant: str) -> str:
     """Return the text of a band's table."""
     mean, sigma = trials.positions_mm.mean(axis=0), trials.positions_mm.std(axis=0, ddof=1)
+    uncertainty = uncertainty_mm(trials, variant)
     counts = trials.measured.sum(axis=0)
-    lines = [f"frame,time_s,measured,measured_trials,mean.{trials.coordinate},sigma.{trials.coordinate}"]
+    columns = ",".join(f"{quantity}.{trials.coordinate}" for quantity in ("mean", "sigma", "uncertainty"))
+    lines = [f"frame,time_s,measured,measured_trials,{columns}"]
     for frame, count in enumerate(counts):
         measured = int(2 * count >= len(trials.measured))
-        time = frame / FRAME_RATE_HZ
-        lines.append(f"{frame},{time:.6f},{measured},{count},{mean[frame]:.6f},{sigma[frame]:.6f}")
+        numbers = f"{mean[frame]:.6f},{sigma[frame]:.6f},{uncertainty[frame]:.6f}"
+        lines.append(f"{frame},{frame / FRAME_RATE_HZ:.6f},{measured},{count},{numbers}")
     return "\n".join(lines) + "\n"
 
 
@@ -285,7 +317,7 @@ def generated_files(scoring: Path) -> dict[Path, str]:
         facts / "bouncing_ball_summary.toml": bounces_summary_toml(read_impacts(facts)),
     }
     for variant, trials in reconstruct(scoring).items():
-        files[scoring / "bands" / f"{variant}.csv"] = band_csv(trials)
+        files[scoring / "bands" / f"{variant}.csv"] = band_csv(trials, variant)
         files[scoring / "bands" / f"{variant}.toml"] = band_toml(trials)
         files[scoring / "trials" / f"{variant}.csv"] = trials_csv(trials)
     return files
