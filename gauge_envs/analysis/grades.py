@@ -208,7 +208,7 @@ def compare_grade(grade: str, *, withheld: bool, experiments: Sequence[GradedExp
 
 
 def _grade_score(index: int, common: Sequence[GradedExperiment], rank: int) -> GradeScore:
-    scores = [draws for one in common if (draws := one.draws[index]) is not None]
+    scores = [known for one in common if (known := one.draws[index]) is not None]
     if not scores:
         return GradeScore(configuration=index)
     values, draws = _stacked(scores, raw=False)
