@@ -41,6 +41,9 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
+ROUNDING = 1e-5
+"""Difference of normalized scores that counts as zero: rounding to single precision at 1 m is 0.1 um, of 10 mm."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
@@ -292,7 +295,7 @@ def compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int])
 
 
 def _excludes_zero(interval: Interval) -> bool:
-    return interval[0] > 0.0 or interval[1] < 0.0
+    return interval[0] > ROUNDING or interval[1] < -ROUNDING
 
 
 def _log_ratio(first: FloatArray, second: FloatArray) -> FloatArray:
