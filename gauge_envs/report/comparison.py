@@ -59,8 +59,9 @@ def _grade_record(grade: GradeComparison, labels: Sequence[str]) -> dict[str, An
         "ids": grade.ids,
         "configurations": [
             {"label": labels[one.configuration], "rank": one.rank}
-            | _mean_record("geometric_mean", one.geometric_mean)
+            | _mean_record("mean", one.mean)
             | _mean_record("interquartile_mean", one.interquartile_mean)
+            | _mean_record("geometric_mean", one.geometric_mean)
             | _mean_record("geometric_mean_raw", one.geometric_mean_raw)
             for one in grade.scores
         ],
@@ -82,8 +83,6 @@ def _pair_record(grade: GradeComparison, pair: PairComparison, labels: Sequence[
         "ids": pair.ids,
         "difference": pair.difference,
         "difference_95": pair.difference_95,
-        "ratio": pair.ratio,
-        "ratio_95": pair.ratio_95,
         "distinguishable": pair.distinguishable,
         "probability_of_improvement": pair.probability_of_improvement,
         "experiments": [dataclasses.asdict(one) for one in pair.experiments],
@@ -355,7 +354,7 @@ def _ranking_table(comparison: Comparison, labels: Sequence[str]) -> Table:
         rows += [
             heading | _ranking_row(labels[one.configuration], one)
             for one in sorted(grade.scores, key=_rank_order)
-            if one.geometric_mean is not None
+            if one.mean is not None
         ]
         rows += [
             heading | {"label": f"{ENGINE_TITLES[engine]}, paper", "geometric_mean_raw": score_text(mean)}
@@ -367,23 +366,25 @@ def _ranking_table(comparison: Comparison, labels: Sequence[str]) -> Table:
             Column("grade", "grade", place=Place.HEADING),
             Column("label", "configuration"),
             Column("rank", "rank", is_number=True),
-            Column("geometric_mean", "geometric mean", is_number=True),
-            Column("geometric_mean_raw", "of RMSE", is_number=True),
+            Column("mean", "mean", is_number=True),
+            Column("geometric_mean_raw", "geometric mean, RMSE", is_number=True),
             Column("interquartile_mean", "IQM", is_number=True),
+            Column("geometric_mean", "geometric mean", is_number=True),
         ),
         rows=rows,
         notes=(
-            "Rank: 1 + number of configurations that are distinguishably closer, so equal ranks cannot be told apart. "
-            "Geometric mean and IQM (interquartile mean) are of the score that is first above. Of RMSE: geometric mean "
-            "of the raw RMSE, as published. Nothing is averaged across grades.",
+            "Rank: 1 + number of configurations with a distinguishably lower mean. Mean, IQM (interquartile mean) and "
+            "geometric mean are of the score that is first above; geometric mean, RMSE: of the raw RMSE, as published. "
+            "Nothing is averaged across grades.",
         ),
     )
 
 
 def _ranking_row(label: str, one: GradeScore) -> dict[str, Any]:
     means = {
-        "geometric_mean": one.geometric_mean,
+        "mean": one.mean,
         "interquartile_mean": one.interquartile_mean,
+        "geometric_mean": one.geometric_mean,
         "geometric_mean_raw": one.geometric_mean_raw,
     }
     return {"label": label, "rank": one.rank} | {
@@ -394,7 +395,7 @@ def _ranking_row(label: str, one: GradeScore) -> dict[str, Any]:
 
 
 def _rank_order(one: GradeScore) -> tuple[int, float]:
-    return one.rank or 0, 0.0 if one.geometric_mean is None else one.geometric_mean.value
+    return one.rank or 0, 0.0 if one.mean is None else one.mean.value
 
 
 def _count_text(ids: Sequence[str]) -> str:
@@ -412,9 +413,7 @@ def _pair_tables(comparison: Comparison, labels: Sequence[str]) -> tuple[Table, 
         {
             "grade": f"{grade.name}, {_count_text(pair.ids)}",
             "between": f"{labels[pair.first]} : {labels[pair.second]}",
-            "ratio": None
-            if pair.ratio is None or pair.ratio_95 is None
-            else score_text(pair.ratio) + _interval_text(pair.ratio_95),
+            "difference": score_text(pair.difference) + _interval_text(pair.difference_95),
             "improvement": f"{pair.probability_of_improvement:.0%}",
             "distinguishable": pair.distinguishable,
         }
@@ -440,14 +439,15 @@ def _pair_tables(comparison: Comparison, labels: Sequence[str]) -> tuple[Table, 
             columns=(
                 Column("grade", "grade", place=Place.HEADING),
                 Column("between", "first : second"),
-                Column("ratio", "ratio", is_number=True),
+                Column("difference", "mean difference", is_number=True),
                 Column("improvement", "first closer", is_number=True),
                 verdict,
             ),
             rows=over_grades,
             notes=(
-                "Paired bootstrap: both have the same resampled real mean and the same drawn inputs. Ratio: geometric "
-                "means, first over second. First closer: probability over experiments and draws.",
+                "Paired bootstrap: both have the same resampled real mean and the same drawn inputs. Difference: first "
+                "minus second, mean over the experiments; below 0, the first is closer. First closer: probability over "
+                "experiments and draws.",
             ),
         ),
         Table(
@@ -460,7 +460,7 @@ def _pair_tables(comparison: Comparison, labels: Sequence[str]) -> tuple[Table, 
                 verdict,
             ),
             rows=sorted(over_experiments, key=lambda row: order[row["id"]]),
-            notes=("First minus second, of the score that is first above: below 0, the first is closer.",),
+            notes=("Difference of the score that is first above, first minus second.",),
             wide_only=len(comparison.configurations) > 2,
         ),
     )
