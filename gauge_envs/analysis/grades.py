@@ -4,9 +4,10 @@ Nothing is averaged across grades, because they answer different questions: `tri
 trials, `recording` with one of them, and `law` with a closed form. Withheld bands are a group of their own.
 
 Draws are paired between configurations (`analysis.draws`). The interval of a difference in one experiment is between
-percentiles of its draws. That of a mean over experiments is bias-corrected (Efron 1981): a distance plus an error is
-longer on average, which adds up in a mean. Two configurations are distinguishable if the 95 % interval of their
-difference excludes zero. Each pair has its own 95 %: nothing is corrected for the number of pairs.
+percentiles of its draws. A distance plus an error is longer on average, which adds up in a mean over experiments. The
+interval of a mean therefore holds both the percentiles and the bias-corrected percentiles (Efron 1981). Two
+configurations are distinguishable if the 95 % interval of their difference excludes zero. Each pair has its own 95 %:
+nothing is corrected for the number of pairs.
 
 Over the experiments of a grade, the difference is the mean difference of the normalized scores, with the experiments
 taken as given. A mean difference of logarithms would weight them equally, but the logarithm of a score that is below
@@ -230,21 +231,26 @@ def _stacked(scores: Sequence[ScoreDraws], *, raw: bool) -> tuple[FloatArray, Fl
 
 def _mean(value: ArrayLike, draws: ArrayLike) -> Mean:
     observed = float(np.asarray(value))
-    return Mean(value=observed, interval_95=_corrected_interval(observed, np.asarray(draws)))
+    return Mean(value=observed, interval_95=_mean_interval(observed, np.asarray(draws)))
 
 
-def _interval(value: float, draws: FloatArray, tails: Interval = TAILS) -> Interval:
+def _interval(value: float, draws: FloatArray) -> Interval:
     """Return the percentiles of draws, widened to hold the observed value."""
-    low, high = np.quantile(draws, tails)
+    low, high = np.quantile(draws, TAILS)
     return min(float(low), value), max(float(high), value)
 
 
-def _corrected_interval(value: float, draws: FloatArray) -> Interval:
-    """Return bias-corrected percentiles of draws: those that a shift of their median to the observed value selects."""
+def _mean_interval(value: float, draws: FloatArray) -> Interval:
+    """Return the smallest interval that holds the percentiles of draws, and their bias-corrected percentiles.
+
+    The correction moves the median of the draws to the observed value. It is too large where scores are far below their
+    errors, and the plain percentiles are then the better ones.
+    """
     below = float(np.mean(draws < value) + 0.5 * np.mean(draws == value))
     shift = 2.0 * norm.ppf(np.clip(below, 1.0 / len(draws), 1.0 - 1.0 / len(draws)))
-    low, high = norm.cdf(shift + norm.ppf(TAILS))
-    return _interval(value, draws, (float(low), float(high)))
+    corrected = norm.cdf(shift + norm.ppf(TAILS))
+    low, high = np.quantile(draws, [min(TAILS[0], corrected[0]), max(TAILS[1], corrected[1])])
+    return min(float(low), value), max(float(high), value)
 
 
 def _published(common: Sequence[GradedExperiment]) -> dict[str, float]:
@@ -287,7 +293,7 @@ def compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int])
     mean = float(np.mean([one.difference for one in differences]))
     # The sign of one difference has no bias to correct; a mean of several has.
     only = differences[0].difference_95 if len(differences) == 1 else None
-    interval_95 = only or _corrected_interval(mean, np.mean(difference_draws, axis=0))
+    interval_95 = only or _mean_interval(mean, np.mean(difference_draws, axis=0))
     return PairComparison(
         first=pair[0],
         second=pair[1],
