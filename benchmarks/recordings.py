@@ -53,7 +53,7 @@ class Rollout:
     score: Score
 
 
-def rollout(name: str, *, backend: str, marker_proxy: str = "node") -> Rollout:
+def rollout(name: str, *, backend: str, marker_proxy: str = "material") -> Rollout:
     """Run a variant, and score it against its recording, also if that is withheld."""
     made = gymnasium.make(
         f"GAUGE/{name}", backend=backend, marker_proxy=marker_proxy, use_withheld=True, drivers="bundled"

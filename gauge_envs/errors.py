@@ -1,4 +1,4 @@
-"""Errors of gauge-envs. Each message says what is wrong, where, and what to do."""
+"""Errors and warnings of gauge-envs. Each message says what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ __all__ = [
     "EpisodeError",
     "GaugeError",
     "MissingExtraError",
+    "NoRewardWarning",
     "ParameterError",
     "ReferenceFileError",
     "RenderError",
@@ -38,6 +39,10 @@ class GaugeError(Exception):
 
 class ShapeError(GaugeError, ValueError):
     """Arrays differ in shape, or hold values that the function cannot use."""
+
+
+class NoRewardWarning(UserWarning):
+    """An environment was made whose reward is always 0, because it has no real reference to compare with."""
 
 
 class ActionError(GaugeError, ValueError):

@@ -17,10 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gauge_envs import load_experiment
+from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
-from gauge_envs.references.published import law_for, published_baselines
+from gauge_envs.references.deformation import bundled_deformation
+from gauge_envs.references.published import published_baselines
 
 BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- end of coverage -->"
 """Lines of the page that enclose the table."""
@@ -28,13 +29,16 @@ BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- en
 HEAD = """
 | column | meaning |
 | --- | --- |
-| band | grade of the best band in the package; *withheld* where nothing is scored on it unless you ask for it |
+| band | grade of what is scored on; a *withheld* recording, which is used only if you ask for it; `statistics` |
 | known | frames with a known mean, of all frames of the experiment; in brackets, frames known in every coordinate |
 | sigma | source of the scatter: the `trials`, the published `baseline`, or the uncertainty of the `measurement` |
 | driver | source of the motion of the driven body; `-` where nothing is driven |
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 
-A law states every frame.
+`known` and `sigma` are those of the band that is scored on, or else of the withheld one. The law of a carried body
+states every frame. The law of a free flight ends at the first contact, and that of a slide where the body tips over.
+Their scores are not normalized, because the published baseline covers the whole motion. `statistics` are those of the
+deformation of foam, which stand beside the score and never enter it.
 """
 GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.NONE)
 
@@ -44,45 +48,38 @@ class Row:
     """Coverage of one variant; each field is what its column says."""
 
     variant: str
-    grade: BandGrade
+    used: BandGrade
     withheld: str | None
+    statistics: bool
     known: str
     sigma: str
     driver: str
     normalized: str
 
-    @property
-    def used(self) -> BandGrade:
-        """Grade of what is scored on."""
-        if self.withheld is None:
-            return self.grade
-        return BandGrade.NONE if law_for(self.variant) is None else BandGrade.LAW
-
     def cells(self) -> list[str]:
         """Cells of the table."""
-        band = f"{self.grade.value}, *withheld*" if self.withheld else self.grade.value
+        grades = [] if self.used is BandGrade.NONE else [self.used.value]
+        grades += ["recording, *withheld*"] if self.withheld else []
+        grades += ["statistics"] if self.statistics else []
+        band = "; ".join(grades) or self.used.value
         return [self.variant, band, self.known, self.sigma, self.driver, self.normalized]
 
 
 def coverage(variant: Variant) -> Row:
     """Return what the package holds for one variant."""
     experiment = load_experiment(variant)
-    band, law = bundled_band(variant.name), law_for(variant.name)
-    grade = band.grade if band is not None else BandGrade.NONE if law is None else BandGrade.LAW
-    withheld = None if band is None else band.withheld
-    scored = law is not None or (band is not None and withheld is None)
+    measured, used = bundled_band(variant.name), reference_band(experiment)
+    band = measured if used is None else used
     baselines = published_baselines(variant.name)
-    metrics = [metric for metric in baselines if baselines[metric].mean and (scored or metric not in ("rmse", "dtw"))]
+    compared = used is not None and used.normalized_by_baseline
+    metrics = [metric for metric in baselines if baselines[metric].mean and (compared or metric not in ("rmse", "dtw"))]
     return Row(
         variant=variant.name,
-        grade=grade,
-        withheld=withheld,
-        known=f"{known_frames(band)} of {experiment.frame_count}"
-        if band is not None
-        else "-"
-        if law is None
-        else "all",
-        sigma=band.sigma_source.value if band is not None else "-" if law is None else "baseline",
+        used=BandGrade.NONE if used is None else used.grade,
+        withheld=None if measured is None else measured.withheld,
+        statistics=bundled_deformation(variant.name) is not None,
+        known="-" if band is None else f"{known_frames(band)} of {experiment.frame_count}",
+        sigma="-" if band is None else band.sigma_source.value,
         driver=experiment.driver_provenance or "-",
         normalized=", ".join(metric.upper() for metric in metrics) or "no",
     )
@@ -103,13 +100,17 @@ def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]
 
 def coverage_markdown(rows: Sequence[Row]) -> str:
     """Return the text of the block."""
-    count = Counter((row.grade, row.used) for row in rows)
+    count = Counter(row.used for row in rows)
+    withheld = [row for row in rows if row.withheld is not None]
     drivers = Counter(row.driver for row in rows)
     lines = [HEAD.strip(), "", f"{len(rows)} ids:", ""]
-    lines += [f"- {grade.value}: {count[grade, grade]} scored on" for grade in GRADES[:-1]]
+    lines += [f"- {grade.value}: {count[grade]} scored on" for grade in GRADES[:-1]]
     lines += [
-        f"- recording, withheld: {sum(row.withheld is not None for row in rows)}",
-        f"- none: {count[BandGrade.NONE, BandGrade.NONE]}",
+        f"- none: {count[BandGrade.NONE]}, of which {sum(row.used is BandGrade.NONE for row in withheld)} have a "
+        "recording that is withheld",
+        f"- recording, withheld: {len(withheld)}, of which {sum(row.used is BandGrade.LAW for row in withheld)} are "
+        "scored on a law",
+        f"- statistics of deformation: {sum(row.statistics for row in rows)}",
         f"- drivers: {', '.join(f'{drivers[name]} {name}' for name in sorted(drivers) if name != '-')}",
         "",
         *table(("id", "band", "known", "sigma", "driver", "normalized"), [row.cells() for row in rows]),

@@ -1,4 +1,4 @@
-"""Build bands (`scoring/bands/`) and statistics (`scoring/statistics/`) from what was measured in recordings.
+"""Build bands and events (`scoring/bands/`) and statistics (`scoring/statistics/`) from what recordings show.
 
     python scripts/build_recordings.py            writes the files
     python scripts/build_recordings.py --check    fails if a file differs from what the measurements give
@@ -49,6 +49,9 @@ LARGEST_GAP = 1.5
 
 ROUNDING_S = 1e-6
 """Largest time outside of the pictures at which a frame counts as on the first or the last of them [s]."""
+
+EVENTS = {"leaves": "last_ball_leaves_s", "returns": "last_ball_returns_s", "rests": "last_ball_at_rest_s"}
+"""Fact of a recording that gives each quantity of an event."""
 
 FloatArray = NDArray[np.float64]
 
@@ -202,10 +205,33 @@ def band_toml(
         lines.append(f"sigma = {band.sigma:.6f}  # of each coordinate, at every frame")
     if "withheld" in recording:
         lines.append(f"withheld = {json.dumps(recording['withheld'])}")
+    if not recording.get("normalized_by_baseline", True):
+        lines.append("normalized_by_baseline = false")
     lines.append(f"source = {json.dumps(SOURCE.format(**recording))}")
     lines += ["", f"# facts/recordings/{name}.csv, recordings.toml", "[recording]"]
     kept = ("video", "sha256", "identity", "frame_zero_s", "time_sigma_s", "pictures_per_s", "assumed", "not_measured")
     lines += [f"{key} = {json.dumps(recording[key])}" for key in kept]
+    return "\n".join(lines) + "\n"
+
+
+def events_toml(recordings: Mapping[str, Any]) -> str:
+    """Return the text of the table of recorded events."""
+    lines = [GENERATED, "# Times of events in the published recordings: facts/recordings/recordings.toml."]
+    for recording in recordings.values():
+        facts = recording.get("facts", {})
+        for quantity, name in EVENTS.items():
+            if name not in facts:
+                continue
+            for variant in recording["variants"]:
+                lines += [
+                    "",
+                    "[[events]]",
+                    f"variant = {json.dumps(variant)}",
+                    f"quantity = {json.dumps(quantity)}",
+                    f"values_s = {facts[name]['value']}",
+                    f"sigma_s = {facts[name]['sigma']}",
+                    f"source = {json.dumps(SOURCE.format(**recording))}",
+                ]
     return "\n".join(lines) + "\n"
 
 
@@ -406,7 +432,8 @@ def statistics_files(scoring: Path) -> dict[Path, str]:
 def generated_files(scoring: Path) -> dict[Path, str]:
     """Return every generated file with the text that the measurements give it."""
     folder = scoring / "facts" / "recordings"
-    files = {}
+    recordings = tomllib.loads((folder / "recordings.toml").read_text(encoding="utf-8"))
+    files = {scoring / "bands" / "events.toml": events_toml(recordings)}
     for name, recording, layout in supported(folder):
         table = read_table(folder / f"{name}.csv")
         for variant in recording["variants"]:

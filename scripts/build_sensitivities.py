@@ -1,6 +1,6 @@
 """Build the tables of sensitivities in `scoring/sensitivities/` by simulation.
 
-    python scripts/build_sensitivities.py                          all engines, all variants with a band
+    python scripts/build_sensitivities.py                          all engines, all variants that are scored by default
     python scripts/build_sensitivities.py --backend mujoco --ids "SlopeSlider-*"
 
 A table states how the trajectory changes with each uncertain input (`gauge_envs.runs.sensitivity`). The intervals of
@@ -15,9 +15,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from gauge_envs import variants
-from gauge_envs.evaluation.reference import band_grade, load_band
-from gauge_envs.references.bands import BandGrade
+from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.references.sensitivities import sensitivities_text
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sensitivity import measure_sensitivities
@@ -34,8 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     for engine in options.backend or ENGINES:
         for variant in variants():
-            scored = band_grade(variant.name) is not BandGrade.NONE or load_band(variant.name) is not None
-            if not (scored and fnmatchcase(variant.name, options.ids)):
+            band = reference_band(load_experiment(variant.name))
+            is_scored = band is not None and band.normalized_by_baseline
+            if not (is_scored and fnmatchcase(variant.name, options.ids)):
                 continue
             file = options.out / engine / f"{variant.name}.json"
             file.parent.mkdir(parents=True, exist_ok=True)

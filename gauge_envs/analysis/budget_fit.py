@@ -201,7 +201,11 @@ class NestedFits:
         return sorted(found, key=lambda one: (abs(one[0]), abs(one[1] - 1.0)))
 
     def _shift_bounds(self, stages: frozenset[BudgetStage]) -> tuple[float, float]:
-        return (-MAX_SHIFT_S, MAX_SHIFT_S) if BudgetStage.RELEASE in stages else (0.0, 0.0)
+        if BudgetStage.RELEASE not in stages:
+            return 0.0, 0.0
+        # As in the score, a simulation is not shifted past its own end.
+        later_s = max(float(self._times_s[-1] - self._frames_s[-1]), 0.0)
+        return -min(later_s, MAX_SHIFT_S), MAX_SHIFT_S
 
     def _rate_bounds(self, stages: frozenset[BudgetStage]) -> tuple[float, float]:
         return self.motion.rate_bounds if BudgetStage.RATE in stages else (1.0, 1.0)

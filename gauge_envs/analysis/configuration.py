@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gauge_envs.files import versions
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.result import Result
 
 __all__ = ["RunConfiguration", "group_by_configuration"]
@@ -27,7 +28,7 @@ class RunConfiguration:
         parameters: Name of the parameter set, or the overrides.
         settings_given: Numerical settings that replace those of the preset.
         jitter: Standard deviations of the start; empty without jitter.
-        marker_proxy: Marker proxy of deformable bodies: `node` or `material`.
+        marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         asset: File and hash of an asset that differs from the calibrated scene; empty without one.
         engine_versions: Versions of the engine's packages.
     """
@@ -36,7 +37,7 @@ class RunConfiguration:
     parameters: str | Mapping[str, Any]
     settings_given: Mapping[str, Any] = field(default_factory=dict)
     jitter: Mapping[str, float] = field(default_factory=dict)
-    marker_proxy: str = "node"
+    marker_proxy: str = "material"
     asset: Mapping[str, str] = field(default_factory=dict)
     engine_versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -75,7 +76,7 @@ def group_by_configuration(results: Iterable[Result]) -> list[tuple[RunConfigura
 
 def _order(one: RunConfiguration) -> tuple[str, bool, int, str]:
     changes = (one.settings_given, one.jitter, one.asset, one.engine_versions)
-    changed = len(one.settings_given) + len(one.jitter) + (one.marker_proxy != "node") + bool(one.asset)
+    changed = len(one.settings_given) + len(one.jitter) + (one.marker_proxy != MarkerProxy.MATERIAL) + bool(one.asset)
     return (
         one.backend or "",
         one.parameters != "calibrated",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.analysis.configuration import RunConfiguration
-from gauge_envs.evaluation.deviation import Deviation, band_deviations, experiment_sensitivities
+from gauge_envs.evaluation.deviation import Deviation, band_baseline, band_deviations, experiment_sensitivities
 from gauge_envs.evaluation.uncertainty import SEED
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -71,8 +71,8 @@ def score_draws(
     Raises:
         ShapeError: A trajectory does not fit the band: it has other coordinates, or a frame is missing.
     """
-    baseline = experiment.baselines.get("rmse")
-    if baseline is None or not baseline.mean or any(result.outcome is not Outcome.FINISHED for result in results):
+    baseline = band_baseline(experiment, band)
+    if baseline is None or any(result.outcome is not Outcome.FINISHED for result in results):
         return None
     stream = json.dumps(asdict(configuration), sort_keys=True)
     sensitivities = experiment_sensitivities(experiment, configuration.backend)

@@ -219,7 +219,7 @@ def _diagnosis(
     experiment: Experiment, band: Band, budget: NestedFits, order: Sequence[BudgetStage], *, measured_only: bool
 ) -> Diagnosis:
     baselines = experiment.baselines
-    baseline = baselines["rmse"].mean if "rmse" in baselines else None
+    baseline = baselines["rmse"].mean if "rmse" in baselines and band.normalized_by_baseline else None
     whole, left = budget.fit(()), budget.fit(order)
     deviations = budget.deviations()
     extrapolated = ~band.measured[budget.known]

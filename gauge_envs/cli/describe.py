@@ -15,19 +15,21 @@ __all__ = ["list_", "materials", "show"]
 
 def list_(
     pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
+    scored: Annotated[bool, typer.Option("--scored", help="Only ids with a reference, and so with a reward.")] = False,
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
     """List experiments with their observable, the grade of their reference, and the backends that can run them."""
+    from gauge_envs.references.bands import BandGrade
     from gauge_envs.report import control_summary, list_rows, list_table
 
-    rows = list_rows(matching_variants(pattern))
+    rows = [row for row in list_rows(matching_variants(pattern)) if not scored or row["grade"] != BandGrade.NONE]
     print_table(list_table(rows), json_lines=json_lines, wide=wide)
     if json_lines:
         return
     families = len({row["family"] for row in rows})
     console = stdout_console()
-    if pattern == "*":
+    if pattern == "*" and not scored:
         console.print(control_summary())
     console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
 

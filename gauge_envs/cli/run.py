@@ -62,9 +62,9 @@ def run(
     marker_proxy: Annotated[
         str,
         typer.Option(
-            help="Marker proxy on a deformable body: node, the nearest tracked node; or material, the material point."
+            help="Marker proxy on a deformable body: material, its material point; or node, the nearest node (paper)."
         ),
-    ] = "node",
+    ] = "material",
     repeats: Annotated[
         int, typer.Option(min=1, help="Runs of each experiment, from starts with the scatter of real ones.")
     ] = 1,
@@ -74,6 +74,10 @@ def run(
     jitter_deg: Annotated[
         float | None, typer.Option(min=0.0, help="Standard deviation of start angles [deg]; 0.5 with --repeats.")
     ] = None,
+    uncertainty: Annotated[
+        bool,
+        typer.Option("--uncertainty", help="Measure the inputs of the intervals by about 20 further runs; show them."),
+    ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
     resume: Annotated[bool, typer.Option(help="Keep results that exist already.")] = False,
     json_lines: Json = False,
@@ -112,6 +116,7 @@ def run(
             seed=seed,
             repeats=repeats,
             jitter=_jitter(jitter_mm, jitter_deg),
+            uncertainty=uncertainty,
         )
         for engine in engines
         for subject in chosen
@@ -139,7 +144,7 @@ def run(
         kept = sum(result.error is None for result in results)
         stderr.print(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
         raise typer.Exit(EXIT_INTERRUPTED) from None
-    (stderr if json_lines else stdout_console()).print(summary_view(results, wide=wide))
+    (stderr if json_lines else stdout_console()).print(summary_view(results, wide=wide, budget=uncertainty))
     stderr.print(_totals(results, out))
     bad = (Outcome.FAILED, Outcome.DIVERGED)
     if any(r.outcome in bad or (r.outcome is Outcome.DECLINED and r.id in by_name) for r in results):

@@ -37,6 +37,9 @@ FLAGGED_DIFFERENCE = 0.05
 LEAST_TRIALS = 2
 """Number of trials that scatter needs."""
 
+MOST_TRIAL_NUMBERS = 4_000_000
+"""Largest count of numbers of single trials that an import keeps, 32 MB: 20 trials of 1,000 frames of 200 areas."""
+
 FloatArray = NDArray[np.float64]
 
 
@@ -295,6 +298,12 @@ class _VariantImporter:
             for metric in dict.fromkeys([*own, *published])
         )
 
+    def _trials(self) -> FloatArray | None:
+        """Return the trials, which intervals of scores resample; None if they are too many numbers to keep."""
+        if self.spool.trial_count * self._experiment.frame_count * len(self._coordinates) > MOST_TRIAL_NUMBERS:
+            return None
+        return np.stack(list(self.spool.trials()))
+
     def _store(self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int) -> VariantRecord:
         experiment = self._experiment
         band = Band(
@@ -307,6 +316,7 @@ class _VariantImporter:
             measured=statistics.measured,
             trial_count=self.spool.trial_count,
             source="import",
+            trials=self._trials(),
         )
         drivers = {body: mean for body, mean in self._drivers.items() if mean.is_usable}
         deformation = self._deformation()

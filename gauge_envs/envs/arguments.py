@@ -37,8 +37,8 @@ class EnvArguments:
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
         settings: Numerical settings of the engine that replace those of the preset.
-        marker_proxy: Marker proxy of deformable bodies. `node` tracks the nearest node, as in the paper; `material`
-            tracks the marker's own material point between the nodes.
+        marker_proxy: Marker proxy of deformable bodies. `material` tracks the marker's own material point between
+            the nodes; `node` tracks the nearest node, as in the paper.
         drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
         use_withheld: Score also against a band that is withheld by default; `gauge show` gives the reason.
@@ -55,7 +55,7 @@ class EnvArguments:
     backend: str = "mujoco"
     parameters: Parameters = "calibrated"
     settings: Mapping[str, Any] | None = None
-    marker_proxy: MarkerProxy | str = MarkerProxy.NODE
+    marker_proxy: MarkerProxy | str = MarkerProxy.MATERIAL
     drivers: DataSource | str = DataSource.BUNDLED
     reference: DataSource | str = DataSource.BUNDLED
     use_withheld: bool = False

@@ -55,7 +55,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         width: Picture width [pixels].
         height: Picture height [pixels].
         **arguments: Keywords of `gauge_envs.envs.arguments.EnvArguments`, with their defaults: `backend="mujoco"`,
-            `parameters="calibrated"`, `settings=None`, `marker_proxy="node"`, `drivers="bundled"`,
+            `parameters="calibrated"`, `settings=None`, `marker_proxy="material"`, `drivers="bundled"`,
             `reference="bundled"`, `use_withheld=False`, `asset=None`.
 
     Attributes:

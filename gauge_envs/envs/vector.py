@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment
 from gauge_envs.envs.base import EngineEnvironment
 from gauge_envs.envs.episode import Episode, Observation, advance_together, run_on_together
+from gauge_envs.envs.no_reward import warn_without_reward
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
@@ -321,5 +322,10 @@ def scored_vector_env(**arguments: Any) -> ScoreEpisodes:
 
     Raises:
         GaugeError: See `GaugeVectorEnv`.
+
+    Warns:
+        NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
-    return ScoreEpisodes(GaugeVectorEnv(**arguments))
+    envs = GaugeVectorEnv(**arguments)
+    warn_without_reward(envs.experiment, envs.band)
+    return ScoreEpisodes(envs)

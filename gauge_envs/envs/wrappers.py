@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 
 from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.no_reward import warn_without_reward
 
 __all__ = ["ScoreEpisode", "scored_env"]
 
@@ -61,8 +62,13 @@ def scored_env(**arguments: Any) -> ScoreEpisode:
 
     Raises:
         GaugeError: See `GaugeEnv`.
+
+    Warns:
+        NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
-    return ScoreEpisode(GaugeEnv(**arguments))
+    env = GaugeEnv(**arguments)
+    warn_without_reward(env.experiment, env.band)
+    return ScoreEpisode(env)
 
 
 # `gymnasium.make` reads the render modes from here.

@@ -12,10 +12,11 @@ from gauge_envs.evaluation.metrics import release_offset, trajectory_rmse
 from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Deviation", "Deviations", "band_deviations", "experiment_sensitivities", "sampled_frames"]
+__all__ = ["Deviation", "Deviations", "band_baseline", "band_deviations", "experiment_sensitivities", "sampled_frames"]
 
 FloatArray = NDArray[np.float64]
 
@@ -63,6 +64,13 @@ def experiment_sensitivities(experiment: Experiment, backend: str | None) -> Sen
     return None if experiment.edited else load_sensitivities(experiment.name, backend)
 
 
+def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:
+    """Return the published RMSE of real trials that normalizes a score against a band; None without one."""
+    baseline = experiment.baselines.get("rmse") if band.normalized_by_baseline else None
+    # A reference of a user may state a mean of 0, which normalizes nothing.
+    return baseline if baseline is not None and baseline.mean else None
+
+
 def band_deviations(
     experiment: Experiment,
     band: Band,
@@ -85,7 +93,7 @@ def band_deviations(
     """
     frames = sampled_frames(experiment, times_s, values)
     simulated = band.project(frames)
-    errors = band_errors(band, experiment.baselines.get("rmse"), sensitivities).with_projection(band, frames)
+    errors = band_errors(band, band_baseline(experiment, band), sensitivities).with_projection(band, frames)
     raw = Deviation(values=simulated - band.mean, rmse=trajectory_rmse(simulated, band.mean), errors=errors)
     # The mean of a law is exact from frame 0 on. A shift of time would only hide a drift.
     if band.grade is BandGrade.LAW:

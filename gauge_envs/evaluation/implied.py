@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,6 +27,9 @@ LEAST_SAMPLES = 4
 
 LEAST_INCLINE = 0.05
 """Sine of the slope below which a body that slides is not driven by its weight."""
+
+STEEPEST_INCLINE = 0.999
+"""Largest sine of the slope of a slide: a steeper path is a fall, in which nothing presses on the body."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +90,12 @@ def implied_parameters(
             found.append(_release_time(band, release_offset_s))
     if experiment.score.period_axis is not None or "pd" in experiment.score.metrics:
         found += _swing(experiment, times_s, values)
-    return tuple(found)
+    return tuple(replace(one, value=_reported(one.value), uncertainty=_reported(one.uncertainty)) for one in found)
+
+
+def _reported(value: float) -> float:
+    """Return nine significant digits: the last bits of a fit depend on the memory that holds its samples."""
+    return float(f"{value:.9g}")
 
 
 # --- slide -----------------------------------------------------------------------------------------------------------
@@ -100,12 +108,13 @@ def _friction(experiment: Experiment, band: Band, times_s: FloatArray, values: F
         return []
     path = values[-1] - values[0]
     direction = path / np.linalg.norm(path)
-    if -direction[2] < LEAST_INCLINE:
+    if not LEAST_INCLINE <= -direction[2] <= STEEPEST_INCLINE:
         return []
     gravity = experiment.scene.gravity_m_per_s2
     acceleration, error = _acceleration(times_s, 1e-3 * (values - values[0]) @ direction)
-    value = _friction_of(acceleration, -direction[2], gravity)
-    across = gravity * math.sqrt(1.0 - direction[2] ** 2)
+    sine = -float(direction[2])
+    value = _friction_of(acceleration, sine, gravity)
+    across = gravity * math.sqrt(1.0 - sine**2)
     real = _real_friction(band)
     return [
         ImpliedParameter(

@@ -5,11 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.evaluation.laws import Straight, free_flight, slide
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
-from gauge_envs.references.published import carried_band, law_for
+from gauge_envs.references.published import (
+    CarriedLaw,
+    FlightLaw,
+    SlideLaw,
+    carried_band,
+    law_for,
+    uncontacted_band,
+)
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -37,11 +45,18 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
     if law is None:
         return None
     # An asset changes the simulated scene. The law holds for the calibrated one.
-    scene = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene
-    return carried_band(
-        variant=experiment.name,
-        positions_mm=_carried_positions_mm(scene, law.body, law.carrier, experiment.frame_count),
-    )
+    calibrated = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene
+    if isinstance(law, CarriedLaw):
+        positions_mm = _carried_positions_mm(calibrated, law.body, law.carrier, experiment.frame_count)
+        return carried_band(variant=experiment.name, positions_mm=positions_mm)
+    # Parameters change friction and start, on which these laws depend.
+    motion = _straight_motion(law, calibrated if not experiment.overrides else load_experiment(experiment.name).scene)
+    return uncontacted_band(law, positions_mm=motion.positions_mm(experiment.frame_count))
+
+
+def _straight_motion(law: FlightLaw | SlideLaw, scene: Scene) -> Straight:
+    """Return the motion that a law gives in the calibrated scene."""
+    return free_flight(scene, law.body) if isinstance(law, FlightLaw) else slide(scene, law.body, law.support)
 
 
 def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:

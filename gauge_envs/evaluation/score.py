@@ -10,28 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from gauge_envs.evaluation.deviation import Deviation, band_deviations, experiment_sensitivities, sampled_frames
+from gauge_envs.evaluation.deviation import (
+    Deviation,
+    band_baseline,
+    band_deviations,
+    experiment_sensitivities,
+    sampled_frames,
+)
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
 from gauge_envs.evaluation.metrics import (
     band_coverage,
-    energy_loss,
-    longest_stationary_duration,
     mean_abs_z,
-    momentum_transfer_efficiency,
-    oscillation_period,
     signed_error,
     trajectory_dtw,
     z_scores,
 )
+from gauge_envs.evaluation.swing import EventTime, swing_metrics, swing_notes
 from gauge_envs.evaluation.trials import percentile_among, trial_distances
 from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.references.metrics import EVENT_METRICS, METRICS
+from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities
-from gauge_envs.scene import Hinge
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["Score", "score_trajectory"]
 
@@ -69,10 +70,18 @@ class Score:
         signed_error: Mean signed deviation of each scored coordinate.
         lsd_s: Longest stationary duration of the last ball [s].
         lsd_normalized: `lsd_s` over the published mean; 1 is ideal.
+        lsd_speed_3d_s: LSD if the speed in space is limited, in place of that of the height [s].
+        lsd_speed_3d_normalized: `lsd_speed_3d_s` over the published mean.
+        lsd_central_s: LSD if the speed of the height is that of central differences [s].
+        lsd_central_normalized: `lsd_central_s` over the published mean.
+        lsd_dropped_rests_s: Rests at the first and the last frame, which no LSD counts [s].
         mte: Momentum transfer efficiency, ratio.
         mte_normalized: `mte` over the published mean; 1 is ideal.
         pd_s: Period [s].
         pd_normalized: `pd_s` over the published mean; 1 is ideal.
+        pd_fft_s: Period of the strongest bin of the plain Fourier spectrum [s].
+        pd_fft_normalized: `pd_fft_s` over the published mean.
+        events: Times of the cradle's last ball, simulated and recorded.
         el: Energy loss, ratio; 0 is ideal.
         implied: Physical parameters that the trajectory implies, beside those of the real trials.
         budget: Contributions to the uncertainty of the `primary` score, largest first.
@@ -105,10 +114,18 @@ class Score:
     signed_error: tuple[float, ...] | None = None
     lsd_s: float | None = None
     lsd_normalized: float | None = None
+    lsd_speed_3d_s: float | None = None
+    lsd_speed_3d_normalized: float | None = None
+    lsd_central_s: float | None = None
+    lsd_central_normalized: float | None = None
+    lsd_dropped_rests_s: tuple[float, float] | None = None
     mte: float | None = None
     mte_normalized: float | None = None
     pd_s: float | None = None
     pd_normalized: float | None = None
+    pd_fft_s: float | None = None
+    pd_fft_normalized: float | None = None
+    events: tuple[EventTime, ...] | None = None
     el: float | None = None
     implied: tuple[ImpliedParameter, ...] = ()
     budget: tuple[BudgetEntry, ...] = ()
@@ -176,7 +193,8 @@ def score_trajectory(
     scores["implied"] = implied_parameters(
         experiment, band, times_s=times_s, values=values, release_offset_s=scores.get("release_offset_s")
     )
-    scores |= _metric_fields(_event_scores(experiment, frames), baselines)
+    scores |= _metric_fields(swing_metrics(experiment, frames), baselines)
+    scores |= swing_notes(experiment, frames, times_s=times_s, values=values)
     # NaN is an event that never happens, or a mean over no measured value. It is reported as None.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     return Score(
@@ -212,7 +230,7 @@ def _band_scores(
     frames: FloatArray,
     sensitivities: Sensitivities | None,
 ) -> dict[str, Any]:
-    baselines = experiment.baselines
+    baselines = experiment.baselines if band.normalized_by_baseline else {}
     simulated = band.project(frames)
     deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
@@ -225,7 +243,7 @@ def _band_scores(
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
     squares = np.nansum(np.square(deviations.raw.values), axis=1)
-    trials, baseline = trial_distances(band), baselines.get("rmse")
+    trials, baseline = trial_distances(band), band_baseline(experiment, band)
     scores = _metric_fields(distances, baselines) | {
         "primary": deviations.primary,
         "coordinates": band.coordinates,
@@ -271,31 +289,3 @@ def _settings(sensitivities: Sensitivities) -> list[str]:
 def _interval(deviation: Deviation, baseline: Baseline) -> tuple[float, float]:
     low, high = deviation.errors.interval(deviation.values)
     return low / baseline.mean, high / baseline.mean
-
-
-def _event_scores(experiment: Experiment, frames: FloatArray) -> dict[str, float]:
-    """Return the raw scores of the first recorded body's swing, by metric, as the task file asks for them."""
-    wanted = set(experiment.score.metrics)
-    if wanted.isdisjoint(EVENT_METRICS):
-        return {}
-    body = experiment.recorded[0]
-    hinge = next(j for j in experiment.scene.joints if isinstance(j, Hinge) and j.body == body)
-    arm_m = float(np.linalg.norm(np.subtract(experiment.scene.body(body).pose.position_m, hinge.anchor_m)))
-    rest_height_mm = 1e3 * (hinge.anchor_m[2] - arm_m)
-    height_mm = frames[:, 2]
-    scores: dict[str, float] = {}
-    if "lsd" in wanted:
-        scores["lsd"] = longest_stationary_duration(height_mm, frame_rate_hz=FRAME_RATE_HZ)
-    if "mte" in wanted:
-        highest = max(experiment.scene.body(j.body).pose.position_m[2] for j in experiment.scene.joints)
-        scores["mte"] = momentum_transfer_efficiency(
-            height_mm, drop_height_mm=1e3 * highest - rest_height_mm, rest_height_mm=rest_height_mm
-        )
-    if "pd" in wanted:
-        axis = "xyz".index(experiment.score.period_axis or "x")
-        baselines = experiment.baselines
-        count = baselines["pd"].frames if "pd" in baselines else len(frames)
-        scores["pd"] = oscillation_period(frames[:count, axis], frame_rate_hz=FRAME_RATE_HZ)
-    if "el" in wanted:
-        scores["el"] = energy_loss(height_mm, rest_height_mm=rest_height_mm)
-    return scores

@@ -34,7 +34,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["UserTrajectory", "read_trajectory", "recorded_id"]
+__all__ = ["StatedOrigin", "UserTrajectory", "read_trajectory", "stated_origin"]
 
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
@@ -62,22 +62,42 @@ class UserTrajectory:
     markers_m: NDArray[np.float64] | None = None
 
 
-def recorded_id(file: Path) -> tuple[str | None, Any, bool]:
-    """Return the id and the parameters that a trajectory file states; only JSON files state them.
+@dataclass(frozen=True, kw_only=True)
+class StatedOrigin:
+    """What a trajectory file states about its origin; only JSON files state any of it.
 
-    Returns:
-        Id or None; parameters or None; and whether the file is a result whose scene was that of an asset.
+    Attributes:
+        id: Id of the experiment.
+        parameters: Parameters of the scene, not checked.
+        backend: Engine of the trajectory.
+        has_asset: Whether the file is a result whose scene was that of an asset.
+    """
+
+    id: str | None = None
+    parameters: Any = None
+    backend: str | None = None
+    has_asset: bool = False
+
+
+def stated_origin(file: Path) -> StatedOrigin:
+    """Return what a trajectory file states about its origin.
 
     Raises:
         TrajectoryFileError: The file cannot be read, or its `id` is not text.
     """
     if file.suffix.lower() != ".json":
-        return None, None, False
+        return StatedOrigin()
     content = _json_object(file)
     name, parameters = content.get("id"), content.get("parameters")
     if name is not None and not isinstance(name, str):
         raise TrajectoryFileError(f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'")
-    return name, parameters, bool(content.get("asset"))
+    backend = content.get("backend")
+    return StatedOrigin(
+        id=name,
+        parameters=parameters,
+        backend=backend if isinstance(backend, str) else None,
+        has_asset=bool(content.get("asset")),
+    )
 
 
 def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:

@@ -82,7 +82,7 @@ def _shifted_rmse(trial: FloatArray, mean: FloatArray, shifts_s: FloatArray) -> 
 
 def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
     count = round(MAX_RELEASE_OFFSET_S / SHIFT_STEP_S)
-    grid_s = SHIFT_STEP_S * np.arange(-count, count + 1)
+    grid_s: FloatArray = SHIFT_STEP_S * np.arange(-count, count + 1, dtype=np.float64)
     scores = _shifted_rmse(trial, mean, grid_s)
     best = int(np.argmin(scores))
     if not np.isfinite(scores[best]):

@@ -56,6 +56,11 @@ PROJECTION_FLOOR_MM = 1.0
 """Motion across the measured coordinates below which their direction does not matter: 0.3 degrees of it is 5 um."""
 
 
+def _reported(value: float) -> float:
+    """Return six significant digits: the last bits of a matrix product depend on the memory that holds it."""
+    return float(f"{value:.6g}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class BudgetEntry:
     """One line of an uncertainty budget.
@@ -192,11 +197,15 @@ class BandErrors:
         Args:
             deviation: Simulation minus mean, shape [T, C].
         """
-        vector = self.flat(deviation)
+        low, high = self._interval(self.flat(deviation))
+        return _reported(low), _reported(high)
+
+    def _interval(self, vector: FloatArray) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
         if not self.is_observed:
             low, high = np.quantile(self._added(vector), [tail, 1.0 - tail])
-            return float(low), float(high)
+            # The law itself is one of the possible truths.
+            return min(float(low), float(np.linalg.norm(vector))), float(high)
         size, along, squares = self._moments(vector)
         # The direction of the true deviation is not that of the observed one: it has its own errors.
         gram = self.shapes @ self.shapes.T
@@ -233,7 +242,8 @@ class BandErrors:
     def budget(self, deviation: FloatArray, *, baseline: float) -> tuple[BudgetEntry, ...]:
         """Return the contributions to the uncertainty of a normalized score, largest first.
 
-        Each is the standard deviation along the observed deviation; of a distance of zero, its root mean square.
+        Each is the standard deviation along the observed deviation. Of a law, whose deviation is often zero, it is the
+        root mean square over all directions.
 
         Args:
             deviation: Simulation minus mean, shape [T, C].
@@ -244,7 +254,7 @@ class BandErrors:
         rows = []
         for source in self.sources:
             factors, shapes = self.factors[:, source.columns], self.shapes[source.columns]
-            if size > 0.0:
+            if size > 0.0 and self.is_observed:
                 std = float(np.std(factors @ (shapes @ (vector / size))))
             else:
                 std = float(np.sqrt(np.mean(np.square(factors @ shapes).sum(axis=1))))
@@ -257,8 +267,8 @@ class BandErrors:
                 name=name,
                 kind=kind,
                 evaluation=evaluation,
-                standard_uncertainty=std,
-                share=std**2 / total if total > 0.0 else 0.0,
+                standard_uncertainty=_reported(std),
+                share=_reported(std**2 / total) if total > 0.0 else 0.0,
                 source=source,
             )
             for name, kind, evaluation, std, source in rows

@@ -43,7 +43,7 @@ class BandGrade(StrEnum):
     RECORDING = "recording"
     """Mean from the published recording of one trial, sigma from the published baseline or the measurement."""
     LAW = "law"
-    """Mean from a closed form that holds under a stated condition, sigma from the published baseline."""
+    """Mean from a closed form that holds under a stated condition, sigma from the published baseline or measurement."""
     NONE = "none"
     """No real reference: no score."""
 
@@ -84,6 +84,8 @@ class Band:
         withheld: Why the band is not used by default; None for a band that is.
         trials: Band coordinates of each real trial, shape [trial_count, T, C]; NaN is unknown. None if only their mean
             and scatter are known.
+        normalized_by_baseline: Whether distances to the band are divided by the published baseline. False for a band
+            of another span than the baseline.
 
     Raises:
         ShapeError: The arrays do not agree in shape, or a sigma is negative.
@@ -102,6 +104,7 @@ class Band:
     uncertainty: NDArray[np.float64] | None = None
     withheld: str | None = None
     trials: NDArray[np.float64] | None = None
+    normalized_by_baseline: bool = True
 
     def __post_init__(self) -> None:
         arrays = {
@@ -255,6 +258,7 @@ class BandSidecar(BandSpec):
         unit: Unit of the table.
         frames: Number of frames of the band; later ones than the table's are unknown. None is the table's number.
         withheld: As in `Band`.
+        normalized_by_baseline: As in `Band`.
         rmse: E_RMSE of each trial to the mean.
         dtw: E_DTW of each trial to the mean.
         recording: Facts about the recording that the band was measured from.
@@ -263,6 +267,7 @@ class BandSidecar(BandSpec):
     unit: str
     frames: PositiveInt | None = None
     withheld: str | None = None
+    normalized_by_baseline: bool = True
     rmse: TrialScores | None = None
     dtw: TrialScores | None = None
     recording: dict[str, Any] | None = None
@@ -303,7 +308,7 @@ class _TrialsRow(FileModel):
 def _read_trials(file: Path, coordinates: Sequence[str], trial_count: int) -> FloatArray:
     """Return the trials of a table (format: scoring/README.md), shape [trial_count, T, C]."""
     columns = [f"trial.{number + 1}.{coordinate}" for number in range(trial_count) for coordinate in coordinates]
-    rows = []
+    rows: list[list[float | None]] = []
     for line, row in read_rows(file, ["frame", *columns], _TrialsRow):
         if row.frame != len(rows):
             raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows)} is next")
@@ -358,6 +363,7 @@ def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
             sigma_source=SigmaSource(sidecar.sigma_source),
             uncertainty=padded.get("uncertainty"),
             withheld=sidecar.withheld,
+            normalized_by_baseline=sidecar.normalized_by_baseline,
         )
     except ValueError as error:
         raise ReferenceFileError(sidecar_file, None, str(error)) from None

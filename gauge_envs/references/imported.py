@@ -225,6 +225,8 @@ def write_imported(
     """
     stream = io.BytesIO()
     arrays: dict[str, Any] = {"mean": band.mean, "sigma": band.sigma, "measured": band.measured}
+    if band.trials is not None:
+        arrays["trials"] = band.trials
     arrays |= {f"driver.{body}": values for body, values in drivers.items()}
     if deformation is not None:
         arrays |= {"statistics.mean": deformation.mean, "statistics.sigma": deformation.sigma}
@@ -291,7 +293,9 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
             raise ValueError("its content differs from what was imported")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
-            band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"])
+            # Imports of older versions hold no single trials.
+            trials = arrays.get("trials")
+            band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"], trials)
             deformation = _deformation(record, arrays) if record.statistics else None
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise ReferenceFileError(arrays_file, None, f"{_reason(error)}; gauge data import renews it") from None
@@ -317,7 +321,13 @@ def _reason(error: Exception) -> str:
     return error.strerror or str(error) if isinstance(error, OSError) else f"is damaged: {error}"
 
 
-def _band(record: VariantRecord, mean: FloatArray, sigma: FloatArray, measured: NDArray[np.bool_]) -> Band:
+def _band(
+    record: VariantRecord,
+    mean: FloatArray,
+    sigma: FloatArray,
+    measured: NDArray[np.bool_],
+    trials: FloatArray | None,
+) -> Band:
     if mean.shape != (record.frame_count, len(record.coordinates)):
         raise ValueError(f"its mean has shape {mean.shape}")
     return Band(
@@ -330,6 +340,7 @@ def _band(record: VariantRecord, mean: FloatArray, sigma: FloatArray, measured: 
         measured=measured,
         trial_count=record.trial_count,
         source=record.origin,
+        trials=trials,
     )
 
 

@@ -18,16 +18,22 @@ from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
 from gauge_envs.references.bands import Band, BandGrade, SigmaSource
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, read_rows, read_toml, scoring_folder
+from gauge_envs.scene.geometry import Positive
 
 __all__ = [
     "ENGINES",
     "Baseline",
+    "CarriedLaw",
+    "FlightLaw",
     "Law",
     "Reference",
+    "SlideLaw",
+    "UncontactedLaw",
     "carried_band",
     "law_for",
     "published_baselines",
     "published_variants",
+    "uncontacted_band",
 ]
 
 ENGINES = ("isaacsim", "genesis", "newton")
@@ -130,28 +136,80 @@ class Law(FileModel):
 
     Attributes:
         variants: Shell-style pattern of the variants that it covers.
-        kind: `carried`: the body keeps its place on a carrier, which moves as the scene's driver states.
         body: Name of the body whose motion the law gives.
-        carrier: Name of the body that carries it.
         condition: Condition under which the law holds, with its numbers.
-        evidence: Published results that support it.
+        evidence: Measurements or published results that support it.
     """
 
     variants: str
-    kind: Literal["carried"]
     body: str
-    carrier: str
     condition: str
     evidence: str
+
+    @property
+    def sigma_source(self) -> SigmaSource:
+        """Source of the scatter of its band."""
+        return SigmaSource.BASELINE
+
+
+class CarriedLaw(Law):
+    """The body keeps its place on a carrier, which moves as the scene's driver states.
+
+    Attributes:
+        kind: Name of the law in the file.
+        carrier: Name of the body that carries it.
+    """
+
+    kind: Literal["carried"]
+    carrier: str
+
+
+class UncontactedLaw(Law):
+    """A motion from rest that ends at an event of the nominal scene, after which nothing is known.
+
+    Attributes:
+        sigma_mm: 1-sigma uncertainty of a measured coordinate [mm], which is the sigma of the band.
+    """
+
+    sigma_mm: Positive
+
+    @property
+    def sigma_source(self) -> SigmaSource:
+        """Source of the scatter of its band."""
+        return SigmaSource.MEASUREMENT
+
+
+class FlightLaw(UncontactedLaw):
+    """The body falls freely until it first touches another one.
+
+    Attributes:
+        kind: Name of the law in the file.
+    """
+
+    kind: Literal["free_flight"]
+
+
+class SlideLaw(UncontactedLaw):
+    """The body slides down a face of another one with Coulomb friction until it tips over the face's edge.
+
+    Attributes:
+        kind: Name of the law in the file.
+        support: Name of the fixed body on which it slides.
+    """
+
+    kind: Literal["slide"]
+    support: str
 
 
 class _Laws(FileModel):
     """The file `laws.toml`."""
 
-    law: Annotated[tuple[Law, ...], Field(min_length=1)]
+    law: Annotated[
+        tuple[Annotated[CarriedLaw | FlightLaw | SlideLaw, Field(discriminator="kind")], ...], Field(min_length=1)
+    ]
 
 
-def law_for(variant: str) -> Law | None:
+def law_for(variant: str) -> CarriedLaw | FlightLaw | SlideLaw | None:
     """Return the law that gives the real outcome of a variant, or None.
 
     A law needs the published scatter of the variant's trials. A new material, which nobody has measured, has no law.
@@ -186,8 +244,9 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
         ShapeError: `positions_mm` has another shape, or is not finite.
     """
     law, baseline = law_for(variant), published_baselines(variant).get("rmse")
-    if law is None or baseline is None:
-        raise UnknownNameError("carried variant", variant, filter(law_for, published_variants()))
+    if not isinstance(law, CarriedLaw) or baseline is None:
+        carried = [name for name in published_variants() if isinstance(law_for(name), CarriedLaw)]
+        raise UnknownNameError("carried variant", variant, carried)
     positions = np.asarray(positions_mm, dtype=np.float64)
     if positions.shape != (baseline.frames, 3):
         raise ShapeError(f"positions_mm has shape {positions.shape}; {(baseline.frames, 3)} is needed for {variant}")
@@ -208,6 +267,38 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
     )
 
 
+def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
+    """Return the band of a motion that a law gives until an event, and that is not known from then on.
+
+    Sigma is the uncertainty of a measured coordinate, as the scatter of real trials before the event is not published.
+    The published baseline covers the whole motion, so that distances are not divided by it.
+
+    Args:
+        law: The law.
+        positions_mm: Position of the body by the law [mm], shape [frame_count, 3]; NaN from the event on.
+
+    Returns:
+        Band of grade `law` over x, y and z [mm]. Frames before the event count as measured.
+    """
+    positions = np.asarray(positions_mm, dtype=np.float64)
+    sigma = np.full(positions.shape, law.sigma_mm)
+    known = np.isfinite(positions)
+    return Band(
+        grade=BandGrade.LAW,
+        sigma_source=law.sigma_source,
+        unit="mm",
+        coordinates=("x", "y", "z"),
+        projection=np.eye(3),
+        mean=positions,
+        sigma=sigma,
+        measured=np.asarray(known.all(axis=1)),
+        trial_count=None,
+        source=f"{law.body}: {law.condition}; sigma is the nominal uncertainty of motion capture",
+        uncertainty=np.where(known, sigma, np.nan),
+        normalized_by_baseline=False,
+    )
+
+
 @cache
-def _all_laws(folder: Path) -> tuple[Law, ...]:
+def _all_laws(folder: Path) -> tuple[CarriedLaw | FlightLaw | SlideLaw, ...]:
     return read_toml(folder / "laws.toml", _Laws).law

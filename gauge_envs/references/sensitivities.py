@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveInt, ValidationError
 
-from gauge_envs.errors import ReferenceFileError, first_fault
+from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
 from gauge_envs.files import write_whole
 from gauge_envs.references.imported import user_data_folder
 from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
@@ -152,6 +152,8 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
         ReferenceFileError: A table is damaged.
     """
     for engine in dict.fromkeys(filter(None, (backend, FALLBACK_ENGINE))):
+        if Path(engine).name != engine:
+            continue  # A file of a stranger may state any text as its engine.
         for folder in (user_data_folder() / "sensitivities", scoring_folder("sensitivities")):
             file = folder / engine / f"{variant}.json"
             try:
@@ -193,9 +195,12 @@ def write_sensitivities(table: Sensitivities) -> Path:
     """Store a table in the user's data folder, and return its file.
 
     Raises:
-        OSError: The folder cannot be written.
+        DatasetError: The user's data folder cannot be written.
     """
     file = user_data_folder() / "sensitivities" / table.backend / f"{table.variant}.json"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, sensitivities_text(table).encode())
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, sensitivities_text(table).encode())
+    except OSError as error:
+        raise DatasetError(f"{file} cannot be written: {error.strerror or error}") from error
     return file

@@ -7,7 +7,15 @@ from gauge_envs.report.diagnosis import diagnosis_rows, diagnosis_view
 from gauge_envs.report.listing import backend_rows, backend_table, list_rows, list_table
 from gauge_envs.report.materials import material_values, material_view
 from gauge_envs.report.results import configuration_labels, result_label, summary_view
-from gauge_envs.report.text import ALIGNED_TITLE, ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, NORMALIZED_NOTE, score_text
+from gauge_envs.report.text import (
+    ALIGNED_TITLE,
+    ENGINE_TITLES,
+    GRADE_NOTES,
+    METRIC_TITLES,
+    NORMALIZED_NOTE,
+    interval_text,
+    score_text,
+)
 
 __all__ = [
     "ALIGNED_TITLE",
@@ -29,6 +37,7 @@ __all__ = [
     "description_view",
     "diagnosis_rows",
     "diagnosis_view",
+    "interval_text",
     "list_rows",
     "list_table",
     "material_values",

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from gauge_envs.backends.registry import backend_names
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import AssetKind, Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
@@ -19,6 +20,7 @@ from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade, SigmaSource
 from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
 from gauge_envs.references.published import law_for
+from gauge_envs.report.convergence import convergence_rows, convergence_text
 from gauge_envs.report.listing import unsupported_features_of
 from gauge_envs.report.table import Column, Facts, Place, Table, as_rich
 from gauge_envs.report.text import (
@@ -68,6 +70,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "reference": _reference(experiment),
             "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
             "backends": unsupported_features_of(experiment),
+            "convergence": {name: convergence_rows(name, experiment.name) for name in backend_names()},
         }
     )
 
@@ -118,15 +121,17 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     band = load_band(experiment.name, experiment.reference_source) if own is None else own.band
     law = law_for(experiment.name) if own is None else None
     used = reference_band(experiment)
+    shown = band if used is None else used
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
-        "trial_count": None if band is None else band.trial_count,
-        "source": None if band is None else band.source,
+        "trial_count": None if shown is None else shown.trial_count,
+        "source": None if shown is None else shown.source,
         "imported": experiment.reference_source is DataSource.IMPORTED,
         "is_import_available": has_import(experiment.name),
         "law": None if law is None else law.condition,
-        "sigma_source": None if band is None else band.sigma_source.value,
-        "known_frames": None if band is None else int(np.isfinite(band.mean).any(axis=1).sum()),
+        "sigma_source": None if shown is None else shown.sigma_source.value,
+        "known_frames": None if shown is None else int(np.isfinite(shown.mean).any(axis=1).sum()),
+        "normalized_by_baseline": None if shown is None else shown.normalized_by_baseline,
         "withheld": None if band is None else band.withheld,
     }
 
@@ -261,6 +266,17 @@ def _general_facts(values: Mapping[str, Any]) -> dict[str, str]:
         **_asset_facts(values),
         **_band_facts(values),
         **{f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()},
+        **_convergence_facts(values),
+    }
+
+
+def _convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return what half the step and half the cell change on each engine that runs the experiment."""
+    has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
+    return {
+        f"convergence, {name}": convergence_text(rows, has_cells=has_cells, with_unit=True)
+        for name, rows in values["convergence"].items()
+        if not values["backends"].get(name)
     }
 
 
@@ -283,6 +299,8 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
         facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
     if reference["sigma_source"] is not None:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
+    if reference["normalized_by_baseline"] is False:
+        facts["normalized"] = "no: the published baseline is of another span of the motion"
     if reference["withheld"] is not None:
         facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"
     return facts

@@ -21,6 +21,7 @@ __all__ = [
     "NORMALIZED_NOTE",
     "SIGMA_NOTES",
     "heading",
+    "interval_text",
     "markdown_row",
     "markdown_text",
     "number_text",
@@ -43,8 +44,8 @@ ALIGNED_TITLE = "RMSE aligned"
 COST_TITLE = "wall s/sim s"
 
 NORMALIZED_NOTE = (
-    "Normalized: score over the mean score of the real trials, so 1.0 is a typical real trial. RMSE and DTW: lower is "
-    "closer. LSD, MTE, PD: 1 is ideal. EL is never normalized, 0 is ideal. Engines: as published (GAUGE, Table 5)."
+    "Normalized: score over the mean score of the real trials, with its 95 % interval. RMSE and DTW: lower is closer. "
+    "LSD, MTE, PD: 1 is ideal. EL: 0 is ideal, never normalized. Engines: as published (GAUGE, Table 5)."
 )
 
 DEFORMATION_NOTE = (
@@ -55,7 +56,7 @@ DEFORMATION_NOTE = (
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
-    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline where there is one",
+    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
 }
 
@@ -117,6 +118,13 @@ def number_text(value: float | None) -> str:
 def score_text(value: float | None) -> str:
     """Return a score to two decimals, or to two digits below 0.1."""
     return f"{value:.2g}" if value is not None and abs(value) < 0.1 else number_text(value)
+
+
+def interval_text(value: float | None, interval: Sequence[float] | None) -> str:
+    """Return a score with its 95 % interval, `0.41 [0.17, 1.43]`; a dash for None."""
+    if value is None or interval is None:
+        return number_text(value)
+    return f"{number_text(value)} [{number_text(interval[0])}, {number_text(interval[1])}]"
 
 
 def quantity_text(value: float) -> str:

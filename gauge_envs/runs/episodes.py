@@ -15,17 +15,26 @@ from gauge_envs.backends.base import Worlds
 from gauge_envs.envs.arguments import EnvArguments, jittered_experiment
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode, advance_together, run_on_together
-from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import dataset_record
+from gauge_envs.references.sensitivities import write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.scene_record import asset_record
+from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = ["episode_result", "planned_result", "run_episode", "run_repeats", "run_together"]
+__all__ = [
+    "episode_result",
+    "planned_result",
+    "run_episode",
+    "run_repeats",
+    "run_together",
+    "with_measured_uncertainty",
+]
 
 
 def run_episode(request: RunRequest) -> Result:
@@ -51,9 +60,42 @@ def run_episode(request: RunRequest) -> Result:
         while not over:
             *_, terminated, truncated, info = env.step(zero)
             over = terminated or truncated
-        return episode_result(env, info, wall_s=time.perf_counter() - start)
+        result = episode_result(env, info, wall_s=time.perf_counter() - start)
     finally:
         env.close()
+    return with_measured_uncertainty(request, [result])[0] if request.uncertainty else result
+
+
+def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) -> list[Result]:
+    """Return results of a request scored with sensitivities that are measured for it.
+
+    The sensitivities of a calibrated experiment with the engine's default settings are stored in the user's data
+    folder, for later scores on the same engine.
+
+    Args:
+        request: The run.
+        results: Its results; those without a score stay as they are.
+
+    Raises:
+        GaugeError: The unchanged experiment cannot run, or the store cannot be written.
+    """
+    experiment = request.experiment()
+    band = request.band(experiment)
+    if band is None or not any(result.outcome is Outcome.FINISHED for result in results):
+        return list(results)
+    measured = measure_sensitivities(request)
+    if not request.settings and request.parameters == "calibrated" and request.asset is None:
+        write_sensitivities(measured)
+    rescored = []
+    for result in results:
+        if result.outcome is Outcome.FINISHED and result.trajectory is not None:
+            times_s, values = result.trajectory.arrays(later=True)
+            score = score_trajectory(
+                experiment, band, times_s=times_s, values=values, backend=request.backend, sensitivities=measured
+            )
+            result = replace(result, score=score)
+        rescored.append(result)
+    return rescored
 
 
 def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any], *, wall_s: float | None = None) -> Result:
@@ -105,7 +147,7 @@ def run_repeats(request: RunRequest) -> list[Result]:
         ]
         run_together(episodes, worlds)
         share_s = (time.perf_counter() - start) / request.repeats
-        return [
+        results = [
             _finished(
                 planned_result(request, episode.experiment, seed=seed, jitter=jitter),
                 episode,
@@ -117,6 +159,7 @@ def run_repeats(request: RunRequest) -> list[Result]:
         ]
     finally:
         worlds.close()
+    return with_measured_uncertainty(request, results) if request.uncertainty else results
 
 
 def run_together(episodes: Sequence[Episode], worlds: Worlds) -> None:

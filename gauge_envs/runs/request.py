@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 
 from gauge_envs.envs.arguments import EnvArguments
+from gauge_envs.envs.no_reward import unreported
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
 from gauge_envs.experiments.scene_source import is_experiment_file
@@ -28,6 +29,8 @@ class RunRequest(EnvArguments):
         seed: Seed of the first episode, 0 or more; each next repeat has one more.
         repeats: Number of episodes, 1 or more.
         jitter: Standard deviations of the start; None starts each episode as calibrated.
+        uncertainty: Measure the sensitivities of this very run for the score's intervals, by about 20 further runs. By
+            default the intervals use stored sensitivities of the engine.
 
     Raises:
         UnknownNameError: No such variant.
@@ -44,6 +47,7 @@ class RunRequest(EnvArguments):
     seed: int = 0
     repeats: int = 1
     jitter: Jitter | None = None
+    uncertainty: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,13 +67,15 @@ class RunRequest(EnvArguments):
         return replace(self, parameters="calibrated").experiment()
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
-        """Make the environment of the request.
+        """Make the environment of the request, without a warning if it has no reward: its result states the grade.
 
         Raises:
             GaugeError: See `GaugeEnv`.
         """
         keywords = {field.name: getattr(self, field.name) for field in fields(EnvArguments)}
         variant = keywords.pop("variant")
-        if isinstance(variant, Variant):
-            return gymnasium.make(variant.id, disable_env_checker=True, **keywords)
-        return gymnasium.make(f"GAUGE/{ASSET_NAME}", disable_env_checker=True, **keywords | {"asset": variant})
+        name = variant.id if isinstance(variant, Variant) else f"GAUGE/{ASSET_NAME}"
+        if not isinstance(variant, Variant):
+            keywords["asset"] = variant
+        with unreported():
+            return gymnasium.make(name, disable_env_checker=True, **keywords)

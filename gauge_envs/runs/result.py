@@ -119,7 +119,7 @@ class Result:
         versions: Versions of the engine, gauge-envs, gymnasium, numpy and python.
         seed: Seed of the reset and of the jitter.
         jitter: Standard deviations of the start; empty without jitter.
-        marker_proxy: Marker proxy of deformable bodies: `node` or `material`.
+        marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         driver_provenance: Source of the driven motion; None without driven bodies.
         dataset: Source of driven motion (`drivers`) and band (`reference`), `bundled` or `imported`. If one of them is
             imported, also `revision` of the dataset and `sha256` over the imported trials.
@@ -148,7 +148,7 @@ class Result:
     versions: dict[str, str] = field(default_factory=versions)
     seed: int | None = None
     jitter: dict[str, float] = field(default_factory=dict)
-    marker_proxy: str = "node"
+    marker_proxy: str = "material"
     driver_provenance: str | None = None
     dataset: dict[str, str] = field(default_factory=BUNDLED_DATA.copy)
     asset: dict[str, Any] = field(default_factory=dict)

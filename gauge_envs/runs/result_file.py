@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from gauge_envs.errors import ResultFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import write_whole
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 
@@ -37,7 +38,7 @@ def result_file_name(result: Result) -> str:
         parts.append(f"settings-{_digest(result.settings_given)}")
     if result.jitter:
         parts.append(f"jitter-{_digest(result.jitter)}")
-    if result.marker_proxy != "node":
+    if result.marker_proxy != MarkerProxy.MATERIAL:
         parts.append(result.marker_proxy)
     if result.seed:
         parts.append(f"seed-{result.seed}")
@@ -71,9 +72,9 @@ def load_result(file: Path) -> Result:
         content = json.loads(file.read_bytes())
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        # Files of older versions lack these keys; they have the defaults.
+        # Files of older versions lack these keys; they have the defaults of that time.
         content.setdefault("jitter", {})
-        content.setdefault("marker_proxy", "node")
+        content.setdefault("marker_proxy", MarkerProxy.NODE.value)
         content["dataset"] = BUNDLED_DATA | dict(content.get("dataset") or {})
         content.setdefault("asset", {})
         content.setdefault("deformation", None)

@@ -8,7 +8,7 @@ from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.deformation import score_deformation
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import score_trajectory
-from gauge_envs.evaluation.trajectory_file import read_trajectory, recorded_id
+from gauge_envs.evaluation.trajectory_file import StatedOrigin, read_trajectory, stated_origin
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -49,10 +49,13 @@ def score_file(
         UnknownNameError: No such variant.
         ParameterError: No such parameters.
     """
-    experiment = _experiment_of_file(file, variant, parameters, reference)
+    origin = stated_origin(file)
+    experiment = _experiment_of_file(file, origin, variant, parameters, reference)
     trajectory = read_trajectory(file, experiment)
     band = reference_band(experiment, use_withheld=use_withheld)
-    score = score_trajectory(experiment, band, times_s=trajectory.times_s, values=trajectory.values)
+    score = score_trajectory(
+        experiment, band, times_s=trajectory.times_s, values=trajectory.values, backend=origin.backend
+    )
     result = Result(
         id=experiment.id,
         outcome=Outcome.FINISHED,
@@ -71,20 +74,23 @@ def score_file(
 
 
 def _experiment_of_file(
-    file: Path, variant: str | None, parameters: Parameters | None, reference: DataSource | str
+    file: Path,
+    origin: StatedOrigin,
+    variant: str | None,
+    parameters: Parameters | None,
+    reference: DataSource | str,
 ) -> Experiment:
     """Return the experiment of a trajectory: that of the arguments, or that of the file."""
-    stated_id, stated_parameters, has_asset = recorded_id(file)
-    if has_asset and variant is None and parameters is None:
+    if origin.has_asset and variant is None and parameters is None:
         return recorded_experiment(load_result(file))
-    name = variant or stated_id
+    name = variant or origin.id
     if name is None:
         raise TrajectoryFileError(f"{file}: the file states no id. Give one, as --id GAUGE/SlopeSlider-2-wood.")
     if parameters is None:
-        known = isinstance(stated_parameters, str | dict) and not has_asset
-        parameters = stated_parameters if known else "calibrated"
+        known = isinstance(origin.parameters, str | dict) and not origin.has_asset
+        parameters = origin.parameters if known else "calibrated"
     experiment = resolve_experiment(name, parameters, reference=reference)
-    stated = stated_id if stated_id is None or has_asset else find_variant(stated_id).id
+    stated = origin.id if origin.id is None or origin.has_asset else find_variant(origin.id).id
     if stated is not None and stated != experiment.id:
-        raise TrajectoryFileError(f"{file}: the id in the file is {stated_id!r}, but {experiment.id} was asked for")
+        raise TrajectoryFileError(f"{file}: the id in the file is {origin.id!r}, but {experiment.id} was asked for")
     return experiment

@@ -55,7 +55,8 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
     """Run an experiment with each uncertain input one standard uncertainty lower and higher.
 
     Inputs are the friction and restitution of each contact, the start of the recorded bodies, the tilt of the set-up
-    against gravity, and the time step. `scoring/uncertainties.toml` states their uncertainties.
+    against gravity, the time step, and the cell of deformable bodies. `scoring/uncertainties.toml` states their
+    uncertainties.
 
     Args:
         request: The run; `seed`, `repeats` and `jitter` do not apply.
@@ -78,28 +79,32 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
             left_out.append(f"{one.name}: {error}")
             continue
         inputs.append(_input(one, (high - low) / one.width))
-    try:
-        half = dict(request.settings or {}) | {"timestep_s": 0.5 * float(settings["timestep_s"])}
-        finer, _ = _frames(request, engine, experiment, half)
+    for setting, name, unit in (("timestep_s", "time step", "s"), ("cell_m", "cell", "m")):
+        size = settings.get(setting)
+        if not isinstance(size, float) or (setting == "cell_m" and not experiment.scene.deformables):
+            continue
+        try:
+            finer, _ = _frames(request, engine, experiment, {**(request.settings or {}), setting: 0.5 * size})
+        except GaugeError as error:
+            left_out.append(f"{name}: {error}")
+            continue
         inputs.append(
             InputUncertainty(
-                name="time step",
+                name=name,
                 kind="discretization",
-                std=float(settings["timestep_s"]),
-                unit="s",
-                source="change of the trajectory by half the time step; the error of first order is twice that",
+                std=size,
+                unit=unit,
+                source=f"change of the trajectory by half the {name}; the error of first order is twice that",
                 change=DISCRETIZATION_FACTOR * (finer - nominal),
             )
         )
-    except GaugeError as error:
-        left_out.append(f"time step: {error}")
     if experiment.scene.deformables:
         left_out.append("constants of deformable bodies: no uncertainty is published")
     return Sensitivities(
         variant=experiment.name,
         backend=request.backend,
         versions=engine.versions(),
-        settings={key: settings[key] for key in ("preset", "timestep_s") if key in settings},
+        settings={key: settings[key] for key in ("preset", "timestep_s", "cell_m") if settings.get(key) is not None},
         inputs=tuple(inputs),
         left_out=tuple(left_out),
     )
@@ -190,7 +195,8 @@ def _pair(contact: Contact) -> str:
 
 
 def _with_contacts(scene: Scene, group: list[Contact], constant: str, value: float) -> Scene:
-    changed = tuple(replace(one, **{constant: value}) if one in group else one for one in scene.contacts)
+    change: dict[str, Any] = {constant: value}
+    changed = tuple(replace(one, **change) if one in group else one for one in scene.contacts)
     return replace(scene, contacts=changed)
 
 

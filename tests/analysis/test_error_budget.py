@@ -440,7 +440,7 @@ def test_a_part_that_another_can_replace_is_reported():
     """Let go at the right time and too slow: a shift hides most of it, the acceleration is all of it."""
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
-    times, values = samples(count, slide(2600.0))
+    times, values = samples(count + 10, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert diagnosis.part(BudgetStage.RELEASE).share > 0.5
@@ -496,7 +496,7 @@ def gauge(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def unscored():
-    return run_episode(RunRequest("SlopeContact-plastic"))
+    return run_episode(RunRequest("Turntable-2-plastic"))
 
 
 def test_what_is_missing_is_reported(ball, unscored):
@@ -505,10 +505,16 @@ def test_what_is_missing_is_reported(ball, unscored):
     with pytest.raises(DiagnosisError, match="diverged, so there is no score"):
         diagnose(replace(ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"))
     with pytest.raises(DiagnosisError, match="withheld"):
-        experiment = load_experiment("SlopeContact-wood")
+        experiment = load_experiment("Pendulum-metal")
         diagnose_trajectory(experiment, reference_band(experiment), times_s=np.zeros(1), values=np.zeros((1, 3)))
     other = replace(
-        ball, trajectory=replace(ball.trajectory, coordinates=["z"], samples=[[0.0]] * len(ball.trajectory.samples))
+        ball,
+        trajectory=replace(
+            ball.trajectory,
+            coordinates=["z"],
+            samples=[[0.0]] * len(ball.trajectory.samples),
+            later_samples=[[0.0]] * len(ball.trajectory.later_samples),
+        ),
     )
     with pytest.raises(DiagnosisError, match="another version of the task file"):
         diagnose(other)
@@ -582,7 +588,7 @@ def test_command_and_its_exit_codes(gauge, tmp_path, ball, unscored):
     both = gauge("diagnose", "ball.json", "cradle.json", "--out", "plots", "--order", "rate,release,offset")
     assert both.exit_code == 0
     assert "is let go" in both.stdout
-    assert "left out: GAUGE/SlopeContact-plastic: there is no reference band" in both.stderr
+    assert "left out: GAUGE/Turntable-2-plastic: there is no reference band" in both.stderr
     assert (tmp_path / "plots" / "diagnosis.png").exists()
     none = gauge("diagnose", "cradle.json")
     assert (none.exit_code, "no reference band" in none.stderr) == (2, True)

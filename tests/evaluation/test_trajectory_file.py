@@ -69,11 +69,29 @@ def test_frames_between_samples_are_interpolated_and_counted(tmp_path):
     np.testing.assert_allclose(at_frames, SLIDE, atol=0.04)  # a dt^2 / 8 = 0.032 mm
 
 
-def test_what_comes_after_the_last_frame_is_not_used(tmp_path):
+def test_ten_frames_after_the_last_one_serve_the_alignment_and_nothing_else_is_used(tmp_path):
     longer = coulomb_slide(np.arange(2 * FRAMES) / 30.0)
     result, _ = score_file(write_csv(tmp_path / "a.csv", longer), variant=NAME)
-    exact, _ = score_file(write_csv(tmp_path / "b.csv", SLIDE), variant=NAME)
-    assert result.score == exact.score
+    ten_more, _ = score_file(write_csv(tmp_path / "b.csv", longer[: FRAMES + 10]), variant=NAME)
+    exact, _ = score_file(write_csv(tmp_path / "c.csv", SLIDE), variant=NAME)
+    assert result.score == ten_more.score
+    assert (result.score.rmse, result.score.dtw) == (exact.score.rmse, exact.score.dtw)
+    assert result.frames == exact.frames == len(result.trajectory.times_s) == FRAMES
+    assert len(result.trajectory.later_times_s) == 10
+
+
+def test_a_file_that_ends_with_the_last_frame_is_not_shifted_to_earlier_times(tmp_path):
+    """Real cubes of SlopeSlider-2-plastic slide earlier than the calibrated one."""
+    plastic = "SlopeSlider-2-plastic"
+    longer = (
+        1e3 * np.array(load_experiment(plastic).scene.body("cube").pose.position_m)
+        + coulomb_slide(np.arange(27) / 30.0)
+        - coulomb_slide(np.zeros(1))
+    )
+    cut, _ = score_file(write_csv(tmp_path / "a.csv", longer[:17]), variant=plastic)
+    whole, _ = score_file(write_csv(tmp_path / "b.csv", longer), variant=plastic)
+    assert cut.score.release_offset_s >= 0.0 > whole.score.release_offset_s
+    assert whole.score.rmse_aligned < 0.5 * cut.score.rmse_aligned
 
 
 def broken(row, column, text):

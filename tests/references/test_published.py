@@ -15,13 +15,26 @@ from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
 from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.files import data_folder
 from gauge_envs.references import tables
-from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.references.published import carried_band, law_for, published_baselines, published_variants
+from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.published import (
+    CarriedLaw,
+    FlightLaw,
+    SlideLaw,
+    carried_band,
+    law_for,
+    published_baselines,
+    published_variants,
+    uncontacted_band,
+)
 
 TRIAL_VARIANTS = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal", "BouncingBall-rubber")
-LAW_VARIANTS = tuple(
+CARRIED_VARIANTS = tuple(
     f"{family}-1-{material}" for family in ("SlopeSlider", "Turntable") for material in ("wood", "plastic", "metal")
 )
+FLIGHT_VARIANTS = tuple(
+    f"NonsmoothContact-{subtask}-{material}" for subtask in "123" for material in ("wood", "plastic")
+)
+SLIDE_VARIANTS = ("SlopeContact-wood", "SlopeContact-plastic")
 
 
 @pytest.fixture
@@ -171,7 +184,7 @@ def test_project_refuses_another_width(shape: tuple[int, ...]) -> None:
 # Laws
 
 
-@pytest.mark.parametrize("variant", LAW_VARIANTS)
+@pytest.mark.parametrize("variant", CARRIED_VARIANTS)
 def test_carried_band_repeats_the_published_scatter(variant: str) -> None:
     baseline = published_baselines(variant)["rmse"]
     positions = np.arange(3.0 * baseline.frames).reshape(-1, 3)
@@ -202,7 +215,9 @@ def test_carried_band_refuses_other_positions(positions: np.ndarray) -> None:
         carried_band(variant="SlopeSlider-1-wood", positions_mm=positions)
 
 
-@pytest.mark.parametrize("variant", ["SlopeSlider-2-wood", "WallBreaking-wood", "SlopeSlider-1-cheese"])
+@pytest.mark.parametrize(
+    "variant", ["SlopeSlider-2-wood", "WallBreaking-wood", "SlopeSlider-1-cheese", "SlopeContact-wood"]
+)
 def test_carried_band_refuses_variants_without_the_law(variant: str) -> None:
     with pytest.raises(UnknownNameError, match="carried variant"):
         carried_band(variant=variant, positions_mm=np.zeros((9, 3)))
@@ -210,9 +225,30 @@ def test_carried_band_refuses_variants_without_the_law(variant: str) -> None:
 
 def test_laws_name_who_is_carried_by_what() -> None:
     slider, turntable = law_for("SlopeSlider-1-metal"), law_for("Turntable-1-wood")
-    assert slider is not None and turntable is not None
+    assert isinstance(slider, CarriedLaw) and isinstance(turntable, CarriedLaw)
     assert (slider.kind, slider.body, slider.carrier) == ("carried", "cube", "board")
     assert (turntable.kind, turntable.body, turntable.carrier) == ("carried", "cube", "plate")
+
+
+def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement() -> None:
+    law = law_for("NonsmoothContact-1-wood")
+    assert isinstance(law, FlightLaw)
+    positions = np.arange(12.0).reshape(4, 3)
+    positions[2:] = np.nan
+    band = uncontacted_band(law, positions_mm=positions)
+    assert (band.grade, band.sigma_source) == (BandGrade.LAW, SigmaSource.MEASUREMENT)
+    assert band.measured.tolist() == [True, True, False, False]
+    assert (band.sigma == law.sigma_mm).all()
+    assert band.uncertainty is not None and np.isnan(band.uncertainty[2:]).all()
+    assert not band.normalized_by_baseline
+    assert Band.from_dict(band.to_dict()).to_dict() == band.to_dict()
+
+
+@pytest.mark.parametrize("variant", [*FLIGHT_VARIANTS, *SLIDE_VARIANTS])
+def test_laws_until_contact_name_what_moves(variant: str) -> None:
+    law = law_for(variant)
+    assert isinstance(law, FlightLaw | SlideLaw)
+    assert law.body == {"1": "pyramid", "2": "pyramid", "3": "wedge"}.get(variant.split("-")[1], "teh")
 
 
 def test_a_material_without_published_scores_has_no_law() -> None:
@@ -223,7 +259,8 @@ def test_a_material_without_published_scores_has_no_law() -> None:
 def test_grades_of_all_published_variants() -> None:
     grades = {variant: band_grade(variant) for variant in published_variants()}
     assert {variant for variant, grade in grades.items() if grade is BandGrade.TRIALS} == set(TRIAL_VARIANTS)
-    assert {variant for variant, grade in grades.items() if grade is BandGrade.LAW} == set(LAW_VARIANTS)
+    laws = {*CARRIED_VARIANTS, *FLIGHT_VARIANTS, *SLIDE_VARIANTS}
+    assert {variant for variant, grade in grades.items() if grade is BandGrade.LAW} == laws
     assert band_grade("WallBreaking-wood") is BandGrade.NONE
 
 
@@ -287,9 +324,15 @@ def test_grades_of_all_published_variants() -> None:
             "bands/laws.toml",
             'kind = "carried"',
             'kind = "thrown"',
-            "law.0.kind: Input should be 'carried' (given: 'thrown')",
+            "law.0: Input tag 'thrown' found using 'kind' does not match any of the expected tags",
         ),
-        ("bands/laws.toml", 'carrier = "board"', "", "law.0.carrier: missing key"),
+        ("bands/laws.toml", 'carrier = "board"', "", "law.0.carried.carrier: missing key"),
+        (
+            "bands/laws.toml",
+            "sigma_mm = 1.0",
+            "sigma_mm = 0.0",
+            "sigma_mm: Input should be greater than 0 (given: 0.0)",
+        ),
     ],
 )
 def test_damaged_files_are_named(scoring: Path, file: str, old: str, new: str, message: str) -> None:

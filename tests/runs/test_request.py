@@ -31,7 +31,7 @@ def test_name_id_and_variant_are_the_same_request() -> None:
         {"backend": "newton"},
         {"parameters": {"cube.friction": 0.3}},
         {"settings": {"impratio": 1.0}},
-        {"marker_proxy": "material"},
+        {"marker_proxy": "node"},
         {"use_withheld": True},
         {"seed": 1},
         {"repeats": 2},
@@ -53,7 +53,7 @@ def test_a_request_is_frozen() -> None:
     [
         ({"seed": -1}, "seed is -1, expected 0 or more"),
         ({"repeats": 0}, "repeats is 0, expected 1 or more"),
-        ({"marker_proxy": "nearest"}, "'node' or 'material'"),
+        ({"marker_proxy": "nearest"}, "'material' or 'node'"),
     ],
 )
 def test_values_out_of_range(options: dict, message: str) -> None:

@@ -122,7 +122,7 @@ def add_cloth(
     if contact_radius_m is not None and 2.0 * contact_radius_m >= min(grid.cell_m):
         raise ParameterError(
             f"cloth {cloth.name!r} would collide with a thickness of {2e3 * contact_radius_m:g} mm, but its cells of "
-            f"{1e3 * min(grid.cell_m):.3g} mm must be larger: reduce cloth_fold_radius_m or increase cloth_cell_m"
+            f"{1e3 * min(grid.cell_m):.3g} mm must be larger: reduce cloth_fold_radius_m or increase cell_m"
         )
     held = held_vertices(grid, cloth, attachments)
     rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))

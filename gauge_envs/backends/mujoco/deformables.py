@@ -13,7 +13,7 @@ from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, add_cloth
 from gauge_envs.backends.mujoco.contacts import IMPEDANCE_SHAPE, contact_constants, given_constants
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
-from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.backends.mujoco.settings import CLOTH_CELL_M, ROPE_CELL_M, SettingsMuJoCo
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
 from gauge_envs.backends.shared.attachments import attachment_problems, attachments_by_body, bonded_soft_bodies
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
@@ -37,16 +37,17 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
                 spec,
                 body,
                 attachments=attachments[body.name],
-                cell_m=settings.cloth_cell_m,
+                cell_m=settings.cell_m or CLOTH_CELL_M,
                 bending_stiffness_n_m=bending,
                 contact_radius_m=settings.cloth_fold_radius_m if _touches_itself(scene, body.name) else None,
             )
         elif isinstance(body, Rope):
-            parts[body.name] = add_rope(spec, body, attachments=attachments[body.name])
+            cell_m = settings.cell_m or ROPE_CELL_M
+            parts[body.name] = add_rope(spec, body, attachments=attachments[body.name], cell_m=cell_m)
         elif not isinstance(body, SoftBody):
-            parts[body.name] = add_rod(spec, body, attachments=attachments[body.name])
+            parts[body.name] = add_rod(spec, body, attachments=attachments[body.name], cell_m=settings.cell_m)
     for bodies in bonded_soft_bodies(scene):
-        part = add_soft(spec, bodies, attachments=attachments)
+        part = add_soft(spec, bodies, attachments=attachments, cell_m=settings.cell_m)
         parts |= {body.name: part for body in bodies}
     return parts
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.mujoco.settings import ROPE_CELL_M
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.lines import attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
@@ -20,11 +21,8 @@ from gauge_envs.scene import Rod, Rope
 
 __all__ = ["LinePartMuJoCo", "add_rod", "add_rope"]
 
-ROPE_SEGMENT_M = 0.01
-"""Desired distance between neighbouring nodes of a rope [m]."""
-
 ROD_SEGMENTS = 15
-"""Number of segments of a rod; a clamped rod with a load at its end then deflects within 0.2 % of theory."""
+"""Default number of segments of a rod; a clamped rod with a load at its end then deflects within 0.2 % of theory."""
 
 EDGE_SOLREF = (5e-4, 1.0)
 EDGE_SOLIMP = (0.9999, 0.9999, 1e-4, 0.5, 2.0)
@@ -103,19 +101,22 @@ class LinePartMuJoCo(FlexPart):
         return read
 
 
-def add_rope(spec: mujoco.MjSpec, rope: Rope, *, attachments: Sequence[RigidAttachment]) -> LinePartMuJoCo:
+def add_rope(
+    spec: mujoco.MjSpec, rope: Rope, *, attachments: Sequence[RigidAttachment], cell_m: float = ROPE_CELL_M
+) -> LinePartMuJoCo:
     """Add a rope without contacts.
 
     Args:
         spec: Editable model that contains the rigid bodies.
         rope: The rope. Its Young's modulus is unused, because a rope is inextensible.
         attachments: Attachments of its ends; moving bodies need a free joint.
+        cell_m: Desired distance between neighbouring nodes [m].
 
     Raises:
         UnsupportedSceneError: An attached region is not an end without depth.
     """
     ends = attached_ends(rope, attachments)
-    count = max(2, round(rope.length_m / ROPE_SEGMENT_M))
+    count = max(2, round(rope.length_m / cell_m))
     rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
     held = {0 if side == "low" else count: attachment for side, attachment in ends.items()}
@@ -123,7 +124,12 @@ def add_rope(spec: mujoco.MjSpec, rope: Rope, *, attachments: Sequence[RigidAtta
 
 
 def add_rod(
-    spec: mujoco.MjSpec, rod: Rod, *, attachments: Sequence[RigidAttachment], damping_s: float = 1e-4
+    spec: mujoco.MjSpec,
+    rod: Rod,
+    *,
+    attachments: Sequence[RigidAttachment],
+    cell_m: float | None = None,
+    damping_s: float = 1e-4,
 ) -> LinePartMuJoCo:
     """Add a rod without contacts. Attached ends keep their position and direction.
 
@@ -134,6 +140,7 @@ def add_rod(
         spec: Editable model that contains the rigid bodies.
         rod: The rod. Its Poisson ratio is unused, because it only affects twist.
         attachments: Attachments of its ends; moving bodies need a free joint.
+        cell_m: Desired length of the segments [m]; None gives `ROD_SEGMENTS` segments.
         damping_s: Viscous part of the bending moment, as the time that multiplies the rate of curvature [s].
 
     Raises:
@@ -143,21 +150,22 @@ def add_rod(
     low, high = -0.5 * rod.length_m, 0.5 * rod.length_m
     low += ends["low"].region.depth_m if "low" in ends else 0.0
     high -= ends["high"].region.depth_m if "high" in ends else 0.0
-    segment = (high - low) / (ROD_SEGMENTS - 0.5 * len(ends))
+    count = ROD_SEGMENTS if cell_m is None else max(4, round((high - low) / cell_m + 0.5 * len(ends)))
+    segment = (high - low) / (count - 0.5 * len(ends))
     start = low - 0.5 * segment if "low" in ends else low
-    rest_m = points_on_axis(rod, start + segment * np.arange(ROD_SEGMENTS + 1))
-    flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * ROD_SEGMENTS / rod.length_m)
+    rest_m = points_on_axis(rod, start + segment * np.arange(count + 1))
+    flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * count / rod.length_m)
     flex.young, flex.damping = rod.young_modulus_pa, damping_s
     held: dict[int, RigidAttachment] = {}
     for side, attachment in ends.items():
-        held |= dict.fromkeys([0, 1] if side == "low" else [ROD_SEGMENTS - 1, ROD_SEGMENTS], attachment)
+        held |= dict.fromkeys([0, 1] if side == "low" else [count - 1, count], attachment)
     points = _hold(spec, flex, rest_m, held)
     geoms = []
     for index, name in enumerate(flex.vertbody):
         if index in held:
             continue
         # At a free end the sphere stays within the rod; contact forces still act on the node, at the full length.
-        inward = {0: rod.radius_m, ROD_SEGMENTS: -rod.radius_m}.get(index, 0.0)
+        inward = {0: rod.radius_m, count: -rod.radius_m}.get(index, 0.0)
         geom = spec.body(name).add_geom(
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             name=f"{rod.name}/{index}",

@@ -17,18 +17,19 @@ from scipy.sparse import csr_matrix
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
 from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, SoftRow
+from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import SoftBody
 
 __all__ = ["SoftPartMuJoCo", "add_soft"]
 
 LONE_CELLS = (4, 2)
-"""Cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a finer
-mesh."""
+"""Default cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a
+finer mesh."""
 
 BONDED_CELLS = (2, 1)
-"""Cells along and across each body of a soft row; twice as many make its swing 1 % slower at four times the cost."""
+"""Default cells along and across each body of a soft row; twice as many make its swing 1 % slower at four times the
+cost."""
 
 POINT_SPACING_M = 0.0125
 """Largest distance between neighbouring points of the colliding surface and of `nodes` [m]."""
@@ -168,6 +169,7 @@ def add_soft(
     bodies: Sequence[SoftBody],
     *,
     attachments: Mapping[str, Sequence[RigidAttachment]],
+    cell_m: float | None = None,
     cells: tuple[int, int] | None = None,
     damping_s: float = 1e-4,
 ) -> SoftPartMuJoCo:
@@ -177,7 +179,8 @@ def add_soft(
         spec: Editable model that contains the rigid bodies.
         bodies: One body, or all bodies of a soft row in any order.
         attachments: Attachments to rigid bodies, by name of the soft body; only the row's ends may be attached.
-        cells: Cells along and across each body; `LONE_CELLS` or `BONDED_CELLS` by default.
+        cell_m: Largest edge of a cell [m], used without `cells`.
+        cells: Cells along and across each body; without `cell_m`, `LONE_CELLS` or `BONDED_CELLS` by default.
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
 
     Raises:
@@ -185,8 +188,9 @@ def add_soft(
     """
     soft_row = SoftRow.of(bodies, attachments)
     axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
-    along, across = cells or (LONE_CELLS if len(blocks) == 1 else BONDED_CELLS)
-    lattice = _Lattice(low_m, high_m, tuple(along * len(blocks) if i == axis else across for i in range(3)), axis)
+    each = _cells_of_a_block(blocks, axis, cell_m, cells)
+    along = each[axis]
+    lattice = _Lattice(low_m, high_m, tuple(n * len(blocks) if i == axis else n for i, n in enumerate(each)), axis)
     inner_m = low_m[axis] + lattice.cell_m[axis] * along * np.arange(1, len(blocks))
     if np.any(abs(inner_m - [block.low_m[axis] for block in blocks[1:]]) > TOLERANCE_M):
         raise UnsupportedSceneError(
@@ -229,6 +233,18 @@ def add_soft(
     for index in held:
         spec.delete(spec.body(names[index]))
     return SoftPartMuJoCo(flex, lattice, soft_row, Points(names, lattice.rest_m, held))
+
+
+def _cells_of_a_block(
+    blocks: Sequence[Block], axis: int, cell_m: float | None, cells: tuple[int, int] | None
+) -> tuple[int, ...]:
+    """Return the number of cells of each block along x, y and z."""
+    if cells is not None or cell_m is None:
+        along, across = cells or (LONE_CELLS if len(blocks) == 1 else BONDED_CELLS)
+        return tuple(along if i == axis else across for i in range(3))
+    # Blocks at the ends of a row lose material to the grips; the longest one decides.
+    edges = np.max([block.high_m - block.low_m for block in blocks], axis=0)
+    return tuple(max(1, ceil(edge / cell_m - 1e-6)) for edge in edges)
 
 
 def _add_gripped_material(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, soft_row: SoftRow, side: str) -> None:

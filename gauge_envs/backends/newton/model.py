@@ -18,6 +18,11 @@ from gauge_envs.backends.newton.mujoco import StepperMuJoCo, add_contacts, shape
 from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies, keep_apart
 from gauge_envs.backends.newton.settings import (
+    CLOTH_CELL_M,
+    ROD_SEGMENTS,
+    ROPE_CELL_M,
+    SOFT_CELL_M,
+    VOXEL_M,
     SettingsLines,
     SettingsMPM,
     SettingsMuJoCoWarp,
@@ -28,7 +33,12 @@ from gauge_envs.backends.newton.soft import SoftPartNewton, add_block_shapes, ad
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import surface_contacts
 from gauge_envs.backends.newton.vbd import SelfContact, StepperVBD, apply_contacts, passing_pairs
-from gauge_envs.backends.shared.attachments import attachments_by_body, bonded_soft_bodies, rigid_attachments
+from gauge_envs.backends.shared.attachments import (
+    RigidAttachment,
+    attachments_by_body,
+    bonded_soft_bodies,
+    rigid_attachments,
+)
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene, Vector
 from gauge_envs.scene.geometry import vector
@@ -174,7 +184,7 @@ def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: Setting
                 body,
                 attachments=attachments[body.name],
                 bodies=rigid.bodies,
-                cell_m=settings.cloth_cell_m,
+                cell_m=settings.cell_m or CLOTH_CELL_M,
                 stretch_damping_n_s_per_m=settings.stretch_damping_n_s_per_m,
                 bend_damping_n_s=settings.bend_damping_n_s,
             )
@@ -186,7 +196,7 @@ def _add_vbd_scene(builder: newton.ModelBuilder, scene: Scene, settings: Setting
             bodies,
             attachments=attachments,
             indices=rigid.bodies,
-            cell_m=settings.soft_cell_m,
+            cell_m=settings.cell_m or SOFT_CELL_M,
             damping_s=settings.soft_damping_s,
             contact_radius_m=settings.soft_contact_radius_m,
             rigid_ratio=settings.soft_rigid_ratio,
@@ -207,12 +217,13 @@ def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: Settin
     rigid = add_bodies(builder, near, config=newton.ModelBuilder.ShapeConfig(density=0.0))
     layout = WorldLayout(rigid=rigid, origin_m=origin_m)
     for line in (body for body in near.deformables if isinstance(body, Rope | Rod)):
+        attachments = rigid_attachments(near, line.name)
         part = layout.parts[line.name] = add_line(
             builder,
             line,
-            attachments=rigid_attachments(near, line.name),
+            attachments=attachments,
             bodies=rigid.bodies,
-            segments=_segment_count(line, settings),
+            segments=_segment_count(line, attachments, settings),
             joint_stiffness_n_per_m=_joint_stiffness_n_per_m(scene, line, settings),
             damping_s=settings.rod_damping_s,
             touches_itself=any({line.name} <= {*c.first} & {*c.second} for c in scene.contacts),
@@ -223,14 +234,20 @@ def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: Settin
     return layout
 
 
-def _segment_count(line: Rope | Rod, settings: SettingsLines) -> int:
-    return settings.rod_segments if isinstance(line, Rod) else max(2, round(line.length_m / settings.rope_segment_m))
+def _segment_count(line: Rope | Rod, attachments: Sequence[RigidAttachment], settings: SettingsLines) -> int:
+    """Return the number of segments outside the grips."""
+    if isinstance(line, Rope):
+        return max(2, round(line.length_m / (settings.cell_m or ROPE_CELL_M)))
+    if settings.cell_m is None:
+        return ROD_SEGMENTS
+    free_m = line.length_m - sum(attachment.region.depth_m for attachment in attachments)
+    return max(2, round(free_m / settings.cell_m))
 
 
 def _joint_stiffness_n_per_m(scene: Scene, line: Rope | Rod, settings: SettingsLines) -> float:
     if isinstance(line, Rod):
         return settings.rod_joint_stiffness_n_per_m
-    return _load_n(scene, line) * _segment_count(line, settings) / (settings.rope_strain * line.length_m)
+    return _load_n(scene, line) * _segment_count(line, (), settings) / (settings.rope_strain * line.length_m)
 
 
 def _load_n(scene: Scene, line: Rope | Rod) -> float:
@@ -280,7 +297,7 @@ def _voxel_m(scene: Scene, settings: SettingsMPM) -> float:
     return fitted_voxel_m(
         bodies,
         attachments=attachments_by_body(scene, bodies),
-        voxel_m=settings.voxel_m,
+        voxel_m=settings.cell_m or VOXEL_M,
         points_per_voxel_edge=settings.points_per_voxel_edge,
     )
 

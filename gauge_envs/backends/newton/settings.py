@@ -15,10 +15,16 @@ from pydantic import Field
 from gauge_envs.backends.newton.stability import longest_timestep_s
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
+from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 
 __all__ = [
+    "CLOTH_CELL_M",
     "PRESETS",
+    "ROD_SEGMENTS",
+    "ROPE_CELL_M",
+    "SOFT_CELL_M",
+    "VOXEL_M",
     "SettingsLines",
     "SettingsMPM",
     "SettingsMuJoCoWarp",
@@ -81,9 +87,11 @@ class SettingsVBD(SettingsNewton):
         starts_from_acceleration: Use the last acceleration in the initial guess of each step, instead of free fall as
             Newton does. The equations are the same, but a third of the iterations is enough. With free fall, a hanging
             strip of rayon stretches by 22 % too much at 1440 Hz and 5 iterations.
-        cloth_cell_m: Desired edge length of a cloth's cells.
-        soft_cell_m: Largest edge length of a soft body's cells, each of five tetrahedra. At 12.5 mm, a quarter of the
-            benchmark's foam, a bar is 1 % too stiff in tension, 14 % in shear and 28 % in torsion.
+        cell_m: Desired edge of the cells of deformable bodies, adjusted so that it divides each side: triangles of a
+            cloth, and cells of five tetrahedra of a soft body (largest edge). None gives cloth cells of 25 mm and soft
+            bodies cells of 12.5 mm, a quarter of the benchmark's foam. At 12.5 mm, a bar of foam is 1 % too stiff in
+            tension, 14 % in shear and 28 % in torsion. Smaller cells of a cloth may shorten the time step.
+            Otherwise it is 0.5 mm to 1 m, at most the longest side, and no body may have more than 200 000 nodes.
         stretch_damping_n_s_per_m: Viscosity of a cloth's membrane, Newton's `tri_kd`. Newton's default of 10 is far too
             large; the implicit step damps enough.
         bend_damping_n_s: Viscosity of a cloth's hinges, Newton's `edge_kd`.
@@ -111,8 +119,7 @@ class SettingsVBD(SettingsNewton):
     solver: Literal["SolverVBD"] = "SolverVBD"
     iterations: int = Field(default=3, ge=1)
     starts_from_acceleration: bool = True
-    cloth_cell_m: float = Field(default=0.025, gt=0.0)
-    soft_cell_m: float = Field(default=0.0125, gt=0.0)
+    cell_m: CellSize = None
     stretch_damping_n_s_per_m: float = Field(default=0.0, ge=0.0)
     bend_damping_n_s: float = Field(default=0.0, ge=0.0)
     soft_damping_s: float = Field(default=0.0, ge=0.0)
@@ -133,9 +140,9 @@ class SettingsLines(SettingsNewton):
 
     Attributes:
         iterations: Descents over all bodies in a step.
-        rod_segments: Number n of segments of a rod; its deflection by a load at its end is 1 part in 2 n^2 too large.
+        cell_m: Desired length of the segments. None gives a rope segments of 10 mm, and a rod 8 segments. With n
+            segments, the deflection of a rod by a load at its end is 1 part in 2 n^2 too large.
         rod_damping_s: Viscosity of a rod in bending and twist, as the time that multiplies the rate of curvature.
-        rope_segment_m: Desired length of a rope's segments.
         rod_joint_stiffness_n_per_m: Largest stiffness of the joints between a rod's segments, axial and transverse. A
             softer rod has E A over the length of a segment. Stiffer joints exceed single precision and need more
             iterations.
@@ -149,9 +156,8 @@ class SettingsLines(SettingsNewton):
 
     solver: Literal["SolverVBD"] = "SolverVBD"
     iterations: int = Field(default=40, ge=1)
-    rod_segments: int = Field(default=8, ge=2)
+    cell_m: CellSize = None
     rod_damping_s: float = Field(default=0.0, ge=0.0)
-    rope_segment_m: float = Field(default=0.01, gt=0.0)
     rod_joint_stiffness_n_per_m: float = Field(default=2e5, gt=0.0)
     rope_strain: float = Field(default=1e-3, gt=0.0)
     contact_depth_m: float = Field(default=1.5e-6, gt=0.0)
@@ -163,8 +169,8 @@ class SettingsMPM(SettingsNewton):
     """Settings of Newton's implicit material point method, for soft bodies.
 
     Attributes:
-        voxel_m: Desired edge of a voxel. The edge is adjusted so that grid planes lie at the ends of the grips, since a
-            gripped point makes its whole voxel rigid.
+        cell_m: Desired edge of a voxel of the grid; None gives 18 mm. The edge is adjusted by up to 15 % so that grid
+            planes lie at the ends of the grips, since a gripped point makes its whole voxel rigid.
         points_per_voxel_edge: Material points along the edge of a voxel.
         iterations: Maximum number of iterations of the stress solver.
         tolerance: Residual at which the stress solver stops.
@@ -174,7 +180,7 @@ class SettingsMPM(SettingsNewton):
     """
 
     solver: Literal["SolverImplicitMPM"] = "SolverImplicitMPM"
-    voxel_m: float = Field(default=0.018, gt=0.0)
+    cell_m: CellSize = None
     points_per_voxel_edge: int = Field(default=2, ge=1)
     iterations: int = Field(default=250, ge=1)
     tolerance: float = Field(default=1e-4, gt=0.0)
@@ -220,7 +226,7 @@ PRESETS: dict[str, SettingsNewton] = {
         timestep_s=1 / 3600,
         iterations=6,
         starts_from_acceleration=False,
-        soft_cell_m=0.0125 / 1.5,
+        cell_m=0.0125 / 1.5,
         full_surface=True,
         contact_gap_m=0.005,
     ),
@@ -232,7 +238,7 @@ PRESETS: dict[str, SettingsNewton] = {
         preset="soft_row",
         timestep_s=1 / 3600,
         starts_from_acceleration=False,
-        soft_cell_m=0.0125 / 1.5,
+        cell_m=0.0125 / 1.5,
         contact_gap_m=0.005,
     ),
     # Single precision limits a rod: with joints ten times as stiff, or a quarter of the time step, displacements come
@@ -247,6 +253,25 @@ PRESETS: dict[str, SettingsNewton] = {
     "mpm": SettingsMPM(preset="mpm", timestep_s=1 / 180),
     "mpm_full": SettingsMPM(preset="mpm_full", timestep_s=1 / 900),
 }
+
+
+CLOTH_CELL_M = 0.025
+"""Default edge of a cloth's cells [m]."""
+
+SOFT_CELL_M = 0.0125
+"""Default edge of a soft body's cells of tetrahedra [m]."""
+
+VOXEL_M = 0.018
+"""Default edge of the voxels of the material point method [m]."""
+
+ROPE_CELL_M = 0.01
+"""Default length of a rope's segments [m]."""
+
+ROD_SEGMENTS = 8
+"""Default number of segments of a rod."""
+
+NODE_LIMIT = 200_000
+"""Largest number of nodes or material points of a body that `cell_m` may ask for."""
 
 
 def _preset_name(scene: Scene) -> str:
@@ -274,9 +299,8 @@ def _cloth_preset(scene: Scene) -> str:
     bodies = [scene.body(name) for name in touched]
     if any(body.motion is Motion.DYNAMIC for body in bodies):
         return "cloth_loaded"
-    cell_m = SettingsVBD.model_fields["cloth_cell_m"].default
     narrow = any(
-        float(np.ptp(b.shape.corners_m, axis=0).min()) < cell_m for b in bodies if b.motion is Motion.KINEMATIC
+        float(np.ptp(b.shape.corners_m, axis=0).min()) < CLOTH_CELL_M for b in bodies if b.motion is Motion.KINEMATIC
     )
     return "cloth_probed" if narrow else "cloth"
 
@@ -289,15 +313,43 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
 
     Raises:
         UnknownNameError: The preset does not exist.
-        ParameterError: A setting does not exist or has an invalid value.
+        ParameterError: A setting does not exist or has an invalid value, or cells of that size do not fit a body.
     """
-    settings = resolve_settings("Newton", PRESETS, preset=_preset_name(scene), changes=changes)
+    settings = _with_cells(
+        resolve_settings("Newton", PRESETS, preset=_preset_name(scene), changes=changes),
+        scene,
+        is_given=(changes or {}).get("cell_m") is not None,
+    )
     if isinstance(settings, SettingsVBD) and settings.starts_from_acceleration and "timestep_s" not in (changes or {}):
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
         longest_s = min(
-            (longest_timestep_s(c, cell_m=settings.cloth_cell_m, iterations=settings.iterations) for c in cloths),
+            (
+                longest_timestep_s(c, cell_m=settings.cell_m or CLOTH_CELL_M, iterations=settings.iterations)
+                for c in cloths
+            ),
             default=settings.timestep_s,
         )
         while settings.timestep_s > longest_s:
             settings = settings.model_copy(update={"timestep_s": 0.5 * settings.timestep_s})
     return settings
+
+
+def _with_cells(settings: SettingsNewton, scene: Scene, *, is_given: bool) -> SettingsNewton:
+    """Return the settings with the default size of cells if none was given, after a check of a given one."""
+    if not isinstance(settings, SettingsVBD | SettingsLines | SettingsMPM):
+        return settings
+    if settings.cell_m is None:
+        return settings.model_copy(update={"cell_m": _default_cell_m(settings, scene)})
+    if is_given:
+        points = settings.points_per_voxel_edge if isinstance(settings, SettingsMPM) else 1
+        check_cells("Newton", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=points)
+    return settings
+
+
+def _default_cell_m(settings: SettingsNewton, scene: Scene) -> float | None:
+    """Return the default size of cells, or None if the kinds of body in the scene have none in common."""
+    if isinstance(settings, SettingsMPM):
+        return VOXEL_M
+    defaults = {Cloth: CLOTH_CELL_M, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
+    found = {defaults.get(type(body)) for body in scene.deformables}
+    return found.pop() if len(found) == 1 else None

@@ -1,10 +1,14 @@
 """Metrics of a motion: distance to the real mean, events of a swing, agreement with physical laws."""
 
 from gauge_envs.evaluation.metrics.events import (
+    SwingTimes,
+    dropped_rests,
     energy_loss,
     longest_stationary_duration,
     momentum_transfer_efficiency,
     oscillation_period,
+    spectral_peak_period,
+    swing_times,
 )
 from gauge_envs.evaluation.metrics.law import (
     coefficient_of_determination,
@@ -26,8 +30,10 @@ from gauge_envs.evaluation.metrics.trajectory import (
 
 __all__ = [
     "MAX_RELEASE_OFFSET_S",
+    "SwingTimes",
     "band_coverage",
     "coefficient_of_determination",
+    "dropped_rests",
     "dtw_path",
     "dynamic_error",
     "energy_loss",
@@ -39,6 +45,8 @@ __all__ = [
     "quadratic_form_improvement",
     "release_offset",
     "signed_error",
+    "spectral_peak_period",
+    "swing_times",
     "trajectory_dtw",
     "trajectory_rmse",
     "z_scores",

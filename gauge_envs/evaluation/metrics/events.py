@@ -1,12 +1,14 @@
 """Metrics of a swing (paper, LSD, MTE, PD, EL): longest rest, momentum transfer, period, energy loss.
 
-Each function takes one evenly sampled coordinate and no reference. It returns NaN for an event that does not happen,
-and raises ShapeError for wrong input.
+Each function takes evenly sampled coordinates and no reference. It returns NaN for an event that does not happen, and
+raises ShapeError for wrong input. The paper leaves two estimators open. `longest_stationary_duration` and
+`spectral_peak_period` also compute the alternatives, so that a report can state what the choice does.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -15,7 +17,16 @@ from scipy.optimize import minimize_scalar
 
 from gauge_envs.errors import ShapeError
 
-__all__ = ["energy_loss", "longest_stationary_duration", "momentum_transfer_efficiency", "oscillation_period"]
+__all__ = [
+    "SwingTimes",
+    "dropped_rests",
+    "energy_loss",
+    "longest_stationary_duration",
+    "momentum_transfer_efficiency",
+    "oscillation_period",
+    "spectral_peak_period",
+    "swing_times",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -27,36 +38,120 @@ _APEX_REACH = 3
 def longest_stationary_duration(
     height_mm: ArrayLike,
     *,
+    path_mm: ArrayLike | None = None,
+    central: bool = False,
     frame_rate_hz: float = 30.0,
     height_range_mm: float = 0.5,
     speed_limit_mm_s: float = 5.0,
 ) -> float:
     """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
 
-    A rest is a run of at least two frames whose height changes no faster than the speed limit. Its duration counts the
-    frames of its longest part within the height range. A rest that includes the first frame is the hold before the
-    first impact, and one that includes the last frame is cut; neither counts. The paper's condition uses the height
-    alone. A fast ball at its lowest point differs from a ball at rest by the frames before and after.
+    A rest is a run of at least two frames whose speed is within the limit. Its duration counts the frames of its
+    longest part within the height range. A rest that includes the first frame is the hold before the first impact, and
+    one that includes the last frame is cut; neither counts, and `dropped_rests` returns both.
+
+    The paper's condition names a speed and does not define it. By default it is that of the height, from one frame to
+    the next. A fast ball at its lowest point differs from a ball at rest by the frames before and after.
 
     Args:
         height_mm: Height of the ball at every frame, shape [frame_count], mm.
+        path_mm: Coordinates whose speed is limited in place of that of the height, shape [frame_count, C], mm.
+        central: Take the speed at each frame by central differences, in place of that between consecutive frames.
         frame_rate_hz: Frame rate, Hz.
         height_range_mm: Largest height minus smallest height of one rest, mm.
-        speed_limit_mm_s: Largest speed between consecutive frames of one rest, mm/s.
+        speed_limit_mm_s: Largest speed of one rest, mm/s.
 
     Returns:
         Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
 
     Raises:
+        ShapeError: The heights are not one row of finite numbers, or the path is not one row for each of them.
+    """
+    heights = _samples("height_mm", height_mm, least=2)
+    path = heights[:, None] if path_mm is None else _path(path_mm, len(heights))
+    speeds = _speeds(path, frame_rate_hz, central=central)
+    rests = _rests(speeds <= speed_limit_mm_s, central=central)
+    inner = [heights[rest] for rest in rests if rest.start > 0 and rest.stop < len(heights)]
+    frame_count = max((_longest_window(rest, height_range_mm) for rest in inner), default=0)
+    return frame_count / frame_rate_hz if frame_count >= 2 else 0.0
+
+
+def dropped_rests(
+    height_mm: ArrayLike,
+    *,
+    frame_rate_hz: float = 30.0,
+    height_range_mm: float = 0.5,
+    speed_limit_mm_s: float = 5.0,
+) -> tuple[float, float]:
+    """Return the rests at the first and at the last frame, which `longest_stationary_duration` does not count.
+
+    Args:
+        height_mm: Height of the ball at every frame, shape [frame_count], mm.
+        frame_rate_hz: Frame rate, Hz.
+        height_range_mm: Largest height minus smallest height of one rest, mm.
+        speed_limit_mm_s: Largest speed of the height in one rest, mm/s.
+
+    Returns:
+        Durations of both, s; 0 where the trajectory does not start or end with a rest. A ball that never moves has one
+        rest, which is both.
+
+    Raises:
         ShapeError: The heights are not one row of finite numbers.
     """
-    height_mm = _samples("height_mm", height_mm, least=2)
-    slow = np.abs(np.diff(height_mm)) * frame_rate_hz <= speed_limit_mm_s
-    # Step k joins frames k and k + 1: a run of slow steps first..last joins frames first..last + 1.
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], slow, [False])).astype(int)))
-    runs = [height_mm[first : stop + 1] for first, stop in edges.reshape(-1, 2) if first > 0 and stop < len(slow)]
-    frame_count = max((_longest_window(run, height_range_mm) for run in runs), default=0)
-    return frame_count / frame_rate_hz if frame_count >= 2 else 0.0
+    heights = _samples("height_mm", height_mm, least=2)
+    speeds = _speeds(heights[:, None], frame_rate_hz, central=False)
+    rests = _rests(speeds <= speed_limit_mm_s, central=False)
+
+    def duration_s(rest: slice) -> float:
+        return _longest_window(heights[rest], height_range_mm) / frame_rate_hz
+
+    first = next((duration_s(rest) for rest in rests if rest.start == 0), 0.0)
+    last = next((duration_s(rest) for rest in rests if rest.stop == len(heights)), 0.0)
+    return first, last
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingTimes:
+    """Times of the swings of a cradle's last ball.
+
+    Attributes:
+        leaves_s: Time at which each swing begins, s.
+        returns_s: Time at which each swing ends, s; one less than `leaves_s` if the trajectory ends during a swing.
+        rests_s: Time between the end of a swing and the start of the next, s.
+    """
+
+    leaves_s: tuple[float, ...]
+    returns_s: tuple[float, ...]
+    rests_s: tuple[float, ...]
+
+
+def swing_times(
+    times_s: ArrayLike, height_mm: ArrayLike, *, rest_height_mm: float, leave_height_mm: float = 1.0
+) -> SwingTimes:
+    """Return when a cradle's last ball leaves the row and returns to it.
+
+    Args:
+        times_s: Time of every sample, ascending, shape [sample_count], s.
+        height_mm: Height of the last ball, shape [sample_count], mm. The first sample is at rest.
+        rest_height_mm: Height of the last ball at rest, mm.
+        leave_height_mm: Rise above rest that separates a swing from a rest, mm.
+
+    Raises:
+        ShapeError: The heights are not one row of finite numbers, or the times are not one for each.
+    """
+    heights = _samples("height_mm", height_mm, least=2) - (rest_height_mm + leave_height_mm)
+    times = _samples("times_s", times_s, least=2)
+    if len(times) != len(heights):
+        raise ShapeError(f"times_s has {len(times)} entries, height_mm has {len(heights)}")
+    before = np.flatnonzero((heights[:-1] > 0) != (heights[1:] > 0))
+    share = heights[before] / (heights[before] - heights[before + 1])
+    crossings = times[before] + share * (times[before + 1] - times[before])
+    rising = heights[before + 1] > 0
+    leaves, returns = crossings[rising], crossings[~rising]
+    # A trajectory that starts above rest ends a swing that it does not begin.
+    returns = returns[returns > leaves[0]] if leaves.size else returns[:0]
+    rests = leaves[1:] - returns[: len(leaves) - 1]
+    return SwingTimes(leaves_s=tuple(leaves.tolist()), returns_s=tuple(returns.tolist()), rests_s=tuple(rests.tolist()))
 
 
 def momentum_transfer_efficiency(
@@ -122,6 +217,29 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
     return 1 / (float(found.x) * frame_rate_hz)
 
 
+def spectral_peak_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:
+    """Return the period of the strongest bin of the plain Fourier spectrum: no window, nothing between the bins.
+
+    The period is the duration of the signal over a whole number. For 300 frames at 30 Hz and a period near 1.1 s, the
+    only values are 1.00, 1.11, 1.25 and 1.43 s.
+
+    Args:
+        signal: One coordinate that swings once per period, shape [frame_count], any unit.
+        frame_rate_hz: Frame rate, Hz.
+
+    Returns:
+        Period, s; NaN for a constant signal.
+
+    Raises:
+        ShapeError: The signal is not one row of at least four finite numbers.
+    """
+    signal = _samples("signal", signal, least=4)
+    if np.ptp(signal) <= 1e-12 * np.abs(signal).max():
+        return math.nan
+    spectrum = np.abs(np.fft.rfft(signal - signal.mean()))
+    return len(signal) / (frame_rate_hz * (1 + int(np.argmax(spectrum[1:]))))
+
+
 def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
     """Return the share of energy that a pendulum loses between its first and last turning point (paper, EL).
 
@@ -165,6 +283,27 @@ def _samples(name: str, values: ArrayLike, *, least: int) -> FloatArray:
         frame = np.flatnonzero(~np.isfinite(samples))[0]
         raise ShapeError(f"{name} is {samples[frame]} at frame {frame}; a finite number is needed")
     return samples
+
+
+def _path(path_mm: ArrayLike, frame_count: int) -> FloatArray:
+    path = np.asarray(path_mm, dtype=np.float64)
+    if path.ndim != 2 or len(path) != frame_count:
+        raise ShapeError(f"path_mm has shape {path.shape}; [{frame_count}, C] is needed, as height_mm has its frames")
+    if not np.isfinite(path).all():
+        raise ShapeError("path_mm holds a value that is not finite")
+    return path
+
+
+def _speeds(path: FloatArray, frame_rate_hz: float, *, central: bool) -> FloatArray:
+    """Return the speed at each frame, shape [frame_count], or between frames, shape [frame_count - 1]."""
+    velocities = np.gradient(path, axis=0) if central else np.diff(path, axis=0)
+    return np.linalg.norm(velocities, axis=1) * frame_rate_hz
+
+
+def _rests(slow: NDArray[np.bool_], *, central: bool) -> list[slice]:
+    """Return the frames of each run of slow frames, or of slow steps: step k joins frames k and k + 1."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], slow, [False])).astype(int))).reshape(-1, 2)
+    return [slice(int(first), int(stop) + (0 if central else 1)) for first, stop in edges]
 
 
 def _longest_window(heights: FloatArray, height_range: float) -> int:

@@ -458,7 +458,7 @@ def test_a_cube_on_cloth_holds_while_the_slope_is_less_than_friction(cloth: Clot
 def test_a_patch_of_any_cloth_is_as_soft(cell_m: float) -> None:
     """MuJoCo's regularization of a vertex' contact, over the number of vertices on an area."""
     for name in ("satin", "leather"):
-        simulation = BackendMuJoCo().build(on_a_slope(fabric(name, (0.3, 0.15))), {"cloth_cell_m": cell_m})
+        simulation = BackendMuJoCo().build(on_a_slope(fabric(name, (0.3, 0.15))), {"cell_m": cell_m})
         bodies = [simulation.model.body(index) for index in range(simulation.model.nbody)]
         # At the rim they weigh half or a quarter.
         mass = max(float(body.mass[0]) for body in bodies if body.name.startswith("textile/"))

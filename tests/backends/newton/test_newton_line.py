@@ -38,6 +38,7 @@ newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
 from gauge_envs.backends.newton.line import LinePartNewton, add_line  # noqa: E402
+from gauge_envs.backends.newton.settings import ROD_SEGMENTS  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD  # noqa: E402
 
 ROPE_M, ROPE_RADIUS_M, ROPE_KG = 0.34, 0.002, 0.005
@@ -45,7 +46,7 @@ BALL_KG, BALL_M = 0.3122, 0.03
 ROD_M, ROD_RADIUS_M, ROD_KG = 0.15, 0.005, 0.0149
 SOFT_PA, HARD_PA = 9285115.0, 1e9
 TOP = Pose(position_m=(0.0, 0.0, 0.0))
-QUICK = {"timestep_s": 1 / 3600, "rope_segment_m": 0.02, "rope_strain": 2e-3}
+QUICK = {"timestep_s": 1 / 3600, "cell_m": 0.02, "rope_strain": 2e-3}
 """Settings of ropes in tests."""
 
 
@@ -343,7 +344,7 @@ def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str)
     settings = simulation.settings
     nodes = run(simulation, simulation.advance, scene, 180, "rod")
     lag = nodes[:, -1, 0] - nodes[:, 0, 0]
-    segment = ROD_M / settings["rod_segments"]
+    segment = ROD_M / ROD_SEGMENTS
     body = scene.deformables[0]
     assert isinstance(body, Rod)
     expected = sliding_lag_m(
@@ -424,7 +425,8 @@ def test_worlds_are_as_single_ones() -> None:
 def test_presets_are_for_lines_or_not() -> None:
     scene = load_experiment("StickStack-soft").scene
     settings = build(scene).settings
-    assert (settings["preset"], settings["solver"], settings["rod_segments"]) == ("rod", "SolverVBD", 8)
+    assert (settings["preset"], settings["solver"], settings["cell_m"]) == ("rod", "SolverVBD", None)
+    assert len(build(scene).nodes("rod")) == ROD_SEGMENTS + 1
     for preset in ("cloth", "mpm", "rigid"):
         with pytest.raises(ParameterError, match=preset):
             backend("newton").build(scene, {"preset": preset})

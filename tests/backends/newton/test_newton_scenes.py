@@ -30,7 +30,12 @@ GRAVITY_M_PER_S2 = 9.80665
 
 
 def run(
-    name: str, frames: int, *, engine: str = "newton", settings: Mapping[str, Any] | None = None, proxy: str = "node"
+    name: str,
+    frames: int,
+    *,
+    engine: str = "newton",
+    settings: Mapping[str, Any] | None = None,
+    proxy: str = "material",
 ) -> GaugeEnv:
     """Environment some frames after its start, with the recorded motion."""
     env = gymnasium.make(f"GAUGE/{name}", backend=engine, settings=settings, marker_proxy=proxy)
@@ -126,7 +131,7 @@ def strains(env: GaugeEnv) -> NDArray[np.float64]:
     """Strains of the edges of a cloth's cells."""
     cloth = env.experiment.scene.deformables[0]
     assert isinstance(cloth, Cloth)
-    counts = [round(size / env.simulation.settings["cloth_cell_m"]) for size in cloth.size_m]
+    counts = [round(size / env.simulation.settings["cell_m"]) for size in cloth.size_m]
     nodes = env.simulation.nodes(cloth.name).reshape(counts[0] + 1, counts[1] + 1, 3)
     along = [
         np.linalg.norm(np.diff(nodes, axis=axis), axis=-1).ravel() * counts[axis] / cloth.size_m[axis]
@@ -211,7 +216,7 @@ def on_a_slab(*bodies: SoftBody, touching: Sequence[str], attachments: Sequence[
 @pytest.mark.parametrize("worlds", [1, 2])
 def test_each_body_collides_with_what_its_contacts_say(worlds: int) -> None:
     scene = on_a_slab(falling("held", 0.0), falling("passing", 0.2), touching=["held"])
-    copies = backend("newton").build_worlds([scene] * worlds, {"preset": "soft_row", "soft_cell_m": 0.025})
+    copies = backend("newton").build_worlds([scene] * worlds, {"preset": "soft_row", "cell_m": 0.025})
     seconds = 0.2
     copies.advance(seconds)
     for world in copies.worlds:
@@ -235,7 +240,7 @@ def test_blocks_of_a_row_collide_on_their_own() -> None:
     lowest_mm = {}
     for touching in ("foam", "rubber", "nothing"):
         scene = on_a_slab(foam, rubber, touching=[touching], attachments=[bond])
-        simulation = backend("newton").build(scene, {"soft_cell_m": 0.025})
+        simulation = backend("newton").build(scene, {"cell_m": 0.025})
         assert simulation.settings["preset"] == "soft_row"
         simulation.advance(0.1)
         lowest_mm[touching] = [1e3 * float(simulation.nodes(name)[:, 2].min()) for name in ("foam", "rubber")]

@@ -8,10 +8,13 @@ from scipy.integrate import solve_ivp
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics import (
+    dropped_rests,
     energy_loss,
     longest_stationary_duration,
     momentum_transfer_efficiency,
     oscillation_period,
+    spectral_peak_period,
+    swing_times,
 )
 
 GRAVITY = 9.81
@@ -125,6 +128,15 @@ def test_period_scales_with_the_frame_rate_and_takes_one_coordinate():
         oscillation_period(np.column_stack((signal, signal)))
 
 
+def test_the_plain_spectrum_has_the_period_of_a_bin():
+    """1.14 s lies between 10 / 9 and 10 / 8 s; 300 frames last 10 s."""
+    times_s = np.arange(300) / 30
+    assert spectral_peak_period(25.0 + np.sin(2 * np.pi * times_s / 1.14)) == pytest.approx(10 / 9)
+    assert spectral_peak_period(np.sin(2 * np.pi * times_s / 1.22)) == pytest.approx(10 / 8)
+    assert spectral_peak_period(np.sin(2 * np.pi * times_s / 1.22), frame_rate_hz=60.0) == pytest.approx(10 / 16)
+    assert math.isnan(spectral_peak_period(np.full(50, 3.0)))
+
+
 # Rest between impulses
 
 
@@ -159,6 +171,54 @@ def test_fast_jitter_within_the_height_range_is_no_rest():
     heights = np.concatenate(([60.0, 30.0], 0.2 * (-1.0) ** np.arange(20), [30.0, 60.0]))
     assert longest_stationary_duration(heights) == 0.0
     assert longest_stationary_duration(heights, speed_limit_mm_s=20.0) == pytest.approx(20 / 30)
+
+
+def test_a_drift_at_constant_height_is_a_rest_of_the_height_alone():
+    heights = impulses(10, 12, 10)
+    path = np.column_stack((np.arange(len(heights)) * 20.0 / 30, heights))
+    assert longest_stationary_duration(heights) == pytest.approx(12 / 30)
+    assert longest_stationary_duration(heights, path_mm=path) == 0.0
+    assert longest_stationary_duration(heights, path_mm=path, speed_limit_mm_s=21.0) == pytest.approx(12 / 30)
+
+
+def test_central_differences_lose_the_frames_beside_an_impulse():
+    """The speed at the first and last frame of a rest is half of that of the step beside it."""
+    assert longest_stationary_duration(impulses(40, 9, 12, 7, 30), central=True) == pytest.approx(10 / 30)
+    turning = np.array([60.0, 30.0, 0.0, 0.0, 30.0, 60.0])
+    assert longest_stationary_duration(turning) == pytest.approx(2 / 30)
+    assert longest_stationary_duration(turning, central=True) == 0.0
+
+
+def test_rests_at_the_ends_are_dropped_and_returned():
+    heights = impulses(40, 9, 12, 7, 30)
+    assert dropped_rests(heights) == pytest.approx((40 / 30, 30 / 30))
+    assert dropped_rests(heights[42:], frame_rate_hz=60.0) == pytest.approx((0.0, 30 / 60))
+    assert dropped_rests(np.zeros(20)) == pytest.approx((20 / 30, 20 / 30))
+
+
+# Times of swings
+
+
+def test_swings_begin_and_end_between_samples():
+    """The ball rises and falls at 60 mm/s from 1.0 s on; the threshold is 1 mm above rest."""
+    times_s = np.arange(0, 4, 1 / 30)
+    triangle = np.clip(30 - 60 * np.abs(np.mod(times_s - 1.0, 1.5) - 0.5), 0, None)
+    heights = 50.0 + np.where(times_s < 1.0, 0.0, triangle)
+    seen = swing_times(times_s, heights, rest_height_mm=50.0)
+    assert seen.leaves_s == pytest.approx([1 + 1 / 60, 2.5 + 1 / 60], abs=1e-9)
+    assert seen.returns_s == pytest.approx([2 - 1 / 60, 3.5 - 1 / 60], abs=1e-9)
+    assert seen.rests_s == pytest.approx([0.5 + 2 / 60], abs=1e-9)
+    cut = swing_times(times_s[:90], heights[:90], rest_height_mm=50.0)
+    assert (len(cut.leaves_s), len(cut.returns_s), len(cut.rests_s)) == (2, 1, 1)
+
+
+def test_a_swing_that_is_under_way_at_the_start_is_not_counted():
+    times_s = np.arange(6) / 30
+    seen = swing_times(times_s, [20.0, 0.0, 0.0, 20.0, 20.0, 0.0], rest_height_mm=0.0)
+    assert (len(seen.leaves_s), len(seen.returns_s), seen.rests_s) == (1, 1, ())
+    assert swing_times(times_s, np.zeros(6), rest_height_mm=0.0).leaves_s == ()
+    with pytest.raises(ShapeError, match="times_s has 5 entries, height_mm has 6"):
+        swing_times(times_s[:5], np.zeros(6), rest_height_mm=0.0)
 
 
 # Momentum transfer
@@ -214,4 +274,14 @@ def test_events_refuse_what_is_not_a_row_of_heights(heights):
     with pytest.raises(ShapeError):
         oscillation_period(heights)
     with pytest.raises(ShapeError):
+        spectral_peak_period(heights)
+    with pytest.raises(ShapeError):
+        dropped_rests(heights)
+    with pytest.raises(ShapeError):
         energy_loss(heights, rest_height_mm=0.0)
+
+
+@pytest.mark.parametrize("path", [np.zeros((4, 3)), np.zeros(5), np.full((5, 1), np.nan)])
+def test_a_path_has_a_row_for_each_height(path):
+    with pytest.raises(ShapeError, match="path_mm"):
+        longest_stationary_duration(np.zeros(5), path_mm=path)

@@ -216,12 +216,21 @@ def fall_mm(time_s):
 @pytest.mark.parametrize("offset_s", [0.0, 0.1234, -0.0567, 0.3])
 @pytest.mark.parametrize(("sample_rate_hz", "accuracy_s"), [(180.0, 2e-4), (30.0, 4e-3)])
 def test_release_offset_finds_the_shift_of_a_late_release(offset_s, sample_rate_hz, accuracy_s):
-    times_s = np.arange(int(sample_rate_hz) + 1) / sample_rate_hz
+    times_s = np.arange(int(4 / 3 * sample_rate_hz) + 1) / sample_rate_hz
     real = fall_mm(np.arange(31) / 30 - offset_s)
     found_s, aligned = release_offset(times_s, fall_mm(times_s), real)
     assert found_s == pytest.approx(offset_s, abs=accuracy_s)
     assert aligned <= trajectory_rmse(fall_mm(np.arange(31) / 30), real) + 1e-9
     assert aligned < 1.0 if sample_rate_hz == 180.0 else aligned < 20.0
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.1])
+def test_release_offset_never_assumes_motion_after_the_end(later_s):
+    """Two slides of the same acceleration, the real one 0.2 s earlier: the shift ends where the simulation ends."""
+    times_s = np.arange(round(180 * (1.0 + later_s)) + 1) / 180
+    real = 500 * 3.0 * np.square(np.arange(31) / 30 + 0.2)[:, None]
+    found_s, _ = release_offset(times_s, 500 * 3.0 * np.square(times_s)[:, None], real)
+    assert found_s == pytest.approx(-later_s, abs=1e-6)
 
 
 def test_release_offset_is_exact_for_a_uniform_motion():

@@ -1,0 +1,54 @@
+"""Cell size of deformable bodies, for every engine: its meaning, its bounds, and a check for a scene."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import Annotated
+
+from pydantic import Field
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
+
+__all__ = ["CellSize", "check_cells"]
+
+CellSize = Annotated[float, Field(ge=5e-4, le=1.0)] | None
+"""Setting `cell_m`: edge of the cells of cloth and soft bodies, and length of the segments of ropes and rods [m]."""
+
+FEWEST_SEGMENTS: dict[type[Deformable], int] = {Rope: 2, Rod: 4}
+
+
+def check_cells(engine: str, scene: Scene, cell_m: float, *, node_limit: int, soft_nodes_per_edge: int = 1) -> None:
+    """Raise an error if cells of a requested size do not fit the deformable bodies of a scene.
+
+    Args:
+        engine: Name of the engine, for messages.
+        scene: The scene.
+        cell_m: Requested size [m].
+        node_limit: Largest number of nodes of one body.
+        soft_nodes_per_edge: Nodes of a soft body along the edge of a cell, without the last one.
+
+    Raises:
+        ParameterError: The cell exceeds the longest side of a body, or a body would have too many nodes.
+    """
+    for body in scene.deformables:
+        sides = _sides_m(body)
+        largest_m = max(sides) / FEWEST_SEGMENTS.get(type(body), 1)
+        if cell_m > largest_m * (1.0 + 1e-9):
+            raise ParameterError(
+                f"{engine} setting 'cell_m' is {1e3 * cell_m:.4g} mm, more than the {1e3 * largest_m:.4g} mm that "
+                f"{body.name!r} allows: choose a smaller cell_m"
+            )
+        per_edge = soft_nodes_per_edge if isinstance(body, SoftBody) else 1
+        count = prod(max(1, round(side / cell_m)) * per_edge + 1 for side in sides)
+        if count > node_limit:
+            raise ParameterError(
+                f"{engine} setting 'cell_m' is {1e3 * cell_m:.4g} mm, which gives {body.name!r} about {count} nodes, "
+                f"more than {node_limit}: choose a larger cell_m"
+            )
+
+
+def _sides_m(body: Deformable) -> tuple[float, ...]:
+    if isinstance(body, Cloth):
+        return body.size_m
+    return body.shape.size_m if isinstance(body, SoftBody) else (body.length_m,)

@@ -1,0 +1,168 @@
+"""Closed forms of rigid motions until an event: free flight until the first contact, and a slide until it tips over."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.scene import Plane, RigidBody, Scene
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = ["Straight", "distance_to_contact_m", "free_flight", "slide"]
+
+FloatArray = NDArray[np.float64]
+
+TOUCHING_M = 1e-5
+"""Largest gap between two faces that are in contact [m]: published positions have six decimals."""
+
+
+@dataclass(frozen=True)
+class Straight:
+    """Motion from rest along a line with constant acceleration.
+
+    Attributes:
+        start_m: Position at frame 0 [m], shape [3].
+        direction: Unit vector of the motion, shape [3].
+        acceleration_m_per_s2: Acceleration [m/s^2].
+        distance_m: Distance at which the motion ends [m]; infinity if nothing ends it.
+    """
+
+    start_m: FloatArray
+    direction: FloatArray
+    acceleration_m_per_s2: float
+    distance_m: float
+
+    @property
+    def end_s(self) -> float:
+        """Time at which the motion ends [s]."""
+        return math.sqrt(2.0 * self.distance_m / self.acceleration_m_per_s2)
+
+    def positions_mm(self, frame_count: int) -> FloatArray:
+        """Return the positions at 30 Hz [mm], shape [frame_count, 3], NaN from the end of the motion on."""
+        times_s = np.arange(frame_count) / FRAME_RATE_HZ
+        travel_m = 0.5 * self.acceleration_m_per_s2 * np.square(times_s)
+        positions = 1e3 * (self.start_m + travel_m[:, None] * self.direction)
+        positions[times_s >= self.end_s] = np.nan
+        return positions
+
+
+def free_flight(scene: Scene, body: str) -> Straight:
+    """Return the free fall of a body from rest until it first touches another one.
+
+    It falls without rotation, because nothing acts on it but gravity.
+
+    Args:
+        scene: The scene.
+        body: Name of the body.
+
+    Raises:
+        ShapeError: The body touches another one at the start, so that it does not fall freely.
+    """
+    falling = scene.body(body)
+    down = np.array([0.0, 0.0, -1.0])
+    others = [other for other in scene.bodies if other.name != body]
+    distance = min(distance_to_contact_m(falling, other, down) for other in others)
+    if distance <= TOUCHING_M:
+        raise ShapeError(f"{body} touches another body at the start: free flight has no frame. Use another law.")
+    return Straight(np.array(falling.pose.position_m), down, scene.gravity_m_per_s2, distance)
+
+
+def slide(scene: Scene, body: str, support: str) -> Straight:
+    """Return the Coulomb slide of a body from rest, down the face of a fixed one, until it tips over the face's edge.
+
+    The contact force acts where its line passes through the centroid. Friction shifts that point down the slope by mu
+    times the height of the centroid above the face. The body tips when the point leaves the face.
+
+    Args:
+        scene: The scene; both bodies are convex, and the origin of the sliding one is its centroid.
+        body: Name of the sliding body.
+        support: Name of the body on which it slides.
+
+    Raises:
+        ShapeError: The bodies do not touch at a face, friction holds the body, or its centroid is not above the face.
+    """
+    sliding, fixed = scene.body(body), scene.body(support)
+    facets = np.unique(ConvexHull(_corners_m(fixed)).equations.round(9), axis=0)
+    gaps = (_corners_m(sliding) @ facets[:, :3].T + facets[:, 3]).min(axis=0)
+    face = int(np.argmax(gaps))
+    if abs(gaps[face]) > TOUCHING_M:
+        raise ShapeError(f"{body} is {1e3 * gaps[face]:.3f} mm away from {support}: it does not slide on it")
+    normal = facets[face, :3]
+    downhill = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
+    sine = float(np.linalg.norm(downhill))
+    friction = _friction(scene, body, support)
+    acceleration = scene.gravity_m_per_s2 * (sine - friction * float(normal[2]))
+    if sine == 0.0 or acceleration <= 0.0:
+        raise ShapeError(f"friction {friction:.4g} holds {body} on {support}: it does not slide")
+    direction = downhill / sine
+    start = np.array(sliding.pose.position_m)
+    height = float(start @ normal + facets[face, 3])
+    pressure = start - height * normal + friction * height * direction
+    # Distance to each plane that bounds the support, along the slope.
+    rates = facets[:, :3] @ direction
+    ahead = rates > 1e-6
+    to_edge = -(facets[ahead, :3] @ pressure + facets[ahead, 3]) / rates[ahead]
+    if to_edge.min() <= 0.0:
+        raise ShapeError(f"the force on {body} does not pass through {support}: it tips at once")
+    others = [other for other in scene.bodies if other.name not in (body, support)]
+    free = [distance_to_contact_m(sliding, other, direction) for other in others]
+    return Straight(start, direction, acceleration, float(min(*to_edge, *free)))
+
+
+def distance_to_contact_m(moving: RigidBody, other: RigidBody, direction: FloatArray) -> float:
+    """Return how far a body can move along a direction before it touches another one [m]; infinity if it never does.
+
+    The bodies are unions of convex pieces. For each pair of pieces a linear program finds the shortest distance after
+    which they share a point.
+
+    Args:
+        moving: The body that moves.
+        other: The body that does not, a plane among others.
+        direction: Unit vector, shape [3].
+    """
+    if isinstance(other.shape, Plane):
+        normal = other.pose.rotation.apply([0.0, 0.0, 1.0])
+        rate = -float(normal @ direction)
+        lowest = float(((_corners_m(moving) - np.array(other.pose.position_m)) @ normal).min())
+        return lowest / rate if rate > 0.0 else math.inf
+    return min(
+        _piece_distance_m(piece, against, direction) for piece in _pieces_m(moving) for against in _pieces_m(other)
+    )
+
+
+def _piece_distance_m(piece: FloatArray, against: FloatArray, direction: FloatArray) -> float:
+    """Return the least d >= 0 for which a point of one hull, moved by d, is a point of the other; infinity without."""
+    count, other_count = len(piece), len(against)
+    points = np.concatenate([piece.T, -against.T, direction[:, None]], axis=1)
+    sums = np.zeros((2, count + other_count + 1))
+    sums[0, :count] = sums[1, count:-1] = 1.0
+    cost = np.zeros(count + other_count + 1)
+    cost[-1] = 1.0
+    found = linprog(cost, A_eq=np.concatenate([points, sums]), b_eq=[0.0, 0.0, 0.0, 1.0, 1.0])
+    return float(found.x[-1]) if found.success else math.inf
+
+
+def _pieces_m(body: RigidBody) -> list[FloatArray]:
+    """Return the corners of each convex piece in the world [m]."""
+    pieces = getattr(body.shape, "pieces_m", None)
+    corners = [np.asarray(piece) for piece in pieces] if pieces else [body.shape.corners_m]
+    return [body.pose.to_world(piece) for piece in corners]
+
+
+def _corners_m(body: RigidBody) -> FloatArray:
+    return body.pose.to_world(body.shape.corners_m)
+
+
+def _friction(scene: Scene, body: str, support: str) -> float:
+    """Return the coefficient of friction of the contact of two bodies."""
+    return next(
+        contact.friction
+        for contact in scene.contacts
+        if {body, support} in [set(pair) for pair in scene.colliding_pairs(contact)]
+    )

@@ -1,0 +1,309 @@
+"""Measure the convergence of whole episodes, and write `scoring/convergence/<engine>.csv`.
+
+    python scripts/build_convergence.py --resume                     measures all rows that are missing
+    python scripts/build_convergence.py --ids 'Foam*' --setting cell_m
+    python scripts/build_convergence.py --check                      measures a few quick rows again and compares them
+    python scripts/build_convergence.py --docs                       writes the summary in docs/measured_results.md
+
+Each variant runs with the default settings, with half the time step, and with half the cell if it has deformable
+bodies. The finer runs are compared with the default one over all frames, at the material points of the markers. A
+finer mesh can change the time step of a preset that depends on the cell. With half the cell, vertex block descent has
+four times the iterations: each one moves information by one node, so a finer mesh with as many is less accurate. A run
+that exceeds `--limit-s` is stopped, and its row stays absent. The file is written after each row, so that the script
+can be stopped at any time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends import backend
+from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.errors import GaugeError, UnsupportedSceneError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import variants
+from gauge_envs.files import write_whole
+from gauge_envs.references.convergence import REFINED_SETTINGS, Convergence, ConvergenceTable, RefinedSetting
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.scene import Rod, SoftBody
+
+QUICK = ("BouncingBall-rubber", "SlopeSlider-2-wood", "StickStack-soft")
+"""Variants of `--check`."""
+
+PAGE = Path(__file__).parents[1] / "docs" / "measured_results.md"
+MARK = "<!-- convergence, written by scripts/build_convergence.py --docs -->"
+END_MARK = "<!-- end of convergence -->"
+"""Marks around the summary in the page."""
+
+CHECK_TOLERANCE = 0.05
+"""Largest relative difference between a row and its repetition on another machine."""
+
+
+class TooSlowError(Exception):
+    """The episode exceeded its limit of wall time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One episode.
+
+    Attributes:
+        frames: g(t) at 30 Hz, shape [frame_count, coordinate_count].
+        points_m: Observed points at the frames, markers or bodies [m], shape [frame_count, point_count, 3].
+        settings: Settings in force.
+        nodes_m: Nodes of each deformable body at the start [m], shape [node_count, 3].
+    """
+
+    frames: NDArray[np.float64]
+    points_m: NDArray[np.float64]
+    settings: Mapping[str, Any]
+    nodes_m: Mapping[str, NDArray[np.float64]]
+
+
+def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> Run:
+    """Run an episode with zero actions.
+
+    Raises:
+        TooSlowError: It takes longer than the limit.
+    """
+    env = RunRequest(name, backend=engine, settings=settings, marker_proxy="material").make_env()
+    inner = env.unwrapped
+    assert isinstance(inner, GaugeEnv)
+    space = env.action_space
+    zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
+    try:
+        start = time.perf_counter()
+        env.reset(seed=0)
+        nodes_m = inner.episode.nodes_m()
+        over = False
+        while not over:
+            *_, terminated, truncated, _ = env.step(zero)
+            over = terminated or truncated
+            if time.perf_counter() - start > limit_s:
+                raise TooSlowError
+        trajectory = inner.trajectory()
+        points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
+        count = inner.experiment.frame_count
+        return Run(
+            frames=trajectory.frames[:count],
+            points_m=points[:count],
+            settings=inner.simulation.settings,
+            nodes_m=nodes_m,
+        )
+    finally:
+        env.close()
+
+
+def default_value(experiment: Experiment, setting: RefinedSetting, default: Run) -> float:
+    """Return the value of a setting in the default run; the smallest edge for a mesh with a fixed number of cells."""
+    value = default.settings.get(setting)
+    if value is not None:
+        return float(value)
+    edges = []
+    for body in experiment.scene.deformables:
+        if isinstance(body, SoftBody):
+            # MuJoCo's foam: two cells across a single body, two along each body of a row.
+            edges.append(0.5 * min(body.shape.size_m))
+        elif isinstance(body, Rod):
+            edges.append(float(np.linalg.norm(np.diff(default.nodes_m[body.name], axis=0), axis=1).min()))
+    return min(edges)
+
+
+def finer_settings(setting: RefinedSetting, value: float, default: Run) -> dict[str, Any]:
+    """Return the settings of the finer run."""
+    settings: dict[str, Any] = {setting: 0.5 * value}
+    if setting == "cell_m" and default.settings.get("solver") == "SolverVBD":
+        settings["iterations"] = 4 * default.settings["iterations"]
+    return settings
+
+
+def compare(name: str, setting: RefinedSetting, default: Run, finer: Run, values: tuple[float, float]) -> Convergence:
+    """Return the row of a finer run; without differences if one of the runs diverged."""
+    score = load_experiment(name).score
+    head = {"variant": name, "setting": setting, "default": values[0], "refined": values[1]}
+    head["unit"] = score.observable.unit
+    if default.frames.shape != finer.frames.shape:
+        return Convergence.model_validate(head)
+    difference = finer.frames - default.frames
+    distance = np.sqrt(np.nansum(difference**2, axis=1)[np.isfinite(difference).any(axis=1)])
+    rms = float(np.sqrt(np.mean(distance**2)))
+    baseline = published_baselines(name).get("rmse")
+    apart_mm = 1e3 * np.linalg.norm(finer.points_m - default.points_m, axis=-1)
+    return Convergence.model_validate(
+        head
+        | {
+            "rms": rms,
+            "max": float(distance.max()),
+            "share": None if baseline is None else rms / baseline.mean,
+            "points_rms_mm": float(np.sqrt(np.nanmean(apart_mm**2))),
+            "points_max_mm": float(np.nanmax(apart_mm)),
+        }
+    )
+
+
+def measured_rows(
+    name: str, engine: str, wanted: Sequence[RefinedSetting], limit_s: float
+) -> Iterator[tuple[Convergence, float]]:
+    """Yield the wanted rows of a variant, each with the wall time of its finer run [s]."""
+    experiment = load_experiment(name)
+    default = run(name, engine, {}, limit_s)
+    for setting in wanted:
+        value = default_value(experiment, setting, default)
+        start = time.perf_counter()
+        try:
+            finer = run(name, engine, finer_settings(setting, value, default), limit_s)
+        except TooSlowError:
+            print(f"{name}, {setting}: stopped after {limit_s:g} s", flush=True)
+            continue
+        yield compare(name, setting, default, finer, (value, 0.5 * value)), time.perf_counter() - start
+
+
+def settings_of(name: str, chosen: Sequence[RefinedSetting]) -> list[RefinedSetting]:
+    """Return the settings that apply to a variant: rigid bodies have no cells."""
+    return [setting for setting in chosen if setting == "timestep_s" or load_experiment(name).scene.deformables]
+
+
+def supported(name: str, engine: str) -> bool:
+    """Return whether an engine can build a variant."""
+    try:
+        check_support(load_experiment(name), engine)
+    except UnsupportedSceneError:
+        return False
+    return True
+
+
+def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
+    """Measure quick rows again; return 1 if a row differs, else 0."""
+    status = 0
+    for name in QUICK:
+        kept = table.of(name)
+        if not kept:
+            continue
+        for row, _ in measured_rows(name, engine, list(kept), limit_s):
+            old = kept[row.setting]
+            if row.rms is None or old.rms is None or abs(row.rms - old.rms) > CHECK_TOLERANCE * old.rms:
+                print(f"{name}, {row.setting}: rms is {row.rms}, the table has {old.rms}", file=sys.stderr)
+                status = 1
+    return status
+
+
+def summary(tables: Mapping[str, ConvergenceTable]) -> str:
+    """Return the tables of all engines by family, in Markdown."""
+    titles = [f"{name}, {unit}" for name in ("half step", "half cell") for unit in ("% of the scatter", "mm")]
+    lines = [f"| experiment | engine | {' | '.join(titles)} |", "|---|---|---:|---:|---:|---:|"]
+    for family in dict.fromkeys(_family(variant.name) for variant in variants()):
+        for engine, table in tables.items():
+            of_family = [row for row in table.rows.values() if _family(row.variant) == family]
+            cells = []
+            for setting in REFINED_SETTINGS:
+                rows = [row for row in of_family if row.setting == setting]
+                cells += [
+                    _range([row.share and 100.0 * row.share for row in rows]),
+                    _range([r.points_rms_mm for r in rows]),
+                ]
+            if of_family:
+                lines.append(f"| {family} | {engine} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _family(name: str) -> str:
+    return name.rpartition("-")[0]
+
+
+def _range(values: Sequence[float | None]) -> str:
+    """Return the range of values, or nothing if there are none."""
+    known = [value for value in values if value is not None]
+    texts = (
+        [
+            "below 0.01" if value < 0.01 else f"{value:.0f}" if value >= 9.5 else f"{value:.2g}"
+            for value in (min(known), max(known))
+        ]
+        if known
+        else []
+    )
+    return " to ".join(dict.fromkeys(texts))
+
+
+def documented(text: str, tables: Mapping[str, ConvergenceTable]) -> str:
+    """Return the text of the page with a current summary between its marks."""
+    before, start, rest = text.partition(MARK)
+    _, end, after = rest.partition(END_MARK)
+    if not (start and end):
+        raise ValueError(f"{PAGE} has no {MARK} and {END_MARK} behind it: add both lines")
+    return f"{before}{start}\n\n{summary(tables)}\n\n{end}{after}"
+
+
+def all_tables(scoring: Path) -> dict[str, ConvergenceTable]:
+    """Return the tables of all engines by name."""
+    return {file.stem: ConvergenceTable.read(file) for file in sorted((scoring / "convergence").glob("*.csv"))}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the script and return its exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--backend", default="mujoco", help="engine")
+    parser.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns, run in this order")
+    parser.add_argument("--setting", nargs="*", choices=REFINED_SETTINGS, default=list(REFINED_SETTINGS))
+    parser.add_argument("--resume", action="store_true", help="keep rows that the file has")
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a quick row differs")
+    parser.add_argument("--docs", action="store_true", help="write the summary in docs/measured_results.md alone")
+    parser.add_argument("--limit-s", type=float, default=600.0, help="wall time of an episode at most")
+    parser.add_argument(
+        "--scoring", type=Path, default=Path(__file__).parents[1] / "scoring", help="folder of the data"
+    )
+    options = parser.parse_args(arguments)
+    if options.docs:
+        write_whole(PAGE, documented(PAGE.read_text(encoding="utf-8"), all_tables(options.scoring)).encode())
+        return 0
+    file = options.scoring / "convergence" / f"{options.backend}.csv"
+    version = ", ".join(f"{key} {text}" for key, text in backend(options.backend).versions().items())
+    notes = {
+        "written by": "scripts/build_convergence.py",
+        "engine": version,
+        "date": datetime.now(UTC).date().isoformat(),
+    }
+    old = ConvergenceTable.read(file) if file.is_file() else ConvergenceTable(notes, {})
+    if options.check:
+        return check(old, options.backend, options.limit_s)
+    if options.resume and old.notes["engine"] != version:
+        parser.error(f"{file} is of {old.notes['engine']}, installed is {version}: run without --resume")
+    table = ConvergenceTable(notes, old.rows if options.resume or old.notes["engine"] == version else {})
+    known = [variant.name for variant in variants()]
+    names = dict.fromkeys(name for pattern in options.ids for name in known if fnmatchcase(name, pattern))
+    for name in names:
+        wanted = settings_of(name, options.setting)
+        if options.resume:
+            wanted = [setting for setting in wanted if (name, setting) not in table.rows]
+        if not wanted or not supported(name, options.backend):
+            continue
+        try:
+            for row, wall_s in measured_rows(name, options.backend, wanted, options.limit_s):
+                table = table.with_rows([row])
+                file.parent.mkdir(exist_ok=True)
+                write_whole(file, table.text().encode())
+                what = f"{name}, {row.setting}"
+                print(f"{what}: rms {row.rms} {row.unit}, share {row.share} ({wall_s:.0f} s)", flush=True)
+        except TooSlowError:
+            print(f"{name}: the default run was stopped after {options.limit_s:g} s", flush=True)
+        except GaugeError as error:
+            print(f"{name}: {error}", file=sys.stderr, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""The warning for an environment without reward: once for each id, and it says what to do."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from pathlib import Path
+
+import gymnasium
+import pytest
+from gymnasium.utils.env_checker import check_env
+from places import ROOT
+from typer.testing import CliRunner
+
+import gauge_envs
+from gauge_envs import load_experiment, reference_band, variants
+from gauge_envs.cli.app import app
+from gauge_envs.envs import no_reward
+from gauge_envs.envs.dm_env import load
+from gauge_envs.errors import NoRewardWarning
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+
+SILENT = "GAUGE/Turntable-2-wood"
+
+
+@pytest.fixture(autouse=True)
+def _nothing_was_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(no_reward, "_warned", set())
+
+
+def warnings_of(make) -> list[warnings.WarningMessage]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        make()
+    return [warning for warning in caught if issubclass(warning.category, NoRewardWarning)]
+
+
+def test_make_warns_once_for_each_id_at_the_line_of_the_caller() -> None:
+    (first,) = warnings_of(lambda: gymnasium.make(SILENT))
+    assert Path(first.filename) == Path(__file__)
+    assert str(first.message) == (
+        f"{SILENT} has no reference in use, so every reward is 0. To get one, import its real trials with 'gauge data "
+        "import', then pass reference='imported'; or choose an id that 'gauge list --scored' shows."
+    )
+    assert warnings_of(lambda: gymnasium.make(SILENT)) == []
+    assert len(warnings_of(lambda: gymnasium.make("GAUGE/Turntable-2-metal"))) == 1
+
+
+def test_make_vec_and_dm_env_warn_too() -> None:
+    (vector,) = warnings_of(lambda: gymnasium.make_vec(SILENT, num_envs=2))
+    assert Path(vector.filename) == Path(__file__)
+    assert len(warnings_of(lambda: load("Turntable-2-metal"))) == 1
+
+
+def test_the_warning_offers_a_withheld_band() -> None:
+    (warning,) = warnings_of(lambda: gymnasium.make("GAUGE/TableclothPulling-metal"))
+    assert "pass use_withheld=True" in str(warning.message)
+    assert "'gauge show TableclothPulling-metal' says why" in str(warning.message)
+    assert warnings_of(lambda: gymnasium.make("GAUGE/Pendulum-metal", use_withheld=True)) == []
+
+
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "SlopeContact-wood", "Turntable-1-wood", "Turntable-Limit-wood"]
+)
+def test_ids_with_a_reward_and_control_tasks_are_silent(name: str) -> None:
+    assert warnings_of(lambda: gymnasium.make(f"GAUGE/{name}")) == []
+
+
+def test_the_class_itself_and_runs_are_silent() -> None:
+    assert warnings_of(lambda: gauge_envs.GaugeEnv("Turntable-2-wood")) == []
+    assert warnings_of(lambda: run_episode(RunRequest("Turntable-2-wood"))) == []
+    # A run reports the grade itself. It does not use up the warning of the id.
+    assert len(warnings_of(lambda: gymnasium.make(SILENT))) == 1
+
+
+def test_a_warning_that_is_an_error_is_raised_each_time() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NoRewardWarning)
+        for _ in range(2):
+            with pytest.raises(NoRewardWarning, match="every reward is 0"):
+                gymnasium.make(SILENT)
+
+
+def test_an_experiment_file_is_asked_for_a_band(tmp_path: Path) -> None:
+    copy = tmp_path / "usd_experiment"
+    shutil.copytree(ROOT / "examples" / "usd_experiment", copy)
+    text = (copy / "crate.toml").read_text(encoding="utf-8")
+    head, _, rest = text.partition("[band]")
+    kept = "\n".join(line for line in rest.partition("[provenance]")[2].splitlines() if not line.startswith("band ="))
+    (copy / "crate.toml").write_text(f"{head}[provenance]{kept}\n", encoding="utf-8")
+    (warning,) = warnings_of(lambda: gymnasium.make("GAUGE/Asset", asset=copy / "crate.toml"))
+    assert str(warning.message) == (
+        "GAUGE/Asset-crate has no reference in use, so every reward is 0. Add a table 'band' to crate.toml."
+    )
+
+
+def test_an_id_without_reward_passes_the_checks_of_gymnasium() -> None:
+    env = gymnasium.make(SILENT)
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.reset(seed=0) and env.step(env.action_space.sample() * 0)[1] == 0.0
+
+
+def test_the_list_of_scored_ids_is_the_list_of_silent_ones() -> None:
+    listed = CliRunner().invoke(app, ["list", "--scored"]).stdout
+    scored = {word.removeprefix("GAUGE/") for word in listed.split() if word.startswith("GAUGE/")}
+    assert scored == {variant.name for variant in variants() if reference_band(load_experiment(variant)) is not None}
+    assert len(scored) == 20

@@ -1,0 +1,188 @@
+"""Estimators of the swing metrics that the paper leaves open, event times, and an independent chain of collisions."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import cradle
+import numpy as np
+import pytest
+from chain import event_driven_chain, simultaneous_impact
+
+from gauge_envs import Score, load_experiment, score_trajectory
+from gauge_envs.errors import ReferenceFileError
+from gauge_envs.evaluation.swing import EventTime
+from gauge_envs.files import data_folder
+from gauge_envs.references import tables
+from gauge_envs.references.events import recorded_events
+from gauge_envs.references.published import published_baselines
+from gauge_envs.report.estimators import estimator_lines
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+
+CALIBRATED, EFFECTIVE = 0.202387, 0.9641474137084098
+
+
+@pytest.fixture(scope="module")
+def cradles() -> dict[str, Score]:
+    return {
+        name: run_episode(RunRequest("NewtonsCradle-metal", parameters=name)).score
+        for name in ("calibrated", "effective")
+    }
+
+
+# Longest stationary duration
+
+
+def test_the_speed_decides_the_longest_rest(cradles: dict[str, Score]) -> None:
+    """With 93 % of the momentum handed on, the last ball drifts at 6 to 46 mm/s: it rests in height, not in space."""
+    score = cradles["effective"]
+    assert score.lsd_s == pytest.approx(13 / 30)
+    assert score.lsd_central_s == pytest.approx(11 / 30)
+    assert score.lsd_speed_3d_s == pytest.approx(2 / 30)
+    assert score.lsd_dropped_rests_s == pytest.approx((7 / 30, 0.0))
+    assert score.lsd_speed_3d_normalized == pytest.approx(2 / 30 / 0.38)
+    assert score.lsd_central_normalized == pytest.approx(11 / 30 / 0.38)
+
+
+def test_the_published_rest_and_momentum_exclude_the_speed_in_space() -> None:
+    """A ball that hands on the published momentum keeps (1 - e) / 2 of its speed, five times the limit of a rest."""
+    baselines = published_baselines("NewtonsCradle-metal")
+    restitution = 2 * baselines["mte"].mean ** 0.25 - 1
+    arrives_mm_s = 1e3 * baselines["mte"].mean * math.sqrt(2 * 9.80665 * 0.138251)
+    kept_mm_s = 0.5 * (1 - restitution) * arrives_mm_s
+    assert kept_mm_s == pytest.approx(27.5, abs=0.5)
+    assert kept_mm_s > 5 * 5.0
+    assert baselines["lsd"].mean > 0.3
+
+
+def test_the_calibrated_cradle_rests_for_a_step_or_not_at_all(cradles: dict[str, Score]) -> None:
+    """The published engines hand on the same momentum and have an LSD of 0, as with central differences."""
+    score, published = cradles["calibrated"], published_baselines("NewtonsCradle-metal")
+    assert score.mte_normalized == pytest.approx(published["mte"].engines["newton"], abs=0.005)
+    assert published["lsd"].engines["newton"] == 0.0
+    assert score.lsd_central_s == 0.0
+    assert score.lsd_s == pytest.approx(2 / 30)
+    assert max(score.lsd_dropped_rests_s or ()) > 0.2
+
+
+# Period
+
+
+def test_the_period_is_between_the_bins_or_on_one(rollout: Callable) -> None:
+    score = rollout("Pendulum-metal")[2]["score"]
+    assert score.pd_s == pytest.approx(1.2303, abs=2e-4)
+    assert score.pd_fft_s == pytest.approx(10 / 8)
+    assert round(score.pd_fft_normalized, 2) == published_baselines("Pendulum-metal")["pd"].engines["isaacsim"]
+    (line,) = estimator_lines("Pendulum-metal", score)
+    assert "1.230 s (1.08)" in line and "1.250 s (1.10)" in line
+
+
+def test_the_published_scatter_of_periods_is_that_of_two_bins() -> None:
+    """Four of twenty trials in the next bin have the published mean and nearly its scatter, 5.8 % of a period."""
+    published = published_baselines("Pendulum-metal")["pd"]
+    periods = np.array([10 / 9] * 16 + [10 / 8] * 4)
+    assert periods.mean() == pytest.approx(published.mean, abs=0.005)
+    assert published.std is not None
+    assert periods.std(ddof=1) == pytest.approx(published.std, rel=0.15)
+
+
+# Events
+
+
+def test_events_stand_beside_those_of_the_recording(cradles: dict[str, Score]) -> None:
+    events = cradles["effective"].events
+    assert events is not None
+    assert [(event.quantity, event.number) for event in events] == [
+        (quantity, number) for quantity in ("leaves", "returns", "rests") for number in (1, 2, 3)
+    ]
+    rests = [event for event in events if event.quantity == "rests"]
+    assert [event.recorded_s for event in rests] == [0.41, 0.37, 0.33]
+    assert [event.simulated_s for event in rests] == pytest.approx([0.44, 0.43, 0.43], abs=0.01)
+    returns, leaves = (
+        [event.simulated_s for event in events if event.quantity == name] for name in ("returns", "leaves")
+    )
+    assert rests[0].simulated_s == pytest.approx(leaves[1] - returns[0])
+    # The first swing agrees with the recording, and later ones fall behind: the real row no longer stays still.
+    assert abs(leaves[0] - 0.20) < 0.05 < abs(leaves[2] - 1.78)
+
+
+def test_events_survive_json_and_are_printed(cradles: dict[str, Score]) -> None:
+    score = cradles["calibrated"]
+    again = Score.from_dict(json.loads(json.dumps(score.to_dict())))
+    assert again == score
+    assert again.events is not None and isinstance(again.events[0], EventTime)
+    lines = list(estimator_lines("NewtonsCradle-metal", score))
+    assert len(lines) == 4
+    assert "0.067 s (0.18). With central differences it is 0.000 s (0.00)" in lines[0]
+    assert "last ball rests [s], simulated / recorded (+- 0.04)" in lines[3]
+
+
+def test_a_ball_that_stays_has_no_simulated_events() -> None:
+    experiment = load_experiment("NewtonsCradle-metal")
+    still = np.tile(1e3 * np.array(experiment.scene.body("ball-5").pose.position_m), (experiment.frame_count, 1))
+    times_s = np.arange(len(still)) / 30
+    score = score_trajectory(experiment, None, times_s=times_s, values=still)
+    assert score.events is not None and {event.simulated_s for event in score.events} == {None}
+    assert score.lsd_dropped_rests_s == pytest.approx((1027 / 30, 1027 / 30))
+    assert score.lsd_s == 0.0
+
+
+def test_other_experiments_have_no_events(rollout: Callable) -> None:
+    score = rollout("SlopeSlider-2-wood")[2]["score"]
+    assert (score.events, score.lsd_dropped_rests_s, score.pd_fft_s) == (None, None, None)
+    assert recorded_events("SlopeSlider-2-wood") == ()
+    assert list(estimator_lines("SlopeSlider-2-wood", score)) == []
+
+
+def test_damaged_events_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "scoring" / "bands"
+    folder.mkdir(parents=True)
+    text = (data_folder("scoring") / "bands" / "events.toml").read_text(encoding="utf-8")
+    (folder / "events.toml").write_text(text.replace("0.37", "-0.37"), encoding="utf-8")
+    monkeypatch.setattr(tables, "data_folder", lambda name: tmp_path / name)
+    with pytest.raises(ReferenceFileError, match=r"events.2.values_s.1: Input should be greater than 0 .given: -0.37."):
+        recorded_events("NewtonsCradle-metal")
+
+
+# An independent chain of collisions
+
+
+def test_chains_of_elastic_and_plastic_balls_are_known() -> None:
+    assert event_driven_chain(1.0) == pytest.approx([0, 0, 0, 0, 1])
+    assert event_driven_chain(0.0) == pytest.approx(np.full(5, 0.2), abs=1e-9)
+    assert event_driven_chain(EFFECTIVE)[-1] == pytest.approx(((1 + EFFECTIVE) / 2) ** 4)
+    for restitution in (0.0, CALIBRATED, 0.7, EFFECTIVE):
+        assert event_driven_chain(restitution).sum() == pytest.approx(1.0)
+        assert simultaneous_impact(restitution).sum() == pytest.approx(1.0)
+
+
+def test_the_calibrated_chain_hands_on_a_fifth() -> None:
+    """After some 260 collisions all balls move together, so that restitution has no effect any more."""
+    assert event_driven_chain(CALIBRATED) == pytest.approx(np.full(5, 0.2), abs=1e-9)
+    assert simultaneous_impact(CALIBRATED)[-1] == pytest.approx(0.2405, abs=1e-4)
+
+
+def test_touching_balls_share_one_impact(cradles: dict[str, Score]) -> None:
+    """The resting row is in contact and moves on as one body, which gives (1 + e) / 5 in place of a fifth."""
+    assert cradles["calibrated"].mte == pytest.approx(simultaneous_impact(CALIBRATED)[-1], rel=0.01)
+
+
+def test_balls_with_a_gap_collide_one_after_another() -> None:
+    """A gap that takes many steps to close separates the collisions, and the simulation finds those of the chain."""
+    parameters = cradle.gap_parameters(1e-3)
+    assert cradle.transfer(parameters, steps_per_s=36000) == pytest.approx(
+        event_driven_chain(CALIBRATED)[-1], rel=0.005
+    )
+    coarse = cradle.transfer(parameters, steps_per_s=1800)
+    assert coarse == pytest.approx(0.206, abs=0.002)
+
+
+def test_the_effective_chain_does_not_depend_on_the_gap() -> None:
+    expected = event_driven_chain(EFFECTIVE)[-1]
+    for gap_m in (0.0, 1e-3):
+        parameters = cradle.gap_parameters(gap_m, EFFECTIVE)
+        assert cradle.transfer(parameters, steps_per_s=9000) == pytest.approx(expected, rel=0.003)

@@ -1,0 +1,290 @@
+"""Intervals, percentiles, implied parameters and sensitivities of scores, on the bundled real trials."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+from gauge_envs import load_experiment, reference_band
+from gauge_envs.backends.registry import backend_for
+from gauge_envs.errors import ReferenceFileError
+from gauge_envs.evaluation.trials import percentile_among, trial_distances
+from gauge_envs.evaluation.uncertainty import band_errors
+from gauge_envs.references.bands import bundled_band
+from gauge_envs.references.published import published_baselines
+from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities
+from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.sensitivity import measure_sensitivities
+from gauge_envs.scene.jitter import Jitter
+from gauge_envs.scene.tilt import tilted
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
+BALL = "BouncingBall-rubber"
+GRAVITY = 9.80665
+SLOPE = math.radians(30.0)
+
+
+@pytest.fixture(scope="module")
+def scores():
+    return {name: run_episode(RunRequest(name)).score for name in (*SLIDES, BALL)}
+
+
+# --- what the score shows --------------------------------------------------------------------------------------------
+
+
+def test_the_aligned_score_prefers_the_real_friction_and_the_raw_one_does_not():
+    """Late release cancels excess friction in the raw score."""
+    real, wrong = (
+        run_episode(RunRequest(SLIDES[0], parameters={"cube.friction": friction})).score
+        for friction in (0.257145, 0.282)
+    )
+    assert (real.rmse_normalized, real.rmse_aligned_normalized) == pytest.approx((1.005, 0.046), abs=2e-3)
+    assert (wrong.rmse_normalized, wrong.rmse_aligned_normalized) == pytest.approx((0.270, 0.265), abs=2e-3)
+    assert real.primary == wrong.primary == "rmse_aligned"
+    assert real.primary_normalized < wrong.primary_normalized
+
+
+def test_an_earlier_release_is_simulated_and_not_held(scores):
+    """Held at its last frame, the cube would score 0.497."""
+    score = scores["SlopeSlider-2-plastic"]
+    assert score.release_offset_s < 0.0
+    assert score.rmse_aligned_normalized == pytest.approx(0.241, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "frames", "share"), list(zip(SLIDES, [(9, 19), (8, 17), (9, 19)], [31, 64, 48], strict=True))
+)
+def test_extrapolated_frames_and_their_share_of_the_error_are_stated(scores, name, frames, share):
+    score = scores[name]
+    assert (score.measured_frames, score.compared_frames) == frames
+    assert 100.0 * score.extrapolated_share == pytest.approx(share, abs=0.6)
+
+
+@pytest.mark.parametrize(("name", "median"), list(zip(SLIDES, [0.75, 0.47, 0.80], strict=True)))
+def test_the_median_real_trial_is_not_at_1_and_the_percentile_says_so(name, median):
+    distances = trial_distances(bundled_band(name)).raw
+    baseline = published_baselines(name)["rmse"].mean
+    assert np.median(distances) / baseline == pytest.approx(median, abs=6e-3)
+    assert percentile_among(distances, float(np.median(distances)) + 1e-9) == pytest.approx(50.0, abs=3.0)
+    assert percentile_among(distances, 0.0) == 0.0
+    assert percentile_among(distances, 1e9) == 100.0
+
+
+def test_percentiles_are_those_of_the_real_trials(scores):
+    for name, score in scores.items():
+        distances = trial_distances(bundled_band(name))
+        assert score.percentile == 100.0 * np.mean(distances.raw < score.rmse)
+        assert score.percentile_aligned == 100.0 * np.mean(distances.aligned < score.rmse_aligned)
+        assert (distances.aligned <= distances.raw + 1e-9).all()
+
+
+def test_eight_of_nine_published_slide_scores_lie_in_the_interval_of_mujoco(scores):
+    inside = [
+        scores[name].rmse_normalized_95[0] <= published <= scores[name].rmse_normalized_95[1]
+        for name in SLIDES
+        for published in published_baselines(name)["rmse"].engines.values()
+    ]
+    assert sum(inside) >= 6
+    for score in scores.values():
+        for value, (low, high) in (
+            (score.rmse_normalized, score.rmse_normalized_95),
+            (score.rmse_aligned_normalized, score.rmse_aligned_normalized_95),
+        ):
+            assert 0.0 <= low <= value <= high
+
+
+@pytest.mark.parametrize(("name", "real"), list(zip(SLIDES, [0.257145, 0.236133, 0.270867], strict=True)))
+def test_a_slide_implies_its_friction_and_that_of_the_trials(scores, name, real):
+    """The facts fit every listed sample; the band knows the frames that half of the trials show."""
+    friction = next(one for one in scores[name].implied if one.parameter == "friction")
+    calibrated = load_experiment(name).scene.contacts[0].friction
+    assert friction.value == pytest.approx(calibrated, abs=1e-3)
+    assert friction.real == pytest.approx(real, abs=1e-3)
+    tilt = math.radians(0.3) * (1.0 + real * math.tan(SLOPE))
+    assert friction.real_uncertainty == pytest.approx(
+        math.hypot(tilt, friction.real_scatter / math.sqrt(len(bundled_band(name).trials))), rel=1e-2
+    )
+
+
+def test_a_bounce_implies_its_restitution_and_that_of_the_trials(scores):
+    restitution = next(one for one in scores[BALL].implied if one.parameter == "restitution")
+    assert restitution.value == pytest.approx(0.577, abs=1e-3)
+    assert (restitution.real, restitution.real_scatter) == pytest.approx((0.736925, 0.002242), abs=3e-4)
+
+
+def test_a_pendulum_implies_its_period():
+    score = run_episode(RunRequest("Pendulum-metal")).score
+    period = next(one for one in score.implied if one.parameter == "period")
+    assert period.value == pytest.approx(score.pd_s, rel=1e-3)
+    assert (period.real, period.real_scatter) == (1.14, 0.066)
+
+
+def test_a_budget_is_whole_and_names_its_sources(scores):
+    for score in scores.values():
+        assert sum(entry.share for entry in score.budget) == pytest.approx(1.0, abs=1e-4)
+        assert all(entry.source and entry.evaluation in "AB" for entry in score.budget)
+        kinds = {entry.kind for entry in score.budget}
+        assert kinds >= {"sampling", "release", "constant", "start", "tilt", "discretization", "extrapolation"}
+        assert score.sensitivities.startswith("mujoco")
+
+
+def test_a_law_has_an_interval_although_its_simulation_is_exact():
+    """The real mean may lie beside the law by the scatter of 20 starts over the root of 20."""
+    score = run_episode(RunRequest("SlopeSlider-1-plastic")).score
+    baseline = published_baselines("SlopeSlider-1-plastic")["rmse"]
+    low, high = score.rmse_normalized_95
+    assert low <= score.rmse_normalized < 0.05
+    combined = math.hypot(*(entry.standard_uncertainty for entry in score.budget))
+    assert combined > math.hypot(baseline.mean, baseline.std) / math.sqrt(20) / baseline.mean
+    assert combined < high < 3.0 * combined
+
+
+# --- sensitivities ---------------------------------------------------------------------------------------------------
+
+
+def test_measured_sensitivities_of_a_slide_are_those_of_the_closed_form():
+    table = load_sensitivities(SLIDES[0], "mujoco")
+    band = bundled_band(SLIDES[0])
+    times_s = np.arange(len(band.mean)) / 30.0
+    changes = {one.name: band.project(one.change)[:, 0] for one in table.inputs}
+    friction = -500.0 * GRAVITY * math.cos(SLOPE) * input_uncertainties().friction.std * times_s**2
+    tilt = 500.0 * GRAVITY * (math.cos(SLOPE) + 0.273673 * math.sin(SLOPE)) * math.radians(0.3) * times_s**2
+    np.testing.assert_allclose(changes["friction cube/board, cube/ground"], friction, atol=0.02)
+    np.testing.assert_allclose(changes["tilt about y"], tilt, atol=0.05)
+    assert np.abs(changes["start of cube along its x axis"][:-1] - 1.0).max() < 0.025
+
+
+@pytest.mark.parametrize("name", [SLIDES[1], BALL])
+def test_stored_sensitivities_are_those_that_are_measured(name):
+    stored, measured = load_sensitivities(name, "mujoco"), measure_sensitivities(RunRequest(name))
+    assert [one.name for one in stored.inputs] == [one.name for one in measured.inputs]
+    for one, other in zip(stored.inputs, measured.inputs, strict=True):
+        np.testing.assert_allclose(one.change, other.change, rtol=1e-3, atol=1e-3 * np.abs(one.change).max() + 1e-9)
+
+
+def test_another_engine_takes_the_sensitivities_of_mujoco_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
+    assert load_sensitivities(SLIDES[0], "unheard-of").backend == "mujoco"
+    assert load_sensitivities(SLIDES[0], "../mujoco").backend == "mujoco"
+    assert load_sensitivities("WallBreaking-wood", "mujoco") is None
+
+
+def test_measured_uncertainty_is_kept_for_later_scores(tmp_path, monkeypatch):
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
+    measured = run_episode(RunRequest(SLIDES[0], uncertainty=True)).score
+    assert (tmp_path / "sensitivities" / "mujoco" / f"{SLIDES[0]}.json").is_file()
+    stored = run_episode(RunRequest(SLIDES[0])).score
+    np.testing.assert_allclose(measured.rmse_normalized_95, stored.rmse_normalized_95, atol=1e-3)
+    finer = run_episode(RunRequest(SLIDES[0], uncertainty=True, settings={"timestep_s": 1 / 360})).score
+    assert "timestep_s=0.002778" in finer.sensitivities
+    step = {
+        score.sensitivities: entry for score in (measured, finer) for entry in score.budget if entry.name == "time step"
+    }
+    assert step[finer.sensitivities].standard_uncertainty > 2.0 * step[measured.sensitivities].standard_uncertainty
+
+
+def test_a_damaged_table_of_sensitivities_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
+    file = tmp_path / "sensitivities" / "mujoco" / f"{SLIDES[0]}.json"
+    file.parent.mkdir(parents=True)
+    file.write_text('{"variant": 3}')
+    with pytest.raises(ReferenceFileError, match=r"SlopeSlider-2-wood\.json"):
+        load_sensitivities(SLIDES[0], "mujoco")
+
+
+def test_a_tilted_scene_is_the_scene_with_leaning_gravity():
+    """A pendulum's bodies, joints and drivers turn with it, and turning back gives the scene."""
+    for name in ("Pendulum-metal", "Turntable-1-wood", "TextileFlinging-satin"):
+        scene = load_experiment(name).scene
+        turned = tilted(tilted(scene, [0.02, -0.01, 0.0], [0.1, 0.2, 0.3]), [-0.02, 0.01, 0.0], [0.1, 0.2, 0.3])
+        for body, other in zip(scene.bodies, turned.bodies, strict=True):
+            np.testing.assert_allclose(body.pose.position_m, other.pose.position_m, atol=1e-12)
+        for joint, other in zip(scene.joints, turned.joints, strict=True):
+            np.testing.assert_allclose(joint.anchor_m, other.anchor_m, atol=1e-12)
+
+
+# --- errors of a band ------------------------------------------------------------------------------------------------
+
+
+def test_an_interval_shrinks_with_the_number_of_trials():
+    band = bundled_band(SLIDES[2])
+    baseline = published_baselines(SLIDES[2])["rmse"]
+    deviation = np.full_like(band.mean, 40.0)
+    few = band_errors(replace(band, trials=band.trials[:8]), baseline, None)
+    every = band_errors(band, baseline, None)
+    widths = [high - low for low, high in (few.interval(deviation), every.interval(deviation))]
+    assert widths[0] >= widths[1] > 0.0
+
+
+def test_draws_of_two_engines_are_paired():
+    band, baseline = bundled_band(SLIDES[0]), published_baselines(SLIDES[0])["rmse"]
+    first, second = (band_errors(band, baseline, load_sensitivities(SLIDES[0], name)) for name in ("mujoco", "newton"))
+    deviation = np.full_like(band.mean, 10.0)
+    one, other = first.draws(deviation), second.draws(deviation)
+    assert np.corrcoef(one, other)[0, 1] > 0.95
+
+
+# --- past the end ----------------------------------------------------------------------------------------------------
+
+
+def run_to_end(env):
+    env.reset(seed=0)
+    over = False
+    while not over:
+        *_, terminated, truncated, info = env.step(0)
+        over = terminated or truncated
+    return info
+
+
+def test_an_episode_runs_on_after_its_last_frame_for_the_alignment_alone():
+    env = gymnasium.make(f"GAUGE/{SLIDES[1]}", render_mode="rgb_array", width=64, height=48)
+    info = run_to_end(env)
+    inner = env.unwrapped
+    trajectory = inner.trajectory()
+    assert info["frame"] == 16 == len(trajectory.frames) - 1
+    assert len(trajectory.later_times_s) == 60 and np.isfinite(trajectory.later_samples).all()
+    # The engine alone, without an environment, gives the same motion.
+    simulation = backend_for("mujoco", None).build(inner.experiment.scene)
+    simulation.reset(0)
+    alone = 1e3 * simulation.sample_positions(("cube",), 156, SAMPLE_INTERVAL_S).reshape(156, 3)
+    np.testing.assert_array_equal(alone, np.concatenate([trajectory.samples, trajectory.later_samples])[1:])
+    # Poses stay those of the last frame, so the picture is that of the observation.
+    np.testing.assert_allclose(1e3 * inner.episode.poses()["cube"][:3], trajectory.samples[-1], atol=1e-9)
+    assert env.render().shape == (48, 64, 3)
+    assert info["score"] == inner.score()
+
+
+def test_a_copy_of_an_ended_episode_scores_the_same():
+    env = gymnasium.make(f"GAUGE/{SLIDES[1]}")
+    score = run_to_end(env)["score"]
+    assert pickle.loads(pickle.dumps(env.unwrapped)).score() == score
+    assert run_to_end(env)["score"] == score
+
+
+def test_worlds_of_a_vector_environment_score_as_one_alone():
+    alone = run_to_end(gymnasium.make(f"GAUGE/{SLIDES[1]}"))["score"]
+    envs = gymnasium.make_vec(f"GAUGE/{SLIDES[1]}", num_envs=2)
+    envs.reset(seed=0)
+    for _ in range(16):
+        *_, infos = envs.step([0, 0])
+    assert list(infos["score"]) == [alone, alone]
+
+
+def test_repeats_run_on_too():
+    results = run_repeats(RunRequest(SLIDES[1], repeats=2, jitter=Jitter()))
+    assert all(len(result.trajectory.later_times_s) == 60 for result in results)
+    assert all(result.score.release_offset_s < 0.0 for result in results)
+
+
+def test_an_experiment_of_a_law_does_not_run_on():
+    env = gymnasium.make("GAUGE/SlopeSlider-1-wood")
+    run_to_end(env)
+    assert not len(env.unwrapped.trajectory().later_times_s)
+    assert reference_band(env.unwrapped.experiment).grade == "law"

@@ -1,0 +1,170 @@
+"""Convergence tables: what was measured is read as written, damage is named, and reports show it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import build_convergence
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ReferenceFileError
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import variants
+from gauge_envs.files import data_folder
+from gauge_envs.references.convergence import Convergence, ConvergenceTable, convergence_table
+from gauge_envs.references.published import published_baselines
+from gauge_envs.report.convergence import convergence_text
+
+ROW = Convergence(
+    variant="SlopeSlider-2-wood",
+    setting="timestep_s",
+    default=1e-4,
+    refined=5e-5,
+    unit="mm",
+    rms=0.062,
+    max=0.18,
+    share=0.0034,
+    points_rms_mm=0.062,
+    points_max_mm=0.18,
+)
+DIVERGED = Convergence(variant="Funnel-satin", setting="cell_m", default=0.02, refined=0.01, unit="mm")
+
+
+def bundled(engine: str) -> ConvergenceTable:
+    return ConvergenceTable.read(data_folder("scoring") / "convergence" / f"{engine}.csv")
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "newton"])
+def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(engine: str) -> None:
+    table = bundled(engine)
+    assert {"engine", "date"} <= table.notes.keys()
+    assert table.notes["engine"].startswith(engine)
+    known = {variant.name for variant in variants()}
+    assert table.rows
+    for (name, setting), row in table.rows.items():
+        assert name in known
+        assert row.refined == pytest.approx(0.5 * row.default, rel=1e-3)
+        experiment = load_experiment(name)
+        assert row.unit == experiment.score.observable.unit
+        assert setting == "timestep_s" or experiment.scene.deformables
+        baseline = published_baselines(name).get("rmse")
+        if row.rms is None:
+            continue
+        assert row.max is not None and row.rms <= row.max
+        assert (row.share is None) == (baseline is None)
+        if baseline is not None:
+            assert row.share == pytest.approx(row.rms / baseline.mean, rel=2e-3)
+
+
+def test_mujoco_has_half_the_step_of_every_scored_experiment() -> None:
+    names = {name for name, setting in bundled("mujoco").rows if setting == "timestep_s"}
+    assert {"BouncingBall-rubber", "SlopeSlider-3-metal", "Turntable-3-metal"} <= names
+    assert {
+        f"{family}-{m}" for family in ("SlopeSlider-2", "Turntable-1") for m in ("wood", "plastic", "metal")
+    } <= names
+
+
+def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
+    table = ConvergenceTable({"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {}).with_rows([ROW, DIVERGED])
+    file = tmp_path / "mujoco.csv"
+    file.write_text(table.text(), encoding="utf-8")
+    found = ConvergenceTable.read(file)
+    assert found == table
+    assert found.of("SlopeSlider-2-wood") == {"timestep_s": ROW}
+    assert found.of("Funnel-satin")["cell_m"].rms is None
+    assert found.of("SlopeSlider-2-metal") == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("variant,setting", "id,setting", r"mujoco.csv: line 3: columns are id,setting"),
+        ("timestep_s", "iterations", r"mujoco.csv: line 4: setting"),
+        (",0.062,", ",-0.062,", r"mujoco.csv: line 4: rms"),
+        (",0.062,0.18\n", ",0.062\n", r"mujoco.csv: line 4: 9 fields, expected 10"),
+        ("SlopeSlider-2-wood,", "{row}\nSlopeSlider-2-wood,", r"mujoco.csv: line 5: .* has a row above"),
+    ],
+)
+def test_damage_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:
+    text = ConvergenceTable({"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {}).with_rows([ROW]).text()
+    line = text.splitlines()[3]
+    file = tmp_path / "mujoco.csv"
+    file.write_text(text.replace(old, new.replace("{row}", line), 1), encoding="utf-8")
+    with pytest.raises(ReferenceFileError, match=message):
+        ConvergenceTable.read(file)
+
+
+def test_an_engine_without_a_table_was_not_measured() -> None:
+    assert convergence_table("another").of("SlopeSlider-2-wood") == {}
+    assert convergence_text({}, has_cells=True) == "half step: not measured; half cell: not measured"
+    assert convergence_text({}, has_cells=False) == "half step: not measured"
+    unscored = ROW.model_copy(update={"share": None}).model_dump()
+    expected = "half step moves the trajectory by 0.062 mm (rms of the observed points)"
+    assert convergence_text({"timestep_s": unscored}, has_cells=False) == expected
+    assert convergence_text({"cell_m": DIVERGED.model_dump()}, has_cells=True).endswith("half cell: diverged")
+
+
+def test_commands_show_what_was_measured(tmp_path: Path) -> None:
+    share = bundled("mujoco").of("SlopeSlider-2-wood")["timestep_s"].share
+    assert share is not None
+    expected = f"half step moves the trajectory by {100 * share:.2g} % of the scatter"
+    shown = CliRunner().invoke(app, ["show", "SlopeSlider-2-wood"]).output
+    assert expected in " ".join(shown.split())
+    ran = CliRunner().invoke(app, ["run", "SlopeSlider-2-wood", "--out", str(tmp_path)]).output
+    assert expected in " ".join(ran.split())
+    values = json.loads(CliRunner().invoke(app, ["show", "SlopeSlider-2-wood", "--json"]).output)
+    assert values["convergence"]["mujoco"]["timestep_s"]["share"] == share
+
+
+def test_other_settings_have_no_convergence(tmp_path: Path) -> None:
+    options = ["run", "SlopeSlider-2-wood", "--set", "impratio=1.0", "--out", str(tmp_path)]
+    assert "half step" not in CliRunner().invoke(app, options).output
+
+
+# --- the script ------------------------------------------------------------------------------------------------------
+
+
+def test_the_script_measures_a_row_and_resumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--scoring", str(tmp_path), "--ids", "BouncingBall-*"]
+    assert build_convergence.main(options) == 0
+    file = tmp_path / "convergence" / "mujoco.csv"
+    (row,) = ConvergenceTable.read(file).rows.values()
+    assert (row.variant, row.setting) == ("BouncingBall-rubber", "timestep_s")
+    kept = bundled("mujoco").of("BouncingBall-rubber")["timestep_s"]
+    assert row.rms == pytest.approx(kept.rms, rel=0.05)
+    capsys.readouterr()
+    assert build_convergence.main([*options, "--resume"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_the_check_fails_where_a_row_differs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build_convergence, "QUICK", ("BouncingBall-rubber",))
+    (tmp_path / "convergence").mkdir()
+    table, row = bundled("mujoco"), bundled("mujoco").of("BouncingBall-rubber")["timestep_s"]
+    for factor, status in ((1.0, 0), (1.2, 1)):
+        assert row.rms is not None
+        changed = table.with_rows([row.model_copy(update={"rms": factor * row.rms})])
+        (tmp_path / "convergence" / "mujoco.csv").write_text(changed.text(), encoding="utf-8")
+        assert build_convergence.main(["--scoring", str(tmp_path), "--check"]) == status
+
+
+def test_rms_is_the_distance_of_the_paper() -> None:
+    frames = np.zeros((4, 3))
+    moved = frames.copy()
+    moved[3] = (3.0, 0.0, 4.0)
+    runs = [
+        build_convergence.Run(frames=one, points_m=1e-3 * one[:, None], settings={}, nodes_m={})
+        for one in (frames, moved)
+    ]
+    row = build_convergence.compare("SlopeSlider-2-wood", "timestep_s", *runs, (1e-4, 5e-5))
+    assert (row.rms, row.max, row.points_max_mm) == pytest.approx((2.5, 5.0, 5.0))
+    assert row.share == pytest.approx(2.5 / 18.0)
+
+
+def test_the_summary_in_the_guide_is_current() -> None:
+    page = build_convergence.PAGE.read_text(encoding="utf-8")
+    assert build_convergence.documented(page, build_convergence.all_tables(data_folder("scoring"))) == page
