@@ -146,13 +146,13 @@ def coverage_of_means(errors: tuple[float, float], *, align: bool, repeats: int)
 def test_the_interval_of_a_mean_difference_over_four_experiments_holds_the_true_one(
     errors: tuple[float, float], align: bool
 ) -> None:
-    difference, _ = coverage_of_means(errors, align=align, repeats=500)
+    difference, _ = coverage_of_means(errors, align=align, repeats=200)
     assert difference >= 0.91
 
 
 @pytest.mark.slow
 def test_the_interval_of_an_interquartile_mean_of_resolved_scores_holds_the_true_one() -> None:
-    _, middle = coverage_of_means((0.03, 0.05), align=True, repeats=500)
+    _, middle = coverage_of_means((0.03, 0.05), align=True, repeats=200)
     assert 0.91 <= middle <= 0.99
 
 
