@@ -52,6 +52,9 @@ BELOW_NOISE = 0.01
 SEED = 20_260_711
 """Seed of the draws. It is fixed, so that scores repeat and engines are compared on the same draws."""
 
+LEAST_RESAMPLED = 8
+"""Number of trials from which their mean score is resampled."""
+
 PROJECTION_FLOOR_MM = 1.0
 """Motion across the measured coordinates below which their direction does not matter: 0.3 degrees of it is 5 um."""
 
@@ -349,6 +352,14 @@ def _sampling(band: Band, baseline_spread: float | None, shapes: _Shapes) -> tup
     return np.maximum(ratio, 0.1), f"published standard deviation over the root of {band.trial_count or trial_count}"
 
 
+def _spread_of(distances: FloatArray, count: int) -> tuple[FloatArray, str]:
+    """Return the baseline's ratio for few trials, a resample of which may hold one of them alone."""
+    mean = float(distances.mean())
+    relative = float(distances.std(ddof=1)) / mean / math.sqrt(count) if mean > 0.0 else 0.0
+    ratio = 1.0 + relative * _random("baseline").standard_normal(DRAW_COUNT)
+    return np.maximum(ratio, 0.1), f"standard deviation over the root of {count} trials"
+
+
 def _columns(band: Band) -> range:
     return range(band.mean.shape[1])
 
@@ -369,6 +380,8 @@ def _resampled(band: Band, trials: FloatArray, shapes: _Shapes) -> tuple[FloatAr
     # The mean is subtracted, so an error of the mean enters with the other sign.
     shapes.add("release time of the mean", "release", "A", source, list(-shift), factors)
     shapes.add("mean of the trials", "sampling", "A", source, list(shift - residuals), factors)
+    if count < LEAST_RESAMPLED:
+        return _spread_of(np.linalg.norm(residuals, axis=1), count)
     gram = residuals @ residuals.T
     own = np.einsum("kj,kj->k", weights @ gram, weights)
     squares = np.maximum(np.diag(gram) - 2.0 * weights @ gram + own[:, None], 0.0)
