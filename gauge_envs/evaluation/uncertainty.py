@@ -139,6 +139,20 @@ class BandErrors:
             return self
         return replace(self, shapes=self.shapes - np.outer(self.shapes @ direction, direction) / size)
 
+    def redrawn(self, kind: str, stream: str) -> BandErrors:
+        """Return the errors with other random factors for one kind, which two simulations do not share.
+
+        Args:
+            kind: Kind of the sources, as `discretization`.
+            stream: Name of the simulation; each name has its own random numbers.
+        """
+        factors = self.factors.copy()
+        for source in self.sources:
+            if source.kind == kind:
+                shape = factors[:, source.columns].shape
+                factors[:, source.columns] = _random(f"{source.name}: {stream}").standard_normal(shape)
+        return replace(self, factors=factors)
+
     def with_projection(self, band: Band, frames: FloatArray) -> BandErrors:
         """Return the errors with that of the band's directions, for a band that has fewer coordinates than g(t).
 

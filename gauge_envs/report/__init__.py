@@ -1,6 +1,6 @@
 """What the command line prints: rows for JSON, and the same as tables for reading."""
 
-from gauge_envs.report.comparison import comparison_markdown, comparison_rows, comparison_view
+from gauge_envs.report.comparison import comparison_json, comparison_markdown, comparison_rows, comparison_view
 from gauge_envs.report.control import control_description, control_summary, control_view
 from gauge_envs.report.description import description, description_view
 from gauge_envs.report.diagnosis import diagnosis_rows, diagnosis_view
@@ -25,6 +25,7 @@ __all__ = [
     "NORMALIZED_NOTE",
     "backend_rows",
     "backend_table",
+    "comparison_json",
     "comparison_markdown",
     "comparison_rows",
     "comparison_view",
