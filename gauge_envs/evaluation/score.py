@@ -20,12 +20,12 @@ from gauge_envs.evaluation.deviation import (
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
 from gauge_envs.evaluation.metrics import (
     band_coverage,
+    dtw_path,
     mean_abs_z,
     signed_error,
-    trajectory_dtw,
     z_scores,
 )
-from gauge_envs.evaluation.swing import EventTime, swing_metrics, swing_notes
+from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
 from gauge_envs.evaluation.trials import percentile_among, trial_distances
 from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
@@ -56,6 +56,7 @@ class Score:
             without single trials.
         dtw: E_DTW of the paper.
         dtw_normalized: `dtw` over the published baseline mean.
+        dtw_normalized_95: 95 % interval of `dtw_normalized`.
         release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
         rmse_aligned: RMSE after that shift.
         rmse_aligned_normalized: `rmse_aligned` over the published baseline mean, which is not aligned.
@@ -70,6 +71,7 @@ class Score:
         signed_error: Mean signed deviation of each scored coordinate.
         lsd_s: Longest stationary duration of the last ball [s].
         lsd_normalized: `lsd_s` over the published mean; 1 is ideal.
+        lsd_normalized_95: 95 % interval of `lsd_normalized`.
         lsd_speed_3d_s: LSD if the speed in space is limited, in place of that of the height [s].
         lsd_speed_3d_normalized: `lsd_speed_3d_s` over the published mean.
         lsd_central_s: LSD if the speed of the height is that of central differences [s].
@@ -77,8 +79,10 @@ class Score:
         lsd_dropped_rests_s: Rests at the first and the last frame, which no LSD counts [s].
         mte: Momentum transfer efficiency, ratio.
         mte_normalized: `mte` over the published mean; 1 is ideal.
+        mte_normalized_95: 95 % interval of `mte_normalized`.
         pd_s: Period [s].
         pd_normalized: `pd_s` over the published mean; 1 is ideal.
+        pd_normalized_95: 95 % interval of `pd_normalized`.
         pd_fft_s: Period of the strongest bin of the plain Fourier spectrum [s].
         pd_fft_normalized: `pd_fft_s` over the published mean.
         events: Times of the cradle's last ball, simulated and recorded.
@@ -100,6 +104,7 @@ class Score:
     percentile: float | None = None
     dtw: float | None = None
     dtw_normalized: float | None = None
+    dtw_normalized_95: tuple[float, float] | None = None
     release_offset_s: float | None = None
     rmse_aligned: float | None = None
     rmse_aligned_normalized: float | None = None
@@ -114,6 +119,7 @@ class Score:
     signed_error: tuple[float, ...] | None = None
     lsd_s: float | None = None
     lsd_normalized: float | None = None
+    lsd_normalized_95: tuple[float, float] | None = None
     lsd_speed_3d_s: float | None = None
     lsd_speed_3d_normalized: float | None = None
     lsd_central_s: float | None = None
@@ -121,8 +127,10 @@ class Score:
     lsd_dropped_rests_s: tuple[float, float] | None = None
     mte: float | None = None
     mte_normalized: float | None = None
+    mte_normalized_95: tuple[float, float] | None = None
     pd_s: float | None = None
     pd_normalized: float | None = None
+    pd_normalized_95: tuple[float, float] | None = None
     pd_fft_s: float | None = None
     pd_fft_normalized: float | None = None
     events: tuple[EventTime, ...] | None = None
@@ -193,8 +201,9 @@ def score_trajectory(
     scores["implied"] = implied_parameters(
         experiment, band, times_s=times_s, values=values, release_offset_s=scores.get("release_offset_s")
     )
-    scores |= _metric_fields(swing_metrics(experiment, frames), baselines)
-    scores |= swing_notes(experiment, frames, times_s=times_s, values=values)
+    events = swing_metrics(experiment, frames)
+    notes = swing_notes(experiment, frames, times_s=times_s, values=values)
+    scores |= _metric_fields(events, baselines) | notes | event_intervals(events, notes, baselines)
     # NaN is an event that never happens, or a mean over no measured value. It is reported as None.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     return Score(
@@ -235,10 +244,8 @@ def _band_scores(
     deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
     known = np.isfinite(band.mean).any(axis=1)
-    distances = {
-        "rmse": deviations.raw.rmse,
-        "dtw": trajectory_dtw(simulated[known], band.mean[known]),
-    }
+    cost, path = dtw_path(simulated[known], band.mean[known])
+    distances = {"rmse": deviations.raw.rmse, "dtw": cost / len(path)}
     # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
@@ -267,6 +274,10 @@ def _band_scores(
         }
     if baseline is not None:
         scores["rmse_normalized_95"] = _interval(deviations.raw, baseline)
+        cells = np.flatnonzero(known)[path]
+        low, high = deviations.raw.errors.path_interval(cells, simulated, band.mean)
+        if (line := baselines.get("dtw")) is not None and line.mean:
+            scores["dtw_normalized_95"] = low / line.mean, high / line.mean
         if aligned is not None:
             scores["rmse_aligned_normalized_95"] = _interval(aligned, baseline)
         first = deviations.first
