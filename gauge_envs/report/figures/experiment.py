@@ -297,7 +297,7 @@ def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Seque
 
 
 def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
-    """Draw the distance of each configuration to the first, and that of a typical real trial to the mean."""
+    """Draw the distance of each configuration to the first, and that of the real trials to their mean."""
     first = series[0]
     for one in series[1:]:
         for times, distance in distances_over_time(first.results, one.results):
