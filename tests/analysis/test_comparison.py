@@ -461,6 +461,13 @@ def test_cells_have_intervals_and_the_percentile_below_the_primary_score(real):
     assert lines[place + 2].split()[0] == "RMSE"
 
 
+@pytest.mark.parametrize("metric", [name for name, one in COMPARED_METRICS.items() if one.normalized is not None])
+def test_each_normalized_metric_has_an_interval(metric):
+    known = COMPARED_METRICS[metric]
+    score = Score(grade="none", unit="mm", **{known.normalized: 0.5, known.raw: 9.0, known.interval: (0.25, 1.5)})
+    assert cells([made(score=score)], metric) == ["0.50 [0.25, 1.50]"]
+
+
 def test_json_has_pairs_and_grades(real):
     comparison = compare(under_two_names(real, SLIDER, PLASTIC, HOLD))
     record = by_kind(json.loads(json.dumps(comparison_json(comparison), allow_nan=False)))
