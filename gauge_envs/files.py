@@ -53,7 +53,7 @@ MOST_KEY_DOTS = 64
 """Largest count of dots in a key of a TOML file; the parser's time grows with the square of the count."""
 
 CHILD_MEMORY = 1000 * MEGABYTE
-CHILD_CPU_S = 8
+CHILD_CPU_S = 5
 CHILD_WALL_S = 60
 CHILD_REFUSED = 3
 """Exit code of a child that prints why it refuses a file."""
@@ -251,6 +251,8 @@ def child_refusal(script: Path, *arguments: str, content: bytes = b"") -> str | 
         )
     except subprocess.TimeoutExpired:
         return f"loading it takes more than {CHILD_WALL_S} s"
+    except OSError as error:
+        return f"no child process can be started to test it: {error.strerror or error}"
     if done.returncode == 0:
         return None
     if done.returncode == CHILD_REFUSED:
