@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -200,7 +200,7 @@ def planned_result(
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,
-        jitter=asdict(jitter) if jitter else {},
+        jitter=jitter.to_dict() if jitter else {},
         marker_proxy=arguments.proxy.value,
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),
