@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,6 +53,12 @@ def _thrown_solid(lab: Lab) -> Rollout:
     return lab.rollout(_thrown_scene(ConvexUnion(pieces_m=(CORNERS_M,))), FLIGHT_S)
 
 
+def _hint(errors: Mapping[str, float], error: float) -> str:
+    """Return the explanation that leaves the smallest error, or nothing if it leaves more than 5 % of the error."""
+    text = min(errors, key=errors.__getitem__)
+    return text if errors[text] < 0.05 * error else ""
+
+
 def _largest_mm(apart_m: NDArray[np.float64]) -> float:
     return 1e3 * float(np.linalg.norm(apart_m, axis=1).max())
 
@@ -78,10 +86,8 @@ def _start_velocity(lab: Lab) -> Measurement:
         "the velocity is taken in the body frame": POSE.rotation.apply(velocity),
         "the velocity is taken in mm/s": 1e-3 * velocity,
     }
-    hint = next(
-        (text for text, v in explanations.items() if _largest_mm(moved - np.outer(times, v)) < 0.05 * error), ""
-    )
-    return Measurement(measured=error, expected=0.0, hint=hint)
+    errors = {text: _largest_mm(moved - np.outer(times, assumed)) for text, assumed in explanations.items()}
+    return Measurement(measured=error, expected=0.0, hint=_hint(errors, error))
 
 
 @check(
@@ -116,8 +122,8 @@ def _start_spin(lab: Lab) -> Measurement:
         "the angular velocity is taken in the body frame": POSE.rotation.apply(spin),
         "the angular velocity is taken in degrees": np.radians(spin),
     }
-    hint = next((text for text, assumed in explanations.items() if error_deg(assumed) < 0.1 * error), "")
-    return Measurement(measured=error, expected=0.0, hint=hint)
+    errors = {text: error_deg(assumed) for text, assumed in explanations.items()}
+    return Measurement(measured=error, expected=0.0, hint=_hint(errors, error))
 
 
 @check(
