@@ -212,7 +212,7 @@ class SceneBuilder:
         placement = self.placements[name]
         pose = placement.poses()[0]
         if any((*(placement.velocity_m_per_s or ()), *(placement.angular_velocity_deg_per_s or ()))):
-            raise TaskFileError(self.path, f"initial.{name}", "a deformable body starts at rest: remove its velocity")
+            raise ParameterError(f"{name!r} is deformable and starts at rest: remove its start velocity")
         for key in ("friction", "restitution", "density_kg_per_m3"):
             values.pop(key, None)
         if name in self.spec.cloths:

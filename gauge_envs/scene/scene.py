@@ -101,7 +101,7 @@ class Scene:
                     raise ParameterError(
                         f"the start velocity of {body.name!r} does not rotate the body about its hinge. Give an "
                         f"angular velocity along the axis {joint.axis}, and the linear velocity "
-                        f"{tuple(expected.tolist())} m/s."
+                        f"{tuple((expected + 0.0).tolist())} m/s."
                     )
 
     def body(self, name: str) -> RigidBody:
