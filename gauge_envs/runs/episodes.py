@@ -15,6 +15,7 @@ from gauge_envs.backends.base import Worlds
 from gauge_envs.envs.arguments import EnvArguments, jittered_experiment
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode, advance_together, run_on_together
+from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -178,7 +179,7 @@ def run_together(episodes: Sequence[Episode], worlds: Worlds) -> None:
 
 
 def planned_result(
-    arguments: EnvArguments, experiment: Experiment, *, seed: int | None, jitter: Jitter | None
+    arguments: EnvArguments, experiment: Experiment, *, seed: int | None, jitter: Jitter | TrialStart | None
 ) -> Result:
     """Return the result of an episode that has not run.
 
@@ -186,7 +187,7 @@ def planned_result(
         arguments: Arguments of its environment.
         experiment: Its experiment, or the calibrated one if the parameters are wrong.
         seed: Seed of the episode.
-        jitter: Standard deviations of its start, or None.
+        jitter: Standard deviations or trial of its start, or None.
     """
     band = arguments.band(experiment)
     grade = BandGrade.NONE if band is None else band.grade

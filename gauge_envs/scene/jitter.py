@@ -15,7 +15,7 @@ from gauge_envs.scene.bodies import Cloth, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import Pose, Sphere, vector
 from gauge_envs.scene.scene import Scene
 
-__all__ = ["Jitter", "jittered"]
+__all__ = ["Jitter", "face_normal", "jittered", "swung"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,10 +85,10 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
             if body.name in hinges:
                 hinge = hinges[body.name]
                 turned = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal() * np.asarray(hinge.axis))
-                body = _swung(body, turned, np.asarray(hinge.anchor_m))
+                body = swung(body, turned, np.asarray(hinge.anchor_m))
             elif body.name in tethers:
                 swing = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal(3))
-                body = _swung(body, swing, np.asarray(tethers[body.name].anchor_m))
+                body = swung(body, swing, np.asarray(tethers[body.name].anchor_m))
             else:
                 body = replace(body, pose=_shifted(body.pose, jitter, random, is_free=isinstance(body.shape, Sphere)))
             if jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s:
@@ -122,7 +122,7 @@ def face_normal(pose: Pose) -> NDArray[np.float64]:
     return axes[int(np.abs(axes[:, 2]).argmax())]
 
 
-def _swung(body: RigidBody, rotation: Rotation, point_m: NDArray[np.float64]) -> RigidBody:
+def swung(body: RigidBody, rotation: Rotation, point_m: NDArray[np.float64]) -> RigidBody:
     """Return a body whose pose and velocities are rotated about a world point."""
     pose = _rotated(body.pose, rotation, point_m)
     if body.starts_at_rest:
