@@ -10,9 +10,9 @@ configurations are distinguishable if the 95 % interval of their difference excl
 nothing is corrected for the number of pairs.
 
 Over the experiments of a grade, the difference is the mean difference of the normalized scores, with the experiments
-taken as given. A mean difference of logarithms would weight them equally, but the logarithm of a score that is below
-its errors is not determined: in simulated realities its interval held the truth in 2 to 100 %, that of the difference
-in 92 to 100 % (`tests/analysis/test_pairs.py`). The same limits the interval of the geometric mean.
+taken as given. A mean difference of logarithms would weight them equally. But the logarithm of a score that is below
+its errors is not determined, and its interval misses the truth in simulated realities. That of the difference holds it
+in at least 91 % (`tests/analysis/test_pairs.py`). The same limits the interval of the geometric mean.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def _compared_metrics() -> dict[str, ComparedMetric]:
             normalized=metric.normalized_field,
             published=key,
             unit=metric.unit,
-            interval="rmse_normalized_95" if key == "rmse" else None,
+            interval=f"{metric.normalized_field}_95" if metric.is_normalized else None,
             percentile="percentile" if key == "rmse" else None,
             is_event=metric.is_event,
         )

@@ -63,7 +63,7 @@ def compare(
     results, skipped = _loaded(sources)
     comparison = compare_results(results)
     if json_lines:
-        print_json_lines([comparison_json(comparison, chosen)])
+        print_json_lines(comparison_json(comparison, chosen))
     elif markdown:
         typer.echo(comparison_markdown(comparison, chosen), nl=False)
     else:

@@ -206,8 +206,10 @@ class BandErrors:
         Args:
             deviation: Simulation minus mean, shape [T, C].
         """
-        low, high = self._interval(self.flat(deviation))
-        return _reported(low), _reported(high)
+        vector = self.flat(deviation)
+        size = float(np.linalg.norm(vector))
+        low, high = self._interval(vector)
+        return min(_reported(low), size), max(_reported(high), size)
 
     def _interval(self, vector: FloatArray) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
@@ -453,6 +455,9 @@ def _measurement(band: Band, shapes: _Shapes) -> None:
 def _inputs(band: Band, sensitivities: Sensitivities, shapes: _Shapes) -> None:
     for one in sensitivities.inputs:
         if len(one.change) < len(band.mean) or one.change.shape[1] != band.projection.shape[1]:
+            continue
+        # A law keeps the body where it starts, so another start moves simulation and mean alike.
+        if band.grade is BandGrade.LAW and one.kind == "start":
             continue
         change = band.project(one.change[: len(band.mean)])
         if np.abs(change).max() > 0.0:

@@ -38,18 +38,18 @@ __all__ = ["comparison_json", "comparison_markdown", "comparison_rows", "compari
 Interval = tuple[float, float]
 
 
-def comparison_json(comparison: Comparison, metrics: Sequence[str] = tuple(COMPARED_METRICS)) -> dict[str, Any]:
-    """Return a JSON-ready object with the scores of each experiment, the means of each grade, and all pairs."""
+def comparison_json(comparison: Comparison, metrics: Sequence[str] = tuple(COMPARED_METRICS)) -> list[dict[str, Any]]:
+    """Return JSON-ready objects: the scores of each experiment, the means of each grade, and all pairs.
+
+    The key `record` states which: `experiment`, `grade` or `pair`.
+    """
     labels = configuration_labels(comparison.configurations)
-    record: dict[str, Any] = json_ready(
-        {
-            "experiments": comparison_rows(comparison, metrics),
-            "grades": [_grade_record(grade, labels) for grade in comparison.grades],
-            "pairs": [_pair_record(grade, pair, labels) for grade in comparison.grades for pair in grade.pairs],
-            "notes": list(comparison.notes),
-        }
-    )
-    return record
+    experiments = comparison_rows(comparison, metrics)
+    grades = [_grade_record(grade, labels) for grade in comparison.grades]
+    pairs = [_pair_record(grade, pair, labels) for grade in comparison.grades for pair in grade.pairs]
+    kinds = (("experiment", experiments), ("grade", grades), ("pair", pairs))
+    records: list[dict[str, Any]] = json_ready([{"record": kind, **one} for kind, some in kinds for one in some])
+    return records
 
 
 def _grade_record(grade: GradeComparison, labels: Sequence[str]) -> dict[str, Any]:

@@ -265,7 +265,7 @@ def test_one_configuration_is_shown_beside_what_was_published():
 def test_nothing_to_compare():
     assert "no results to compare" in printed([])
     assert comparison_rows(compare([])) == []
-    assert comparison_json(compare([])) == {"experiments": [], "grades": [], "pairs": [], "notes": []}
+    assert comparison_json(compare([])) == []
 
 
 # --- grades and pairs ---
@@ -461,11 +461,18 @@ def test_cells_have_intervals_and_the_percentile_below_the_primary_score(real):
     assert lines[place + 2].split()[0] == "RMSE"
 
 
+@pytest.mark.parametrize("metric", [name for name, one in COMPARED_METRICS.items() if one.normalized is not None])
+def test_each_normalized_metric_has_an_interval(metric):
+    known = COMPARED_METRICS[metric]
+    score = Score(grade="none", unit="mm", **{known.normalized: 0.5, known.raw: 9.0, known.interval: (0.25, 1.5)})
+    assert cells([made(score=score)], metric) == ["0.50 [0.25, 1.50]"]
+
+
 def test_json_has_pairs_and_grades(real):
     comparison = compare(under_two_names(real, SLIDER, PLASTIC, HOLD))
-    record = json.loads(json.dumps(comparison_json(comparison), allow_nan=False))
-    assert set(record) == {"experiments", "grades", "pairs", "notes"}
-    trials, law = record["pairs"]
+    record = by_kind(json.loads(json.dumps(comparison_json(comparison), allow_nan=False)))
+    assert set(record) == {"experiment", "grade", "pair"}
+    trials, law = record["pair"]
     assert (trials["first"], trials["second"], trials["grade"]) == ("mujoco", "newton", "trials")
     assert trials["ids"] == [f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}"]
     assert (trials["difference"], trials["distinguishable"]) == (0.0, False)
@@ -474,14 +481,14 @@ def test_json_has_pairs_and_grades(real):
     assert {one["id"]: set(one) for one in trials["experiments"]} == {
         name: {"id", "difference", "difference_95", "distinguishable"} for name in trials["ids"]
     }
-    assert [(one["grade"], one["withheld"]) for one in record["grades"]] == [("trials", False), ("law", False)]
-    means = record["grades"][0]["configurations"][0]
+    assert [(one["grade"], one["withheld"]) for one in record["grade"]] == [("trials", False), ("law", False)]
+    means = record["grade"][0]["configurations"][0]
     low, high = means["geometric_mean_95"]
     assert (means["label"], means["rank"]) == ("mujoco", 1)
     assert low <= means["geometric_mean"] <= high
-    assert set(record["grades"][0]["published"]) == {"isaacsim", "genesis", "newton"}
-    assert record["grades"][1]["published"] == {}
-    row = next(one for one in record["experiments"] if one["metric"] == "rmse_aligned")
+    assert set(record["grade"][0]["published"]) == {"isaacsim", "genesis", "newton"}
+    assert record["grade"][1]["published"] == {}
+    row = next(one for one in record["experiment"] if one["metric"] == "rmse_aligned")
     assert row["configurations"][0]["normalized_95"] == list(real[SLIDER].score.rmse_aligned_normalized_95)
     assert row["configurations"][0]["percentile"] == real[SLIDER].score.percentile_aligned
 
@@ -664,6 +671,14 @@ def gauge(tmp_path, monkeypatch):
     return lambda *arguments: CliRunner(env={"COLUMNS": "240"}).invoke(app, list(map(str, arguments)))
 
 
+def by_kind(records):
+    """Return the records of `gauge compare --json` by kind, each without it."""
+    found = {}
+    for record in records:
+        found.setdefault(record.pop("record"), []).append(record)
+    return found
+
+
 def write(folder, *results):
     for result in results:
         write_result(result, folder / "results" / result_file_name(result))
@@ -683,10 +698,10 @@ def test_two_settings_of_a_real_engine(gauge, tmp_path):
         "Turntable-2-wood.png",
         "overview.png",
     ]
-    record = json.loads(gauge("compare", "--json", "--metric", "rmse").stdout)
-    rows = record["experiments"]
+    record = by_kind(map(json.loads, gauge("compare", "--json", "--metric", "rmse").stdout.splitlines()))
+    rows = record["experiment"]
     assert {"first", "second", "grade", "ids", "difference", "difference_95", "distinguishable"} <= set(
-        record["pairs"][0]
+        record["pair"][0]
     )
     assert [row["metric"] for row in rows] == ["rmse", None]
     values = [one["normalized"] for one in rows[0]["configurations"]]
@@ -712,9 +727,11 @@ def test_a_damaged_file_is_skipped_with_a_note_and_exit_code_1(gauge, tmp_path):
 
 def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
     write(tmp_path, made(rmse=0.41))
-    record = json.loads(gauge("compare", "results", "results", "--json", "--metric", "rmse").stdout)
-    assert record["experiments"][0]["configurations"][0]["normalized"]["count"] == 1
-    assert not any("the latest of each counts" in note for note in record["notes"])
+    first, *_ = map(
+        json.loads, gauge("compare", "results", "results", "--json", "--metric", "rmse").stdout.splitlines()
+    )
+    assert first["configurations"][0]["normalized"]["count"] == 1
+    assert not any("the latest of each counts" in note for note in first["notes"])
 
 
 @pytest.mark.parametrize(

@@ -405,7 +405,8 @@ def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> No
         for bar in group:
             length = 0.0 if bar.spread is None else bar.spread.mean
             low, high = bar.ends
-            whisker = [[length - low], [high - length]] if low < high else None
+            # The end of an interval may be the score itself, but for its last digit.
+            whisker = [[max(length - low, 0.0)], [max(high - length, 0.0)]] if low < high else None
             axis.barh(place, length, color=bar.color, height=0.78, xerr=whisker, error_kw=WHISKER)
             end = max(length, high) + unit
             axis.text(end, place, bar.text, va="center", fontsize=8, color="#404040", bbox=BACKING)
