@@ -140,7 +140,7 @@ class SceneBuilder:
         except ParameterError as error:
             if self.is_overridden:
                 raise ParameterError(f"{self.variant.name}: {error}") from None
-            raise TaskFileError(self.path, "initial", str(error)) from None
+            raise TaskFileError(self.path, "(file)", str(error)) from None
 
     def _scene(self) -> Scene:
         bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))

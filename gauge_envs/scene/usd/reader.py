@@ -132,7 +132,7 @@ def _opened(file: Path) -> Iterator[Source]:
     except UnicodeDecodeError:
         raise AssetError(file, "", "it holds names or texts that are not UTF-8") from None
     except ParameterError as error:
-        # A scene refuses start velocities that contradict its joints or attachments.
+        # A scene refuses parts that contradict each other, such as a start velocity across a hinge.
         raise AssetError(file, "", str(error)) from None
 
 
