@@ -83,6 +83,11 @@ def _lacking(scene: Scene) -> Iterator[tuple[str, str]]:
         yield repr(joint.body), f"hangs on a {type(joint).__name__}, and there are no joints"
     rigid = {body.name: body for body in scene.bodies}
     for body in scene.dynamic_bodies:
+        if any(body.angular_velocity_rad_per_s) and not isinstance(body.shape, Sphere):
+            yield (
+                repr(body.name),
+                f"starts with rotation and is a {type(body.shape).__name__}, and only spheres rotate freely",
+            )
         touched = [rigid[name] for name in _touched(scene, body) if name in rigid]
         if touched and not isinstance(body.shape, Sphere):
             yield (
@@ -140,6 +145,7 @@ class SimulationPoint(Simulation):
         self._start = np.zeros((len(scene.bodies), 13))
         for row, body in zip(self._start, scene.bodies, strict=True):
             row[:7] = *body.pose.position_m, *body.pose.quaternion
+            row[TWIST] = *body.linear_velocity_m_per_s, *body.angular_velocity_rad_per_s
         self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2, 0.0, 0.0, 0.0])
         self._driven = [self._rows[body.name] for body in scene.bodies if body.motion is Motion.KINEMATIC]
         self._falling = [(self._rows[body.name], self._contact(scene, body)) for body in scene.dynamic_bodies]

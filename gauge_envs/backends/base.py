@@ -172,7 +172,7 @@ class Simulation(World):
 
 
 class Worlds(ABC):
-    """Instances of a scene with different start poses that advance together.
+    """Instances of a scene with different starts that advance together.
 
     Attributes:
         worlds: The instances, in the order of the scenes.
@@ -248,7 +248,7 @@ class Backend(ABC):
         """Build several instances of a scene. An engine with batched worlds overrides it.
 
         Args:
-            scenes: One or more scenes that differ only in their start poses.
+            scenes: One or more scenes that differ only in their start poses and velocities.
             settings: As in `build`.
 
         Raises:

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.registry import backend_for, backend_names
+from gauge_envs.envs.trial_start import TrialStart, trial_scene
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
@@ -128,15 +129,22 @@ def _plain(name: str, value: Any) -> Any:
     )
 
 
-def jitter_option(options: Mapping[str, Any]) -> Jitter | None:
-    """Return the jitter that the options of a reset ask for, or None if they ask for none.
+def jitter_option(options: Mapping[str, Any]) -> Jitter | TrialStart | None:
+    """Return the start that the options of a reset ask for, or None for the calibrated start.
 
     Raises:
-        ParameterError: An option is unknown, or its value has the wrong type.
+        ParameterError: An option is unknown or contradicts another, or its value has the wrong type.
     """
-    unknown = [repr(key) for key in options if key != "jitter"]
+    unknown = [repr(key) for key in options if key not in ("jitter", "trial")]
     if unknown:
-        raise ParameterError(f"reset has only the option 'jitter', got {', '.join(unknown)}")
+        raise ParameterError(f"reset has only the options 'jitter' and 'trial', got {', '.join(unknown)}")
+    trial = options.get("trial")
+    if trial is not None:
+        if isinstance(trial, bool) or not isinstance(trial, int | np.integer):
+            raise ParameterError(f"option 'trial' is {trial!r}, expected the number of an imported trial, from 0")
+        if options.get("jitter"):
+            raise ParameterError("options 'jitter' and 'trial' both state a start: give one of them")
+        return TrialStart(int(trial))
     value = options.get("jitter", False)
     if isinstance(value, bool):
         return Jitter() if value else None
@@ -145,22 +153,27 @@ def jitter_option(options: Mapping[str, Any]) -> Jitter | None:
     return value
 
 
-def jittered_experiment(experiment: Experiment, jitter: Jitter | None, *, seed: int, backend: str) -> Experiment:
-    """Return an experiment with a start that is moved at random.
+def jittered_experiment(
+    experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed: int, backend: str
+) -> Experiment:
+    """Return an experiment with a start that is moved at random, or with the start of an imported trial.
 
     Args:
         experiment: The experiment.
-        jitter: Standard deviations of the start; None keeps the start.
+        jitter: Standard deviations of the start, or the trial; None keeps the start.
         seed: Seed of the random numbers.
         backend: Name of the engine that will build the scene.
 
     Raises:
-        ParameterError: The scene has no start that can be jittered.
+        ParameterError: The scene has no start that can be jittered, or no such trial was imported.
         UnsupportedSceneError: The engine cannot build the scene from that start.
     """
     if jitter is None:
         return experiment
-    moved = replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed))
+    if isinstance(jitter, TrialStart):
+        moved = replace(experiment, scene=trial_scene(experiment, jitter.trial))
+    else:
+        moved = replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed))
     check_support(moved, backend)
     return moved
 

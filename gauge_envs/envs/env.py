@@ -12,6 +12,7 @@ from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, 
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
@@ -63,7 +64,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         band: Band that rewards and scores are relative to, or None.
         episode: The current episode.
         seed_used: Seed of the last reset; None before the first.
-        jitter: Jitter of the last reset, or None.
+        jitter: Jitter or trial of the last reset, or None.
 
     Raises:
         UnknownNameError: No such variant or backend.
@@ -99,7 +100,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         super().__init__(experiment, pictures, backend=self.arguments.backend, settings=self.arguments.settings)
         self.band = self.arguments.band(experiment)
         self.seed_used: int | None = None
-        self.jitter: Jitter | None = None
+        self.jitter: Jitter | TrialStart | None = None
         self._build(experiment)
         self.action_space = self.episode.action_space
         self.observation_space = self.episode.observation_space
@@ -125,11 +126,12 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         Args:
             seed: Seed of the engine and of the jitter.
             options: `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real trial
-                scatter; a `Jitter` states other standard deviations. The scene is then built anew, which takes as long
-                as making the environment.
+                scatter; a `Jitter` states other standard deviations. `{"trial": 3}` starts from the positions and
+                velocities of imported trial 3, see `gauge_envs.envs.trial_start.trial_scene`. The scene is then built
+                anew, which takes as long as making the environment.
 
         Raises:
-            ParameterError: There is no such option, or the scene has no start that can be jittered.
+            ParameterError: There is no such option or trial, or the scene has no start that can be jittered.
             UnsupportedSceneError: The backend cannot build the scene from that start.
         """
         super().reset(seed=seed)

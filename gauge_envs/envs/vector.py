@@ -18,6 +18,7 @@ from gauge_envs.envs.base import EngineEnvironment
 from gauge_envs.envs.episode import Episode, Observation, advance_together, run_on_together
 from gauge_envs.envs.no_reward import warn_without_reward
 from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
@@ -57,7 +58,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         worlds: The worlds.
         episodes: The current episode of each world.
         seeds_used: Seeds of the last reset; empty before the first.
-        jitter: Jitter of the last reset, or None.
+        jitter: Jitter or trial of the last reset, or None.
 
     Raises:
         GaugeError: See `GaugeEnv`.
@@ -101,7 +102,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         self.num_envs = num_envs
         self.band = self.arguments.band(experiment)
         self.seeds_used: tuple[int, ...] = ()
-        self.jitter: Jitter | None = None
+        self.jitter: Jitter | TrialStart | None = None
         self._build([experiment] * num_envs)
         first = self.episodes[0]
         self.single_action_space = first.action_space
@@ -126,7 +127,8 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         Args:
             seed: Seed of the engine and of the first world's jitter; each next world has one more. Or the seed of each
                 world; the engine takes the first. None is 0.
-            options: See `GaugeEnv.reset`. With `{"jitter": True}` each world has a start of its own.
+            options: See `GaugeEnv.reset`. With `{"jitter": True}` each world has a start of its own; `{"trial": 3}`
+                starts every world from imported trial 3.
 
         Raises:
             ParameterError: There is no such option, the scene has no start that can be jittered, or the number of seeds

@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault
@@ -21,6 +22,7 @@ from gauge_envs.scene import (
     Hinge,
     Markers,
     Motion,
+    Pose,
     Region,
     RigidBody,
     Rod,
@@ -28,8 +30,10 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
     Tether,
+    Vector,
 )
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["Parameters", "SceneBuilder", "parameter_overrides"]
@@ -74,6 +78,7 @@ class SceneBuilder:
         self.path = path
         self.spec = spec
         self.variant = variant
+        self.is_overridden = bool(overrides)
         self.subtask = spec.subtasks[variant.subtask] if variant.subtask else None
         self.present = self.subtask.bodies if self.subtask and self.subtask.bodies else spec.names
         self.placements = self._placements()
@@ -128,7 +133,16 @@ class SceneBuilder:
 
         Raises:
             TaskFileError: Parts of the task file contradict each other.
+            ParameterError: An override gives a start velocity that its body cannot have.
         """
+        try:
+            return self._scene()
+        except ParameterError as error:
+            if self.is_overridden:
+                raise ParameterError(f"{self.variant.name}: {error}") from None
+            raise TaskFileError(self.path, "(file)", str(error)) from None
+
+    def _scene(self) -> Scene:
         bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))
         poses = {body.name: body.pose for body in bodies}
         names = [*poses, *(n for n in self.present if n not in self.spec.bodies)]
@@ -169,6 +183,7 @@ class SceneBuilder:
         if len(poses) != (body.count or 1):
             raise TaskFileError(self.path, f"initial.{name}", f"{len(poses)} positions for {body.count or 1} bodies")
         mass = self.constants.get(name, {}).get("mass_kg") or 0.0
+        linear, angular = self._velocities(name, poses[0])
         for index, pose in enumerate(poses):
             yield RigidBody(
                 name=f"{name}-{index + 1}" if body.count else name,
@@ -176,11 +191,28 @@ class SceneBuilder:
                 motion=motion,
                 pose=pose,
                 mass_kg=mass,
+                linear_velocity_m_per_s=linear,
+                angular_velocity_rad_per_s=angular,
             )
+
+    def _velocities(self, name: str, pose: Pose) -> tuple[Vector, Vector]:
+        """Return the start velocities of a body in the world frame [m/s, rad/s]."""
+        placement, rest = self.placements[name], (0.0, 0.0, 0.0)
+        linear = placement.velocity_m_per_s
+        if placement.angular_velocity_deg_per_s is None:
+            return linear or rest, rest
+        angular = np.radians(placement.angular_velocity_deg_per_s)
+        is_hinged = any(joint.body == name and joint.kind == "hinge" for joint in self.spec.joints)
+        if linear is None and is_hinged and placement.hangs_from_m is not None:
+            linear = vector(np.cross(angular, np.subtract(pose.position_m, placement.hangs_from_m)))
+        return linear or rest, vector(angular)
 
     def _deformable(self, name: str) -> Deformable:
         values: dict[str, Any] = dict(self.constants[name])
-        pose = self.placements[name].poses()[0]
+        placement = self.placements[name]
+        pose = placement.poses()[0]
+        if any((*(placement.velocity_m_per_s or ()), *(placement.angular_velocity_deg_per_s or ()))):
+            raise ParameterError(f"{name!r} is deformable and starts at rest: remove its start velocity")
         for key in ("friction", "restitution", "density_kg_per_m3"):
             values.pop(key, None)
         if name in self.spec.cloths:

@@ -132,6 +132,10 @@ class Placement(FileModel):
         hangs_from_m: Anchor of a body on a string or light rod, whose hanging position `euler_deg` rotates.
         length_m: Length of that string or rod.
         euler_deg: Rotations about the fixed x, then y, then z axis.
+        velocity_m_per_s: Start velocity of the body origin in the world frame. That of a hinged body follows from its
+            angular velocity.
+        angular_velocity_deg_per_s: Start angular velocity in the world frame. Only dynamic rigid bodies have start
+            velocities.
     """
 
     position_m: Vector | None = None
@@ -139,6 +143,8 @@ class Placement(FileModel):
     hangs_from_m: Vector | None = None
     length_m: Positive | None = None
     euler_deg: Vector = (0.0, 0.0, 0.0)
+    velocity_m_per_s: Vector | None = None
+    angular_velocity_deg_per_s: Vector | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> Placement:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -15,6 +15,7 @@ from gauge_envs.backends.base import Worlds
 from gauge_envs.envs.arguments import EnvArguments, jittered_experiment
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode, advance_together, run_on_together
+from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -178,7 +179,7 @@ def run_together(episodes: Sequence[Episode], worlds: Worlds) -> None:
 
 
 def planned_result(
-    arguments: EnvArguments, experiment: Experiment, *, seed: int | None, jitter: Jitter | None
+    arguments: EnvArguments, experiment: Experiment, *, seed: int | None, jitter: Jitter | TrialStart | None
 ) -> Result:
     """Return the result of an episode that has not run.
 
@@ -186,7 +187,7 @@ def planned_result(
         arguments: Arguments of its environment.
         experiment: Its experiment, or the calibrated one if the parameters are wrong.
         seed: Seed of the episode.
-        jitter: Standard deviations of its start, or None.
+        jitter: Standard deviations or trial of its start, or None.
     """
     band = arguments.band(experiment)
     grade = BandGrade.NONE if band is None else band.grade
@@ -200,7 +201,7 @@ def planned_result(
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,
-        jitter=asdict(jitter) if jitter else {},
+        jitter=jitter.to_dict() if jitter else {},
         marker_proxy=arguments.proxy.value,
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),

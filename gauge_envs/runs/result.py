@@ -118,7 +118,8 @@ class Result:
         settings_given: The settings that the caller gave.
         versions: Versions of the engine, gauge-envs, gymnasium, numpy and python.
         seed: Seed of the reset and of the jitter.
-        jitter: Standard deviations of the start; empty without jitter.
+        jitter: Standard deviations of the start, or `trial`, the number of the imported trial that it is from; empty
+            for the calibrated start.
         marker_proxy: Marker proxy of deformable bodies: `material` or `node`.
         driver_provenance: Source of the driven motion; None without driven bodies.
         dataset: Source of driven motion (`drivers`) and band (`reference`), `bundled` or `imported`. If one of them is

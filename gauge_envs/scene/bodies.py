@@ -55,6 +55,9 @@ class RigidBody:
         motion: Dynamic, fixed or kinematic.
         pose: World pose at the start.
         mass_kg: Mass [kg]; 0 for a plane.
+        linear_velocity_m_per_s: Velocity of the body origin at the start [m/s], in the world frame. Only dynamic bodies
+            have one.
+        angular_velocity_rad_per_s: Angular velocity at the start [rad/s], in the world frame.
     """
 
     name: str
@@ -62,6 +65,13 @@ class RigidBody:
     motion: Motion
     pose: Pose
     mass_kg: float
+    linear_velocity_m_per_s: Vector = (0.0, 0.0, 0.0)
+    angular_velocity_rad_per_s: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def starts_at_rest(self) -> bool:
+        """Whether both start velocities are zero."""
+        return not any((*self.linear_velocity_m_per_s, *self.angular_velocity_rad_per_s))
 
 
 @dataclass(frozen=True, kw_only=True)

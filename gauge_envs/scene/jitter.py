@@ -1,9 +1,9 @@
-"""Random start poses of a scene, like the scatter of manual set-ups of real trials."""
+"""Random start poses and velocities of a scene, like the scatter of manual set-ups of real trials."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,12 @@ from gauge_envs.scene.bodies import Cloth, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import Pose, Sphere, vector
 from gauge_envs.scene.scene import Scene
 
-__all__ = ["Jitter", "jittered"]
+__all__ = ["Jitter", "face_normal", "jittered", "swung"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Jitter:
-    """Standard deviations of start poses.
+    """Standard deviations of start poses and velocities.
 
     Attributes:
         position_m: Standard deviation of each coordinate of a position [m]. The heights of 22 real drops of a ball
@@ -28,6 +28,8 @@ class Jitter:
             1.9 mm from their mean (paper, Table 5).
         angle_rad: Standard deviation of a rotation [rad]. It has not been measured; 0.5 degrees is 0.2 mm at the edge
             of a cube of 50 mm.
+        velocity_m_per_s: Standard deviation of each coordinate of a linear velocity [m/s].
+        angular_velocity_rad_per_s: Standard deviation of each coordinate of an angular velocity [rad/s].
 
     Raises:
         ParameterError: A value is negative or not a number.
@@ -35,16 +37,21 @@ class Jitter:
 
     position_m: float = 1.0e-3
     angle_rad: float = math.radians(0.5)
+    velocity_m_per_s: float = 0.0
+    angular_velocity_rad_per_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("position_m", "angle_rad"):
-            value = getattr(self, name)
+        for name, value in asdict(self).items():
             if not (math.isfinite(value) and value >= 0.0):
                 raise ParameterError(f"jitter {name} is {value!r}: give a finite number of 0 or more")
 
+    def to_dict(self) -> dict[str, float]:
+        """Return the standard deviations for a result, without those of velocities that are zero."""
+        return {name: value for name, value in asdict(self).items() if value or name in ("position_m", "angle_rad")}
+
 
 def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
-    """Return the scene with random start poses, chosen so that no body starts inside another.
+    """Return the scene with random start poses and velocities, chosen so that no body starts inside another.
 
     - A dynamic body translates in the plane of the face that it rests on, and rotates about the normal of that face:
       the body axis that is closest to vertical.
@@ -52,35 +59,42 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
     - A cloth without attachments translates and rotates in its plane.
 
+    Random velocities are added to those of the scene, in the same directions: in the plane of the face and about its
+    normal, about a hinge, or about the anchor of a string. The velocity of a hinged or a tethered body rotates with its
+    pose. Poses do not depend on the standard deviations of velocities.
+
     Fixed and driven bodies and the bodies attached to them do not move: their start poses belong to the set-up.
 
     Args:
         scene: The scene.
-        jitter: Standard deviations of the start poses.
+        jitter: Standard deviations of the start.
         seed: Seed of the random numbers, 0 or more.
 
     Raises:
         ParameterError: No body in the scene can start elsewhere.
     """
-    random = np.random.default_rng(seed)
+    random, random_velocity = np.random.default_rng(seed), np.random.default_rng((seed, 1))
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     tethers = {joint.body: joint for joint in scene.joints if isinstance(joint, Tether)}
     attached = {attachment.deformable for attachment in scene.attachments} | {a.to for a in scene.attachments}
     moved = 0
     bodies: list[RigidBody] = []
     for body in scene.bodies:
-        pose = body.pose
         if body.motion is Motion.DYNAMIC and body.name not in attached:
             moved += 1
             if body.name in hinges:
                 hinge = hinges[body.name]
-                pose = _rotated_about(pose, hinge.axis, hinge.anchor_m, jitter.angle_rad * random.standard_normal())
+                turned = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal() * np.asarray(hinge.axis))
+                body = swung(body, turned, np.asarray(hinge.anchor_m))
             elif body.name in tethers:
                 swing = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal(3))
-                pose = _rotated(pose, swing, np.asarray(tethers[body.name].anchor_m))
+                body = swung(body, swing, np.asarray(tethers[body.name].anchor_m))
             else:
-                pose = _shifted(pose, jitter, random, is_free=isinstance(body.shape, Sphere))
-        bodies.append(replace(body, pose=pose))
+                body = replace(body, pose=_shifted(body.pose, jitter, random, is_free=isinstance(body.shape, Sphere)))
+            if jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s:
+                joint = hinges.get(body.name) or tethers.get(body.name)
+                body = _pushed(body, joint, jitter, random_velocity)
+        bodies.append(body)
     deformables: list[Any] = []
     for deformable in scene.deformables:
         if isinstance(deformable, Cloth) and deformable.name not in attached:
@@ -95,12 +109,57 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
 def _shifted(pose: Pose, jitter: Jitter, random: np.random.Generator, *, is_free: bool) -> Pose:
     shift = jitter.position_m * random.standard_normal(3)
     angle_rad = jitter.angle_rad * random.standard_normal()
-    axes = pose.rotation.as_matrix().T
-    normal = axes[int(np.abs(axes[:, 2]).argmax())]
+    normal = face_normal(pose)
     if not is_free:
         shift -= (shift @ normal) * normal
     rotated = _rotated_about(pose, normal, pose.position_m, angle_rad)
     return replace(rotated, position_m=vector(np.asarray(rotated.position_m) + shift))
+
+
+def face_normal(pose: Pose) -> NDArray[np.float64]:
+    """Return the body axis that is closest to vertical, in the world frame, shape [3]."""
+    axes: NDArray[np.float64] = pose.rotation.as_matrix().T
+    return axes[int(np.abs(axes[:, 2]).argmax())]
+
+
+def swung(body: RigidBody, rotation: Rotation, point_m: NDArray[np.float64]) -> RigidBody:
+    """Return a body whose pose and velocities are rotated about a world point."""
+    pose = _rotated(body.pose, rotation, point_m)
+    if body.starts_at_rest:
+        return replace(body, pose=pose)
+    return replace(
+        body,
+        pose=pose,
+        linear_velocity_m_per_s=vector(rotation.apply(body.linear_velocity_m_per_s)),
+        angular_velocity_rad_per_s=vector(rotation.apply(body.angular_velocity_rad_per_s)),
+    )
+
+
+def _pushed(body: RigidBody, joint: Hinge | Tether | None, jitter: Jitter, random: np.random.Generator) -> RigidBody:
+    """Return a body with a random velocity in addition to its own."""
+    linear = jitter.velocity_m_per_s * random.standard_normal(3)
+    angular = jitter.angular_velocity_rad_per_s * random.standard_normal(3)
+    if joint is not None:
+        arm = np.subtract(body.pose.position_m, joint.anchor_m)
+        if isinstance(joint, Hinge):
+            axis = np.asarray(joint.axis)
+            # A linear velocity along the circle is also a rate of rotation.
+            radius_m = float(np.linalg.norm(np.cross(axis, arm)))
+            along = np.cross(axis, arm) @ linear / radius_m**2 if radius_m else 0.0
+            angular = (angular @ axis + along) * axis
+            linear = np.cross(angular, arm)
+        else:
+            length = float(np.linalg.norm(arm))
+            linear = linear - arm * (arm @ linear) / length**2 + np.cross(angular, arm)
+    elif not isinstance(body.shape, Sphere):
+        normal = face_normal(body.pose)
+        linear = linear - (linear @ normal) * normal
+        angular = (angular @ normal) * normal
+    return replace(
+        body,
+        linear_velocity_m_per_s=vector(linear + body.linear_velocity_m_per_s),
+        angular_velocity_rad_per_s=vector(angular + body.angular_velocity_rad_per_s),
+    )
 
 
 def _rotated_about(pose: Pose, axis: Any, point_m: Any, angle_rad: float) -> Pose:

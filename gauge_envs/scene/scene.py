@@ -13,7 +13,9 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import (
     Attachment,
     Contact,
@@ -26,6 +28,7 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.geometry import Plane
+from gauge_envs.scene.meshes import mass_properties
 
 if TYPE_CHECKING:
     from gauge_envs.scene.drivers import Driver
@@ -34,6 +37,9 @@ __all__ = ["GRAVITY_M_PER_S2", "Scene"]
 
 GRAVITY_M_PER_S2 = 9.80665
 """Standard gravity [m/s^2], the value that the paper uses (its dynamic-error equation)."""
+
+SAME_VELOCITY = 1e-5
+"""Largest deviation of a start velocity from a rotation about a hinge [m/s, rad/s], relative to the largest number."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +56,10 @@ class Scene:
         drivers: Prescribed motions of kinematic bodies.
         markers: Markers on deformable bodies, if any.
         gravity_m_per_s2: Downward acceleration [m/s^2].
+
+    Raises:
+        ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
+            deformable body, or does not rotate a hinged body about its hinge.
     """
 
     bodies: tuple[RigidBody, ...]
@@ -65,6 +75,34 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
+        for body in self.bodies:
+            if not body.starts_at_rest:
+                self._check_start_velocity(body)
+
+    def _check_start_velocity(self, body: RigidBody) -> None:
+        linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
+        if not np.isfinite([linear, angular]).all():
+            raise ParameterError(f"the start velocity of {body.name!r} is not finite: give finite numbers")
+        if body.motion is not Motion.DYNAMIC:
+            raise ParameterError(
+                f"{body.name!r} is {body.motion.value} and has a start velocity. Make the body dynamic, or remove the "
+                "velocity; a driver states the velocity of a kinematic body."
+            )
+        if any(attachment.to == body.name for attachment in self.attachments):
+            raise ParameterError(
+                f"{body.name!r} has a start velocity and is attached to a deformable body, which starts at rest. "
+                "Remove the velocity or the attachment."
+            )
+        for joint in self.joints:
+            if joint.body == body.name and isinstance(joint, Hinge):
+                spin = np.asarray(joint.axis) * (angular @ joint.axis)
+                expected = np.cross(spin, np.subtract(body.pose.position_m, joint.anchor_m))
+                if np.abs([linear - expected, angular - spin]).max() > SAME_VELOCITY * np.abs([linear, angular]).max():
+                    raise ParameterError(
+                        f"the start velocity of {body.name!r} does not rotate the body about its hinge. Give an "
+                        f"angular velocity along the axis {joint.axis}, and the linear velocity "
+                        f"{tuple((expected + 0.0).tolist())} m/s."
+                    )
 
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""
@@ -101,20 +139,22 @@ class Scene:
         if planes:
             return max(planes)
         lowest = min((b.pose.position_m[2] for b in self.bodies), default=0.0)
+        lowest -= self._start_speed_m_per_s * self.duration_s
         return lowest - 0.5 * self.gravity_m_per_s2 * self.duration_s**2
 
     @cached_property
     def speed_limit_m_per_s(self) -> float:
         """Upper bound on the speed of dynamic bodies [m/s].
 
-        It is three times the speed of free fall from the highest point, plus twice the speed of the drivers. A
-        perfectly elastic hit by a driven body gives a light body twice its speed. The factor three accounts for light
-        bodies that heavy falling bodies hit.
+        It is three times the speed after free fall from the highest point with the fastest start, plus twice the speed
+        of the drivers. A perfectly elastic hit by a driven body gives a light body twice its speed. The factor three
+        accounts for light bodies that heavy falling bodies hit.
         """
         highest = max((float(b.pose.to_world(b.shape.corners_m)[:, 2].max()) for b in self.bodies), default=0.0)
         drop = max(highest - self.floor_height_m, 0.1)
         driven = max((driver.speed_limit_m_per_s(self.body(driver.body)) for driver in self.drivers), default=0.0)
-        return 3.0 * float(np.sqrt(2.0 * self.gravity_m_per_s2 * drop)) + 2.0 * driven
+        fallen = np.sqrt(2.0 * self.gravity_m_per_s2 * drop + self._start_speed_m_per_s**2)
+        return 3.0 * float(fallen) + 2.0 * driven
 
     @cached_property
     def distance_limit_m(self) -> float:
@@ -126,13 +166,40 @@ class Scene:
     def kinetic_energy_limit_j(self) -> float:
         """Upper bound on the total kinetic energy of the dynamic bodies [J].
 
-        It is the potential energy above the floor plus the energy of elastic hits by the drivers, times 1.25.
+        It is the potential energy above the floor, plus the energy of the start and of elastic hits by the drivers,
+        times 1.25.
         """
         driven = max((driver.speed_limit_m_per_s(self.body(driver.body)) for driver in self.drivers), default=0.0)
         total = 0.0
         for body in self.dynamic_bodies:
             lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
             total += body.mass_kg * self.gravity_m_per_s2 * max(lowest - self.floor_height_m, 0.02)
-            # One elastic hit gives twice the driver's speed.
-            total += 0.5 * body.mass_kg * (2.0 * driven) ** 2
+            linear, angular = _velocity_of_mass(body)
+            # One elastic hit adds twice the driver's speed.
+            total += 0.5 * body.mass_kg * (2.0 * driven + float(np.linalg.norm(linear))) ** 2
+            if angular.any():
+                inertia = mass_properties(body.shape, body.mass_kg)[1]
+                spin = body.pose.rotation.apply(angular, inverse=True)
+                total += 0.5 * float(spin @ inertia @ spin)
         return 1.25 * total
+
+    @cached_property
+    def _start_speed_m_per_s(self) -> float:
+        """Highest start speed of a point of a dynamic body [m/s]."""
+        return max((_point_speed_m_per_s(body) for body in self.dynamic_bodies), default=0.0)
+
+
+def _velocity_of_mass(body: RigidBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the start velocity of a body's centre of mass [m/s] and its angular velocity [rad/s], shape [3] each."""
+    linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
+    if angular.any():
+        linear += np.cross(angular, body.pose.rotation.apply(mass_properties(body.shape, body.mass_kg)[0]))
+    return linear, angular
+
+
+def _point_speed_m_per_s(body: RigidBody) -> float:
+    if body.starts_at_rest:
+        return 0.0
+    reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
+    linear, angular = body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s
+    return float(np.linalg.norm(linear) + np.linalg.norm(angular) * reach_m)

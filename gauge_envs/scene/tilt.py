@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene.bodies import Hinge
+from gauge_envs.scene.bodies import Hinge, RigidBody
 from gauge_envs.scene.geometry import Pose, Vector, vector
 from gauge_envs.scene.scene import Scene
 
@@ -37,10 +37,20 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
     def pose(start: Pose) -> Pose:
         return Pose.from_rotation(place(start.position_m), rotation * start.rotation)
 
+    def tilted_body(body: RigidBody) -> RigidBody:
+        if body.starts_at_rest:
+            return replace(body, pose=pose(body.pose))
+        return replace(
+            body,
+            pose=pose(body.pose),
+            linear_velocity_m_per_s=direction(body.linear_velocity_m_per_s),
+            angular_velocity_rad_per_s=direction(body.angular_velocity_rad_per_s),
+        )
+
     markers = scene.markers
     return replace(
         scene,
-        bodies=tuple(replace(body, pose=pose(body.pose)) for body in scene.bodies),
+        bodies=tuple(map(tilted_body, scene.bodies)),
         deformables=tuple(replace(body, pose=pose(body.pose)) for body in scene.deformables),
         joints=tuple(
             replace(joint, anchor_m=place(joint.anchor_m), axis=direction(joint.axis))

@@ -19,6 +19,7 @@ from gauge_envs.backends.mujoco.model_diff import model_changes
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.export.assets import assets_folder
+from gauge_envs.experiments.export.mjcf import write_mjcf
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
@@ -304,3 +305,84 @@ def test_changes_of_a_model_find_every_kind_of_edit() -> None:
     assert list(model_changes(built, built)) == []
     recoloured = text.replace('<geom name="cube"', '<geom name="cube" rgba="1 0 0 1"')
     assert list(model_changes(mujoco.MjModel.from_xml_string(recoloured), built)) == []
+
+
+# --- start velocities ------------------------------------------------------------------------------------------------
+
+THROWN = {"cube.velocity_m_per_s": (0.4, 0.1, 1 / 3), "cube.angular_velocity_deg_per_s": (90.0, 50.0, -70.0)}
+
+
+def test_an_exported_start_velocity_replays_bit_for_bit(tmp_path: Path, rollout: Rollout) -> None:
+    experiment = load_experiment(SLIDE, THROWN)
+    write_mjcf(experiment, tmp_path / "thrown.xml")
+    text = (tmp_path / "thrown.xml").read_text(encoding="utf-8")
+    assert "mj_resetDataKeyframe" in text
+    assert '<key name="start"' in text
+    file = backend("mujoco").build_file(
+        tmp_path / "thrown.xml", backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).scene
+    )
+    # Plain MuJoCo, as the comment of the file says.
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "thrown.xml"))
+    plain = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, plain, model.key("start").id)
+    task = backend("mujoco").build(experiment.scene)
+    for simulation in (file, task):
+        simulation.advance(0.5)
+    mujoco.mj_step(model, plain, nstep=round(0.5 / model.opt.timestep))
+    np.testing.assert_array_equal(file.data.qpos, task.data.qpos)
+    np.testing.assert_array_equal(plain.qpos, task.data.qpos)
+    assert backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).changes == ()
+
+
+def test_a_start_velocity_of_a_file_is_the_scenes(tmp_path: Path) -> None:
+    write_mjcf(load_experiment(SLIDE, THROWN), tmp_path / "thrown.xml")
+    found = load_experiment_from_asset(SLIDE, tmp_path / "thrown.xml")
+    cube = found.scene.body("cube")
+    assert cube.linear_velocity_m_per_s == pytest.approx(THROWN["cube.velocity_m_per_s"], rel=1e-15)
+    assert np.degrees(cube.angular_velocity_rad_per_s) == pytest.approx(THROWN["cube.angular_velocity_deg_per_s"])
+    assert found.asset is not None
+    assert len(found.asset.changes) == 2
+    assert found.asset.changes[0].startswith("cube: linear_velocity_m_per_s 0 0 0 -> 0.4 0.1 0.3333333333")
+    simulation = backend_for("mujoco", found.model_file).build(found.scene)
+    expected = [*cube.linear_velocity_m_per_s, *cube.angular_velocity_rad_per_s]
+    for _ in range(2):
+        assert simulation.body_states(["cube"])[0, 7:] == pytest.approx(expected, abs=1e-12)
+        simulation.advance(0.1)
+        simulation.reset(0)
+
+
+def test_a_hinged_start_velocity_of_a_file(tmp_path: Path) -> None:
+    spinning = load_experiment("Pendulum-metal", {"ball.angular_velocity_deg_per_s": (0.0, 90.0, 0.0)})
+    write_mjcf(spinning, tmp_path / "swung.xml")
+    found = load_experiment_from_asset("Pendulum-metal", tmp_path / "swung.xml").scene.body("ball")
+    ball = spinning.scene.body("ball")
+    assert found.linear_velocity_m_per_s == pytest.approx(ball.linear_velocity_m_per_s, abs=1e-9)
+    assert found.angular_velocity_rad_per_s == pytest.approx(ball.angular_velocity_rad_per_s, abs=1e-9)
+    assert np.linalg.norm(found.linear_velocity_m_per_s) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "message"),
+    [
+        (SLIDE, '<key name="start" qpos="1 0 1 1 0 0 0"/>', "its qpos moves bodies"),
+        (TILTED, '<key name="start" qvel="{}"/>', "its qvel moves joint 'board'"),
+    ],
+)
+def test_a_keyframe_that_moves_anything_else_is_refused(
+    name: str, key: str, message: str, edited: Callable[..., Path]
+) -> None:
+    model = mujoco.MjModel.from_xml_path(str(shipped(name)))
+    rates = np.zeros(model.nv)
+    if name == TILTED:
+        rates[model.joint("board").dofadr[0]] = 1.0
+    key = key.format(" ".join(map(str, rates)))
+    path = edited(name, ("</mujoco>", f"<keyframe>{key}</keyframe></mujoco>"))
+    with pytest.raises(AssetError, match=message):
+        load_experiment_from_asset(name, path)
+
+
+def test_other_keyframes_have_no_effect(edited: Callable[..., Path]) -> None:
+    path = edited(SLIDE, ("</mujoco>", '<keyframe><key name="home" qvel="1 0 0 0 0 0"/></keyframe></mujoco>'))
+    found = load_experiment_from_asset(SLIDE, path)
+    assert found.scene.body("cube").starts_at_rest
+    assert not backend_for("mujoco", found.model_file).build(found.scene).data.qvel.any()

@@ -155,7 +155,7 @@ def test_reset_with_jitter_and_back() -> None:
     assert np.linalg.norm(wide["bodies"][0, :2] - start["bodies"][0, :2]) > 5e-3
 
 
-@pytest.mark.parametrize("options", [{"trial": 3}, {"jitter": 0.5}])
+@pytest.mark.parametrize("options", [{"start": 3}, {"jitter": 0.5}])
 def test_other_options_are_refused(options: dict) -> None:
     with pytest.raises(ParameterError, match="option"):
         gymnasium.make("GAUGE/SlopeSlider-2-wood").reset(options=options)

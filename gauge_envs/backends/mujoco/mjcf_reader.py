@@ -9,6 +9,8 @@ for which MJCF has no element:
   those of the scene's driver, the driver stays; otherwise a sampled driver goes through their poses.
 - `flex_stiffness/<body>/kinds` and `/kind`: distinct rows of the table, and the index of the distinct row for each row.
 - `flex_bending/<body>/weight`: a factor on each row of the table.
+
+The `qvel` of a keyframe `start` holds the start velocities of dynamic bodies. Other keyframes have no effect.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
-from gauge_envs.backends.mujoco.model import CONES, INTEGRATORS, SOLVERS, build_model
+from gauge_envs.backends.mujoco.model import CONES, INTEGRATORS, SOLVERS, START_KEY, build_model, start_rates
 from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import AssetError, ShapeError
@@ -72,12 +74,12 @@ def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec,
     spec, model = _compiled(path)
     _, _, parts = build_model(scene, settings_for(scene, None))
     _check_bodies(path, model, scene)
-    for body, pose in zip(scene.bodies, _poses(model, scene), strict=True):
-        if pose != body.pose:
+    for body, started in zip(scene.bodies, _started(path, model, scene), strict=True):
+        if started != body:
             raise AssetError(
                 path,
                 body.name,
-                "an MJCF file fixes its start pose: use a USD layer for another start, such as a jitter",
+                "an MJCF file fixes its start pose and velocity: use a USD layer for another start, such as a jitter",
             )
     return _settings(path, model), spec, model, parts
 
@@ -207,17 +209,14 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
     built = simulation.model
     _check_bodies(path, model, scene)
     _check_nodes(path, model, built, scene)
-    bodies = tuple(
-        replace(body, pose=pose, mass_kg=_mass_kg(model, built, body))
-        for body, pose in zip(scene.bodies, _poses(model, scene), strict=True)
-    )
+    bodies = tuple(replace(body, mass_kg=_mass_kg(model, built, body)) for body in _started(path, model, scene))
     placed = replace(
         scene,
         bodies=bodies,
         joints=tuple(_hinge(model, built, joint) if isinstance(joint, Hinge) else joint for joint in scene.joints),
         gravity_m_per_s2=same_or(float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2),
     )
-    changes = list(model_changes(model, built))
+    changes = [*model_changes(model, built), *_velocity_changes(scene, placed)]
     drivers = []
     for driver in placed.drivers:
         read = _driver(path, model, placed, driver, simulation)
@@ -280,6 +279,62 @@ def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
             yield body.pose
         else:
             yield _pose(place.xpos, place.xquat)
+
+
+def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidBody]:
+    """Yield each rigid body with its start in a file; poses and velocities that equal the scene's are the scene's."""
+    rates = _start_qvel(path, model)
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    for body, pose in zip(scene.bodies, _poses(model, scene), strict=True):
+        started, hinge = replace(body, pose=pose), hinges.get(body.name)
+        if body.motion is Motion.DYNAMIC:
+            expected, first = start_rates(started, hinge), int(model.joint(body.name).dofadr[0])
+            own = rates[first : first + len(expected)]
+            if not is_same(own, expected):
+                started = _with_rates(model, started, own)
+            own[:] = 0.0
+        yield started
+    if rates.any():
+        joint = model.joint(int(model.dof_jntid[np.flatnonzero(rates)[0]])).name
+        raise AssetError(
+            path,
+            f"keyframe {START_KEY}",
+            f"its qvel moves joint {joint!r}: only dynamic rigid bodies start with velocity",
+        )
+
+
+def _start_qvel(path: Path, model: mujoco.MjModel) -> NDArray[np.float64]:
+    """Return the start velocities of a file's joints, shape [nv], which are zero without the keyframe."""
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
+    if key < 0:
+        return np.zeros(model.nv)
+    if not is_same(model.key_qpos[key], model.qpos0):
+        raise AssetError(
+            path,
+            f"keyframe {START_KEY}",
+            "its qpos moves bodies away from their poses: delete qpos and move the bodies",
+        )
+    return np.array(model.key_qvel[key])
+
+
+def _with_rates(model: mujoco.MjModel, body: RigidBody, rates: NDArray[np.float64]) -> RigidBody:
+    """Return a body whose joint starts with a velocity; see `start_rates`."""
+    if len(rates) == 1:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        angular = rates * data.joint(body.name).xaxis
+        linear = np.cross(angular, np.subtract(body.pose.position_m, data.joint(body.name).xanchor))
+    else:
+        linear, angular = rates[:3], body.pose.rotation.apply(rates[3:])
+    return replace(body, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(angular))
+
+
+def _velocity_changes(before: Scene, after: Scene) -> Iterator[str]:
+    """Yield one line for each start velocity that differs."""
+    for old, new in zip(before.bodies, after.bodies, strict=True):
+        for name in ("linear_velocity_m_per_s", "angular_velocity_rad_per_s"):
+            if getattr(old, name) != getattr(new, name):
+                yield f"{old.name}: {name} {format_value(getattr(old, name))} -> {format_value(getattr(new, name))}"
 
 
 def _pose(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:

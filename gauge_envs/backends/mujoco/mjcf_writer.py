@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.flex import flex_table
+from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = ["add_stiffness_tables", "exact_xml", "expanded", "replay_note", "without_rest"]
+__all__ = ["add_stiffness_tables", "exact_xml", "expanded", "replay_note", "start_notes", "without_rest"]
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
@@ -33,6 +34,19 @@ KINDS = re.compile(
     r'<numeric name="(?P<name>[^"]+)/kinds" size="\d+" data="(?P<kinds>[^"]*)" />\s*'
     r'<numeric name="(?P=name)/kind" size="\d+" data="(?P<kind>[^"]*)" />'
 )
+
+
+# --- start velocities ------------------------------------------------------------------------------------------------
+
+
+def start_notes(simulation: SimulationMuJoCo) -> list[str]:
+    """Return instructions for a start with velocities; empty for a start at rest."""
+    if not simulation.model.nkey:
+        return []
+    return [
+        f"Start velocities: keyframe {START_KEY!r}. Call mj_resetDataKeyframe(model, data, key) with its id before the "
+        "first step."
+    ]
 
 
 # --- driven bodies ---------------------------------------------------------------------------------------------------
@@ -181,6 +195,7 @@ def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[E
     for path, find in (("option", lambda _: spec.option), ("asset/mesh", spec.mesh), ("tendon/spatial", spec.tendon)):
         yield from ((element, find(element.get("name", ""))) for element in root.findall(path))
     yield from zip(root.findall("contact/pair"), spec.pairs, strict=True)
+    yield from zip(root.findall("keyframe/key"), spec.keys, strict=True)
     yield from zip(root.findall("equality/*"), spec.equalities, strict=True)
     for element in root.findall("deformable/flex"):
         flex = spec.flex(element.get("name", ""))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.contacts import contact_constants
 from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
@@ -21,9 +23,16 @@ __all__ = [
     "INTEGRATORS",
     "SAME_NAME_OPTIONS",
     "SOLVERS",
+    "START_KEY",
     "add_geoms",
     "build_model",
+    "rotated_back",
+    "start_rates",
+    "start_velocities",
 ]
+
+START_KEY = "start"
+"""Name of the keyframe whose `qvel` holds the start velocities; a scene at rest has no keyframe."""
 
 EXPLICIT_PAIR_LIMIT = 1000
 """Largest number of explicit geom pairs of a contact; contacts with more use MuJoCo's broad phase."""
@@ -125,9 +134,45 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
         else:
             _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
     model = spec.compile()
+    velocities = start_velocities(scene, model)
+    if velocities.any():
+        spec.add_key(name=START_KEY, qvel=velocities)
+        model = spec.compile()
     for part in dict.fromkeys(parts.values()):
         part.complete(model)
     return spec, model, parts
+
+
+def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]:
+    """Return the velocities of a model's joints at the start of a scene, shape [nv]; see `start_rates`."""
+    velocities = np.zeros(model.nv)
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    for body in scene.bodies:
+        if not body.starts_at_rest:
+            first, rates = int(model.joint(body.name).dofadr[0]), start_rates(body, hinges.get(body.name))
+            velocities[first : first + len(rates)] = rates
+    return velocities
+
+
+def start_rates(body: RigidBody, hinge: Hinge | None) -> NDArray[np.float64]:
+    """Return the velocity of a body's joint at the start.
+
+    Returns:
+        The rate of a hinge [rad/s], shape [1]. For a free joint, the linear velocity of the body origin in the world
+        frame [m/s] and the angular velocity in the body frame [rad/s], shape [6].
+    """
+    angular = np.array(body.angular_velocity_rad_per_s)
+    if hinge is not None:
+        return np.array([angular @ hinge.axis])
+    return np.concatenate([body.linear_velocity_m_per_s, rotated_back(body.pose.quaternion, angular)])
+
+
+def rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a world vector, shape [3], in the body frame of an orientation w, x, y, z."""
+    inverse, rotated = np.empty(4), np.empty(3)
+    mujoco.mju_negQuat(inverse, np.asarray(quaternion))
+    mujoco.mju_rotVecQuat(rotated, vector, inverse)
+    return rotated
 
 
 def _set_options(spec: mujoco.MjSpec, settings: SettingsMuJoCo) -> None:

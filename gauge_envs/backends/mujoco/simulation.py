@@ -14,6 +14,7 @@ from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.mujoco.deformables import nodes_of
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
+from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
@@ -55,10 +56,14 @@ class SimulationMuJoCo(Simulation):
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
+        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
+        self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
+        self.data.qvel[:] = self._start_velocities
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. MuJoCo draws no random numbers, so the seed has no effect."""
         mujoco.mj_resetData(self.model, self.data)
+        self.data.qvel[:] = self._start_velocities
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
@@ -69,7 +74,7 @@ class SimulationMuJoCo(Simulation):
         place[3:] = pose.quaternion
         speed[:3] = velocity[:3]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        speed[3:] = _rotated_back(pose.quaternion, velocity[3:])
+        speed[3:] = rotated_back(pose.quaternion, velocity[3:])
         # The mass and all moments of inertia of a driven body are the same number.
         force[:] = mass_kg * acceleration
 
@@ -155,13 +160,6 @@ def _driven_views(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> tupl
     index = model.body(name).id
     place, velocity = data.qpos[position : position + 7], data.qvel[speed : speed + 6]
     return place, velocity, data.xfrc_applied[index], model.body_mass[index : index + 1]
-
-
-def _rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    inverse, rotated = np.empty(4), np.empty(3)
-    mujoco.mju_negQuat(inverse, np.asarray(quaternion))
-    mujoco.mju_rotVecQuat(rotated, vector, inverse)
-    return rotated
 
 
 class _OneFreeBody:

@@ -94,7 +94,7 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Step
     """Build one model with a world for each scene, and record the step of its solver.
 
     Args:
-        scenes: One or more scenes that differ only in their start poses.
+        scenes: One or more scenes that differ only in their start poses and velocities.
         settings: Settings of the solver; their type selects the solver.
 
     Returns:

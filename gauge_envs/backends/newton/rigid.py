@@ -73,7 +73,11 @@ def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None
         "label": body.name,
     }
     if hinge is None:
-        return builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **given)
+        index = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **given)
+        if not body.starts_at_rest:
+            _set_velocity(builder, index, body, centre)
+            builder.joint_qd[-6:] = list(builder.body_qd[index])
+        return index
     link = builder.add_link(**given)
     anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
     joint = builder.add_joint_revolute(
@@ -87,7 +91,17 @@ def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None
         label=body.name,
     )
     builder.add_articulation([joint], label=body.name)
+    if not body.starts_at_rest:
+        _set_velocity(builder, link, body, centre)
+        builder.joint_qd[-1] = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
     return link
+
+
+def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody, centre_m: NDArray[np.float64]) -> None:
+    """Write the start velocity of a body; Newton's linear velocity is that of the centre of mass."""
+    angular = np.array(body.angular_velocity_rad_per_s)
+    linear = body.linear_velocity_m_per_s + np.cross(angular, body.pose.rotation.apply(centre_m))
+    builder.body_qd[index] = wp.spatial_vector(*linear.tolist(), *angular.tolist())
 
 
 def _add_shapes(

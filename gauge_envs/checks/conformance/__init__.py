@@ -31,6 +31,8 @@ from gauge_envs.checks.conformance.registry import check, checks
 from gauge_envs.checks.conformance.run import run_checks
 from gauge_envs.checks.rollout import Rollout
 
+from gauge_envs.checks.conformance import start  # noqa: F401  # isort: skip
+
 __all__ = [
     "Check",
     "CheckResult",

@@ -7,7 +7,13 @@ from xml.etree import ElementTree
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.mjcf_reader import DRIVER_PREFIX, driver_rows
-from gauge_envs.backends.mujoco.mjcf_writer import add_stiffness_tables, exact_xml, replay_note, without_rest
+from gauge_envs.backends.mujoco.mjcf_writer import (
+    add_stiffness_tables,
+    exact_xml,
+    replay_note,
+    start_notes,
+    without_rest,
+)
 from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.export.usd_layer import SOURCE
@@ -43,6 +49,7 @@ def mjcf_text(experiment: TaskExperiment) -> str:
         f"Task file: tasks/{task_path(experiment.variant.family).name}, sha256 {experiment.file_sha256}.",
         SOURCE,
     ]
+    notes += start_notes(simulation)
     if scene.deformables:
         notes += add_stiffness_tables(simulation)
     for driver in scene.drivers:

@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
 
-from gauge_envs.errors import AssetError
+from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import Pose
+from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 from gauge_envs.scene.usd.deformables import (
     is_deformable,
@@ -34,6 +34,7 @@ from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import mass_kg, solid_of
 from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
+from gauge_envs.scene.usd.velocities import read_velocities
 
 __all__ = ["UsdScene", "from_usd", "read_points", "read_usd"]
 
@@ -133,6 +134,9 @@ def _opened(file: Path) -> Iterator[Source]:
         raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None
     except UnicodeDecodeError:
         raise AssetError(file, "", "it holds names or texts that are not UTF-8") from None
+    except ParameterError as error:
+        # A scene refuses parts that contradict each other, such as a start velocity across a hinge.
+        raise AssetError(file, "", str(error)) from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,8 +298,6 @@ class _Reader:
         frame = source.frame(prim, self.start)
         solid = solid_of(source, prim, frame, found.colliders, motion)
         mass = mass_kg(source, prim, found.colliders, solid, frame, motion)
-        if motion is Motion.DYNAMIC:
-            self._check_rest(prim)
 
         def pose_at(time: Usd.TimeCode) -> Pose:
             moved = source.frame(prim, time)
@@ -309,6 +311,9 @@ class _Reader:
         else:
             pose = pose_at(self.start)
         body = RigidBody(name=name, shape=solid.shape, motion=motion, pose=pose, mass_kg=mass)
+        if motion is Motion.DYNAMIC:
+            linear, angular = read_velocities(source, prim, frame, pose, solid.shape)
+            body = replace(body, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(angular))
         return body, driver, place
 
     def _motion(self, prim: Usd.Prim) -> Motion:
@@ -329,10 +334,3 @@ class _Reader:
         if own == written:
             return standard
         raise source.fault(attribute, f"is {own}, but UsdPhysics makes the body {standard}: make them agree")
-
-    def _check_rest(self, prim: Usd.Prim) -> None:
-        api = UsdPhysics.RigidBodyAPI(prim)
-        for attribute in (api.GetVelocityAttr(), api.GetAngularVelocityAttr()):
-            velocity = self.source.numbers(attribute, (3,))
-            if velocity is not None and velocity.any():
-                raise self.source.fault(attribute, f"is {velocity.tolist()}: bodies of a scene start at rest")

@@ -57,6 +57,7 @@ from gauge_envs.scene.usd.layer import (
     samples_digest,
     wxyz,
 )
+from gauge_envs.scene.usd.velocities import write_velocities
 
 __all__ = ["export_stage", "scene_stage", "to_usd"]
 
@@ -243,6 +244,8 @@ class _Writer:
             rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
             rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
             record_written(mass, UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(body.mass_kg).Get())
+            if not body.starts_at_rest:
+                write_velocities(rigid, body)
         for geometry in self._geometry(prim.GetPath(), body.shape):
             collision = UsdPhysics.CollisionAPI.Apply(geometry.GetPrim())
             collision.CreateCollisionEnabledAttr(body.name in self.collides)

@@ -20,7 +20,8 @@ from gauge_envs.checks.conformance.laws import hann_mean, pendulum_period_s, tor
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.report.conformance import findings_markdown
-from gauge_envs.scene import Box, Cloth, Contact, Motion, Pose, Rod, Scene, SoftBody
+from gauge_envs.scene import Box, Cloth, Contact, Motion, Pose, RigidBody, Rod, Scene, SoftBody
+from gauge_envs.scene.meshes import mass_properties
 
 MUJOCO = backend("mujoco")
 
@@ -99,6 +100,30 @@ def with_deformables(kind: type, **factors: float) -> Callable[[Scene], Scene]:
         return replace(scene, deformables=tuple(bodies))
 
     return change
+
+
+def with_velocities(change: Callable[[RigidBody], dict[str, Any]]) -> Callable[[Scene], Scene]:
+    def changed(scene: Scene) -> Scene:
+        return replace(
+            scene, bodies=tuple(body if body.starts_at_rest else replace(body, **change(body)) for body in scene.bodies)
+        )
+
+    return changed
+
+
+class LosesVelocityAtReset(Wrapped):
+    """The start velocities are written by `build` only."""
+
+    def reset(self, seed: int) -> None:
+        self.inner.reset(seed)
+        self.inner.data.qvel[:] = 0.0
+
+
+def velocity_of_centre(body: RigidBody) -> dict[str, Any]:
+    """Give the centre of mass the velocity that the scene states for the origin."""
+    arm = body.pose.rotation.apply(mass_properties(body.shape, body.mass_kg)[0])
+    linear = np.subtract(body.linear_velocity_m_per_s, np.cross(body.angular_velocity_rad_per_s, arm))
+    return {"linear_velocity_m_per_s": tuple(linear.tolist())}
 
 
 def with_states(change: Callable[[NDArray[np.float64]], None]) -> type[Wrapped]:
@@ -420,6 +445,41 @@ FAULTS: dict[str, tuple[Faulty, str, str]] = {
     "starts turning": (Faulty(simulation=StartsTurning), "free-fall-turn", "convention"),
     "armature": (Faulty(simulation=Armature), "pendulum-period", "armature"),
     "centre of mass elsewhere": (Faulty(simulation=CentreOfMassElsewhere), "solid-spin-centre", "centre of mass"),
+    "start velocity ignored": (
+        Faulty(with_velocities(lambda body: {"linear_velocity_m_per_s": (0.0, 0.0, 0.0)})),
+        "start-velocity",
+        "starts at rest",
+    ),
+    "start velocity in mm/s": (
+        Faulty(
+            with_velocities(
+                lambda body: {"linear_velocity_m_per_s": tuple(1e-3 * v for v in body.linear_velocity_m_per_s)}
+            )
+        ),
+        "start-velocity",
+        "in mm/s",
+    ),
+    "start spin in the body frame": (
+        Faulty(
+            with_velocities(
+                lambda body: {
+                    "angular_velocity_rad_per_s": tuple(body.pose.rotation.apply(body.angular_velocity_rad_per_s))
+                }
+            )
+        ),
+        "start-spin",
+        "in the body frame",
+    ),
+    "start velocity of the centre of mass": (
+        Faulty(with_velocities(velocity_of_centre)),
+        "start-velocity-of-origin",
+        "to the centre of mass",
+    ),
+    "start velocity lost at reset": (
+        Faulty(simulation=LosesVelocityAtReset),
+        "start-velocity-reset",
+        "at rest after the reset",
+    ),
     "hinge moved": (Faulty(hinge_moved), "hinge-radius", "joint"),
     "shorter string": (Faulty(shorter_string), "tether-slack", "pushes"),
     "nothing is fixed": (Faulty(nothing_is_fixed), "fixed-body-stays", "must be static"),

@@ -176,10 +176,13 @@ def scenes(draw: st.DrawFn) -> Scene:
         mass = 0.0 if isinstance(shape, Plane) else draw(positive)
         body = RigidBody(name=name, shape=shape, motion=motion, pose=draw(poses), mass_kg=mass)
         bodies.append(body)
+        is_free = motion is Motion.DYNAMIC and draw(st.booleans())
+        if is_free:
+            bodies[-1] = replace(body, linear_velocity_m_per_s=draw(points), angular_velocity_rad_per_s=draw(points))
         if motion is Motion.KINEMATIC and draw(st.booleans()):
             moves = tuple(draw(st.lists(motions, min_size=1, max_size=2)))
             drivers.append(Driver(body=name, motions=moves, provenance=draw(st.sampled_from(["video", "nominal"]))))
-        if motion is Motion.DYNAMIC and draw(st.booleans()):
+        if motion is Motion.DYNAMIC and not is_free and draw(st.booleans()):
             joint = st.one_of(
                 st.builds(Hinge, body=st.just(name), anchor_m=points, axis=unit_vectors),
                 st.builds(Tether, body=st.just(name), anchor_m=points, length_m=lengths),
@@ -196,15 +199,18 @@ def scenes(draw: st.DrawFn) -> Scene:
         restitution=st.floats(0.0, 1.0),
         mode=st.sampled_from(ContactMode),
     )
+    # A deformable body starts at rest, and so does what it is attached to.
+    moving = {body.name for body in bodies if not body.starts_at_rest}
     attachments = [
         Attachment(
             deformable=body.name,
             region=Region(
                 axis=draw(st.sampled_from("xyz")), side=draw(st.sampled_from(["low", "high"])), depth_m=draw(lengths)
             ),
-            to=draw(st.sampled_from([name for name in everybody if name != body.name])),
+            to=draw(st.sampled_from([name for name in everybody if name != body.name and name not in moving])),
         )
         for body in soft
+        if {*everybody} - moving - {body.name}
     ]
     markers = None
     if soft:

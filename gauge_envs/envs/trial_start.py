@@ -1,0 +1,149 @@
+"""Start an episode as an imported trial starts: option `trial` of a reset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.imported import load_imported
+from gauge_envs.scene import Hinge, RigidBody, Scene, Sphere, Tether
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.jitter import face_normal, swung
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = ["TrialStart", "trial_scene"]
+
+DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
+"""Weights of the first three frames in the velocity of the first one, exact for a constant acceleration."""
+
+
+@dataclass(frozen=True)
+class TrialStart:
+    """Start of an imported trial.
+
+    Attributes:
+        trial: Number of the trial, from 0.
+    """
+
+    trial: int
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the start for a result."""
+        return {"trial": self.trial}
+
+
+def trial_scene(experiment: Experiment, trial: int) -> Scene:
+    """Return the scene of an experiment with the start positions and velocities of an imported trial.
+
+    The velocity is a difference of the first three frames, exact for a constant acceleration. Measurement noise of
+    0.1 mm makes it wrong by 8 mm/s. An import has no orientations: orientation and spin stay those of the scene.
+
+    Each recorded body moves as far as it can without starting inside another, as with a jitter:
+
+    - A body that is neither a sphere nor on a joint moves and flies in the plane of the face that it rests on.
+    - A sphere takes the recorded position and velocity.
+    - A hinged body rotates about its hinge. A tethered body swings with a tight string.
+    - A body that is attached to a deformable body keeps its start.
+
+    Args:
+        experiment: An experiment that observes positions of rigid bodies.
+        trial: Number of the trial, from 0.
+
+    Raises:
+        ParameterError: The experiment observes no rigid bodies or all of them are attached, no trials were imported,
+            there is no such trial, or its first three frames were not all measured.
+    """
+    scene = experiment.scene
+    positions_m = _first_positions_m(experiment, trial)
+    attached = {attachment.to for attachment in scene.attachments}
+    joints = {joint.body: joint for joint in scene.joints}
+    started = {
+        name: _started(scene.body(name), joints.get(name), positions_m[:, index])
+        for index, name in enumerate(experiment.recorded)
+        if name not in attached
+    }
+    if not started:
+        raise ParameterError(
+            f"{experiment.id}: every recorded body is attached to a deformable body, so no trial gives a start: remove "
+            "the option 'trial'"
+        )
+    return replace(scene, bodies=tuple(started.get(body.name, body) for body in scene.bodies))
+
+
+def _first_positions_m(experiment: Experiment, trial: int) -> NDArray[np.float64]:
+    """Return the positions of the recorded bodies in the first three frames [m], shape [3, body_count, 3]."""
+    if experiment.score.observable is not Observable.POSITION:
+        raise ParameterError(
+            f"{experiment.id} observes {experiment.score.observable.value}: only experiments that observe positions of "
+            "rigid bodies start from a trial. Remove the option 'trial'."
+        )
+    imported = load_imported(experiment.name)
+    if imported is None:
+        raise ParameterError(
+            f"{experiment.id}: option 'trial' needs imported trials, and none were imported. Run `gauge data import "
+            "DIR` first."
+        )
+    trials = imported.band.trials
+    if trials is None:
+        raise ParameterError(
+            f"{experiment.id}: the import holds no single trials. Run `gauge data import DIR` again for option 'trial'."
+        )
+    if not 0 <= trial < len(trials):
+        raise ParameterError(f"{experiment.id}: trial {trial} does not exist: choose 0 to {len(trials) - 1}")
+    first = trials[trial, : len(DIFFERENCE_PER_FRAME)]
+    if len(first) < len(DIFFERENCE_PER_FRAME) or np.isnan(first).any():
+        raise ParameterError(
+            f"{experiment.id}: trial {trial} was not measured in all of its first {len(DIFFERENCE_PER_FRAME)} frames, "
+            "which give the velocity. Choose another trial."
+        )
+    return 1e-3 * first.reshape(len(first), -1, 3)
+
+
+def _started(body: RigidBody, joint: Hinge | Tether | None, positions_m: NDArray[np.float64]) -> RigidBody:
+    """Return a body at its recorded start.
+
+    Args:
+        body: The body.
+        joint: Its joint, if any.
+        positions_m: Its positions in the first frames [m], shape [3, 3].
+    """
+    velocity = FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ positions_m
+    shift = positions_m[0] - body.pose.position_m
+    if joint is not None:
+        return _swinging(body, joint, positions_m[0], velocity)
+    if not isinstance(body.shape, Sphere):
+        normal = face_normal(body.pose)
+        shift, velocity = (one - (one @ normal) * normal for one in (shift, velocity))
+    pose = replace(body.pose, position_m=vector(body.pose.position_m + shift))
+    return replace(body, pose=pose, linear_velocity_m_per_s=vector(velocity))
+
+
+def _swinging(
+    body: RigidBody, joint: Hinge | Tether, position_m: NDArray[np.float64], velocity: NDArray[np.float64]
+) -> RigidBody:
+    """Return a body that is rotated about its joint towards a position, and swings with a velocity [m/s]."""
+    anchor = np.asarray(joint.anchor_m)
+    arm, recorded = np.subtract(body.pose.position_m, anchor), position_m - anchor
+    if isinstance(joint, Hinge):
+        axis = np.asarray(joint.axis)
+        flat, aim = (one - (one @ axis) * axis for one in (arm, recorded))
+        rotation = Rotation.from_rotvec(np.arctan2(np.cross(flat, aim) @ axis, flat @ aim) * axis)
+        arm = rotation.apply(flat)
+        angular = np.cross(arm, velocity) @ axis / (arm @ arm) * axis
+    else:
+        turn = np.cross(arm, recorded)
+        size = float(np.linalg.norm(turn))
+        rotation = Rotation.from_rotvec(np.arctan2(size, arm @ recorded) * turn / size if size else np.zeros(3))
+        arm = rotation.apply(arm)
+        angular = np.cross(arm, velocity) / (arm @ arm)
+    return replace(
+        swung(body, rotation, anchor),
+        linear_velocity_m_per_s=vector(np.cross(angular, arm)),
+        angular_velocity_rad_per_s=vector(angular),
+    )

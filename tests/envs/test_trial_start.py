@@ -1,0 +1,164 @@
+"""Option `trial` of a reset: positions and velocities of an imported trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from dataset_writer import body_asset, trial_content, write_trial
+
+from gauge_envs import load_experiment
+from gauge_envs.dataset.importer import import_trials
+from gauge_envs.dataset.layout import find_trials
+from gauge_envs.envs.trial_start import trial_scene
+from gauge_envs.errors import ParameterError
+from gauge_envs.runs.episodes import episode_result
+from gauge_envs.scene.jitter import face_normal
+
+SLIDE, BALL, SWING = "SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"
+
+
+@pytest.fixture
+def imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Imports trials of a variant, whose recorded body has the positions [mm] that a function gives to each trial."""
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path / "data"))
+
+    def run(name: str, positions_mm: Callable[[int, np.ndarray], np.ndarray]) -> None:
+        experiment = load_experiment(name)
+        times_s = np.arange(experiment.frame_count + 12)[:, None] / 30
+        for number in range(3):
+            positions = positions_mm(number, times_s)
+            # An import leaves out equal trials; their starts stay the same.
+            positions[5:] += 0.01 * number
+            assets = {body: body_asset(positions) for body in experiment.recorded}
+            write_trial(tmp_path, name, number + 1, trial_content(assets))
+        (one,) = import_trials(find_trials(tmp_path, only=(name,)))
+        assert one.used == 3
+
+    return run
+
+
+def start_of(name: str) -> np.ndarray:
+    experiment = load_experiment(name)
+    return np.array(experiment.scene.body(experiment.recorded[0]).pose.position_m)
+
+
+def thrown(number: int, times_s: np.ndarray) -> np.ndarray:
+    """A ball that is thrown with (0.1 number, 0, 0.4) m/s, from a place that depends on the number."""
+    start = np.add(start_of(BALL), (0.0, 2e-3 * number, 1e-3))
+    path = start + times_s * [0.1 * number, 0.0, 0.4] - 0.5 * 9.80665 * times_s**2 * [0.0, 0.0, 1.0]
+    return 1e3 * np.maximum(path, [-10.0, -10.0, 0.05])
+
+
+@pytest.mark.parametrize("trial", [0, 2])
+def test_a_ball_starts_and_flies_as_its_trial(trial: int, imported: Callable[..., None]) -> None:
+    imported(BALL, thrown)
+    env = gymnasium.make(f"GAUGE/{BALL}")
+    observation, _ = env.reset(seed=0, options={"trial": trial})
+    expected = [*np.add(start_of(BALL), (0.0, 2e-3 * trial, 1e-3)), 0.1 * trial, 0.0, 0.4]
+    # A constant acceleration does not bias the velocity.
+    assert observation["bodies"][0, [0, 1, 2, 7, 8, 9]] == pytest.approx(expected, abs=1e-9)
+    for _ in range(4):
+        observation, *_ = env.step(0)
+    recorded = 1e-3 * thrown(trial, np.array([[4 / 30]]))[0]
+    assert observation["bodies"][0, :3] == pytest.approx(recorded, abs=1e-4)
+
+
+def test_a_reset_without_the_option_returns_to_the_calibrated_start(imported: Callable[..., None]) -> None:
+    imported(BALL, thrown)
+    env = gymnasium.make(f"GAUGE/{BALL}")
+    first, _ = env.reset(seed=0)
+    env.reset(seed=0, options={"trial": 1})
+    again, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(first["bodies"], again["bodies"])
+
+
+def test_a_result_states_the_trial(imported: Callable[..., None]) -> None:
+    imported(BALL, thrown)
+    env = gymnasium.make(f"GAUGE/{BALL}")
+    env.reset(seed=0, options={"trial": 1})
+    over = False
+    while not over:
+        *_, terminated, truncated, info = env.step(0)
+        over = terminated or truncated
+    assert episode_result(env, info).jitter == {"trial": 1}
+
+
+def test_worlds_start_from_the_trial(imported: Callable[..., None]) -> None:
+    imported(BALL, thrown)
+    envs = gymnasium.make_vec(f"GAUGE/{BALL}", num_envs=2)
+    observations, _ = envs.reset(seed=0, options={"trial": 2})
+    assert observations["bodies"][:, 0, 7] == pytest.approx([0.2, 0.2])
+
+
+def test_a_cube_moves_and_slides_on_its_face(imported: Callable[..., None]) -> None:
+    off_m, speed = np.array([1e-3, 2e-3, 3e-3]), np.array([0.2, 0.1, 0.3])
+    imported(SLIDE, lambda _, times_s: 1e3 * (start_of(SLIDE) + off_m + times_s * speed))
+    before = load_experiment(SLIDE)
+    cube, normal = trial_scene(before, 0).body("cube"), face_normal(before.scene.body("cube").pose)
+    moved = np.subtract(cube.pose.position_m, start_of(SLIDE))
+    assert moved == pytest.approx(off_m - (off_m @ normal) * normal, abs=1e-9)
+    assert cube.linear_velocity_m_per_s == pytest.approx(speed - (speed @ normal) * normal, abs=1e-9)
+    assert cube.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
+    assert cube.pose.quaternion == before.scene.body("cube").pose.quaternion
+
+
+def test_a_pendulum_rotates_about_its_hinge(imported: Callable[..., None]) -> None:
+    before = load_experiment(SWING).scene
+    hinge, ball = before.joints[0], before.body("ball")
+    arm, axis = np.subtract(ball.pose.position_m, hinge.anchor_m), np.asarray(hinge.axis)
+
+    def swinging(_: int, times_s: np.ndarray) -> np.ndarray:
+        angles = 0.01 + 0.3 * times_s
+        return 1e3 * (hinge.anchor_m + np.cos(angles) * arm + np.sin(angles) * np.cross(axis, arm))
+
+    imported(SWING, swinging)
+    found = trial_scene(load_experiment(SWING), 1).body("ball")
+    turned = (found.pose.rotation * ball.pose.rotation.inv()).as_rotvec()
+    assert turned == pytest.approx(0.01 * axis, abs=1e-9)
+    # Three frames give the rate up to the third power of the angle between frames.
+    assert found.angular_velocity_rad_per_s == pytest.approx(0.3 * axis, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trial": 3}, "trial 3 does not exist: choose 0 to 2"),
+        ({"trial": -1}, "trial -1 does not exist"),
+        ({"trial": 1.0}, r"option 'trial' is 1\.0, expected the number"),
+        ({"trial": True}, "option 'trial' is True"),
+        ({"trial": 1, "jitter": True}, "both state a start"),
+        ({"start": 1}, "only the options 'jitter' and 'trial', got 'start'"),
+    ],
+)
+def test_what_is_no_trial_is_refused(options: dict[str, Any], message: str, imported: Callable[..., None]) -> None:
+    imported(BALL, thrown)
+    with pytest.raises(ParameterError, match=message):
+        gymnasium.make(f"GAUGE/{BALL}").reset(options=options)
+
+
+def test_without_an_import_the_error_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
+    with pytest.raises(ParameterError, match=r"none were imported\. Run `gauge data import DIR` first"):
+        gymnasium.make(f"GAUGE/{BALL}").reset(options={"trial": 0})
+
+
+def test_markers_and_gaps_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, imported: Callable[..., None]
+) -> None:
+    def gap(number: int, times_s: np.ndarray) -> np.ndarray:
+        positions = thrown(number, times_s)
+        positions[1 if number == 1 else 9] = np.nan
+        return positions
+
+    imported(BALL, gap)
+    experiment = load_experiment(BALL)
+    assert trial_scene(experiment, 0) != experiment.scene
+    with pytest.raises(ParameterError, match="trial 1 was not measured in all of its first 3 frames"):
+        trial_scene(experiment, 1)
+    with pytest.raises(ParameterError, match="observes line_curvature"):
+        trial_scene(load_experiment("TextileBending-rayon"), 0)
