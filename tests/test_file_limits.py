@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TrajectoryFileError
@@ -21,6 +22,7 @@ from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.files import MEGABYTE, json_document, npz_arrays, read_regular, toml_document, write_whole
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
+from gauge_envs.scene.usd import source
 from gauge_envs.scene.usd.reader import from_usd
 
 NAME = "SlopeSlider-2-wood"
@@ -207,6 +209,18 @@ def test_a_layer_of_too_many_prims_is_refused(text: str, reason: str, tmp_path: 
     file.write_text(text)
     with pytest.raises(AssetError, match=reason):
         from_usd(file, duration_s=1.0)
+
+
+def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A damaged layer took 4 GB before USD found the damage; the child stops at its limit."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(HEADER + 'def "World" {}\n')
+    file = tmp_path / "cut.usdc"
+    layer.Export(str(file))
+    file.write_bytes(file.read_bytes()[:-40])
+    monkeypatch.setattr(source, "Usd", None)
+    with pytest.raises(AssetError, match="is not a readable USD file: .*"):
+        from_usd(file)
 
 
 @pytest.mark.parametrize(

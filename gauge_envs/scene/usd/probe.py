@@ -20,23 +20,47 @@ MOST_SAMPLES = 100_000
 
 
 def main(file: str, most_prims: int) -> int:
-    """Return the exit code; a file that USD cannot read is no matter of limits."""
+    """Print why the file is refused, if it is, and return the exit code."""
     try:
         stage = Usd.Stage.Open(file)
-        for count, prim in enumerate(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())):
-            if count >= most_prims:
-                print(f"it has more than {most_prims} prims")
+    except Tf.ErrorException as error:
+        # Opening it in another process could take the memory that is missing here.
+        print(f"is not a readable USD file: {_reason(error)}")
+        return REFUSED
+    for count, prim in enumerate(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())):
+        if count >= most_prims:
+            print(f"it has more than {most_prims} prims")
+            return REFUSED
+        for attribute in prim.GetAuthoredAttributes():
+            fault = _fault(attribute)
+            if fault:
+                print(fault)
                 return REFUSED
-            for attribute in prim.GetAuthoredAttributes():
-                codes = attribute.GetTimeSamples()
-                if len(codes) > MOST_SAMPLES:
-                    print(f"{attribute.GetPath()} has {len(codes)} time samples, the limit is {MOST_SAMPLES}")
-                    return REFUSED
-                for code in (Usd.TimeCode.Default(), *codes):
-                    attribute.Get(code)
-    except (Tf.ErrorException, UnicodeDecodeError):
-        return 0
     return 0
+
+
+def _fault(attribute: Usd.Attribute) -> str:
+    """Return what is too large in the values of an attribute; a value that USD cannot read may be of no use."""
+    try:
+        codes = attribute.GetTimeSamples()
+        if len(codes) > MOST_SAMPLES:
+            return f"{attribute.GetPath()} has {len(codes)} time samples, the limit is {MOST_SAMPLES}"
+        for code in (Usd.TimeCode.Default(), *codes):
+            attribute.Get(code)
+    except Tf.ErrorException as error:
+        reason = _reason(error)
+        return f"a value cannot be read: {reason}" if "bad_alloc" in reason else ""
+    except UnicodeDecodeError:
+        return ""
+    return ""
+
+
+def _reason(error: Tf.ErrorException) -> str:
+    try:
+        return str(error.args[0].commentary).strip()
+    except UnicodeDecodeError:
+        # The message quotes the file, which may contain any bytes.
+        return "it holds bytes that are not UTF-8 text"
 
 
 if __name__ == "__main__":

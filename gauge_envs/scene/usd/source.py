@@ -184,7 +184,7 @@ class Source:
             return
         refusal = _refusal(self.file, hashlib.sha256(content).hexdigest())
         if refusal is not None:
-            raise self.fault("", f"{refusal}: simplify the file")
+            raise self.fault("", refusal)
 
     def _unit(self, name: str, value: float) -> float:
         if not 1.0 / LARGEST <= value <= LARGEST:
