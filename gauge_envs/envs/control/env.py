@@ -231,6 +231,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def _fault(self) -> str | None:
         """Return why the simulation counts as diverged, or None."""
+        engine_fault = self.simulation.fault()
+        if engine_fault is not None:
+            return engine_fault
         velocities = self.simulation.body_states(self._dynamic)[:, 7:10]
         return speed_fault(self._dynamic, velocities, self.experiment.scene.speed_limit_m_per_s)
 
