@@ -165,8 +165,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Start a new episode; the start is always the same, and there are no options.
 
         Raises:
+            EpisodeError: The environment is closed.
             ParameterError: An option was given.
         """
+        self._check_open("reset")
         super().reset(seed=seed)
         if options:
             raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
