@@ -144,8 +144,11 @@ def backend_for(name: str, model_file: Path | None) -> Backend:
 
 
 def backend_of_suffix(suffix: str) -> Backend | None:
-    """Return the installed backend that reads model files with a suffix, or None if no backend does."""
-    for name in backend_names():
+    """Return the installed backend that reads model files with a suffix, or None if no backend does.
+
+    Backends of this package have precedence.
+    """
+    for name in sorted(backend_names(), key=is_bundled, reverse=True):
         try:
             engine = backend(name)
         except GaugeError:

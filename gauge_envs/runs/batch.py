@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -23,6 +24,9 @@ from gauge_envs.scene.jitter import Jitter, jittered
 __all__ = ["check_requests", "run_many"]
 
 Notify = Callable[[str], None]
+
+LEFTOVER_AGE_S = 3600.0
+"""Age from which a temporary file belongs to no run that goes on [s]."""
 
 CHECK_LIMIT_S = 120.0
 """Time limit of the check of a request in another process [s]."""
@@ -243,12 +247,21 @@ def _episodes(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Resu
         return _not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": ")), False
 
 
+def _remove_leftovers(out: Path) -> None:
+    """Remove the temporary files of runs that were killed while they wrote."""
+    for file in out.glob(".*.json.*.tmp"):
+        with suppress(OSError):
+            if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
+                file.unlink()
+
+
 def _check_writable(out: Path) -> None:
     probe = out / f".probe.{os.getpid()}.tmp"
     try:
         out.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
+        _remove_leftovers(out)
     except OSError as error:
         raise ResultFileError(f"{out}: results cannot be written there: {error.strerror or error}") from error
 
