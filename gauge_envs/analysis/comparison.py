@@ -1,20 +1,27 @@
-"""Results of any configurations side by side: their scores, costs and distances in each experiment."""
+"""Results of any configurations side by side: their scores, costs and distances, and what the data say of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
 from gauge_envs.analysis.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.analysis.distance import Distance, trajectory_distance
+from gauge_envs.analysis.draws import ScoreDraws, score_draws
+from gauge_envs.analysis.grades import GradeComparison, GradedExperiment, compare_grade
 from gauge_envs.analysis.scores import COMPARED_METRICS, ComparedMetric, ScoreSpread
+from gauge_envs.errors import GaugeError
+from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.scene_record import recorded_experiment
 
 __all__ = ["Cell", "Comparison", "ExperimentComparison", "Summary", "compare"]
 
@@ -25,9 +32,12 @@ class Cell:
 
     Attributes:
         results: Repeats by seed, including those that were declined, failed or diverged.
+        draws: Bootstrap draws of their scores; None if a repeat has no score, because a mean without failures would be
+            too good.
     """
 
     results: tuple[Result, ...]
+    draws: ScoreDraws | None = None
 
     def count(self, outcome: Outcome) -> int:
         """Return the number of repeats with an outcome."""
@@ -47,12 +57,26 @@ class Cell:
         """Return mean and scatter over the repeats that have the metric."""
         return ScoreSpread.of([value for value in self.values(metric, normalized=normalized) if value is not None])
 
-    @property
-    def normalized_rmse(self) -> float | None:
-        """Mean normalized RMSE; None if a repeat has none, because a mean without failures would be too good."""
-        values = self.values(COMPARED_METRICS["rmse"], normalized=True)
-        kept = [value for value in values if value is not None]
-        return float(np.mean(kept)) if kept and len(kept) == len(values) else None
+    def interval_95(self, metric: ComparedMetric) -> tuple[float, float] | None:
+        """Return the 95 % interval of the normalized metric; None if a repeat with the metric has none.
+
+        The ends for several repeats are means of theirs: they share their errors, which no average removes.
+        """
+        if metric.interval is None or metric.normalized is None:
+            return None
+        scored = [result.score for result in self.results if getattr(result.score, metric.normalized) is not None]
+        ends = [getattr(score, metric.interval) for score in scored]
+        if not ends or None in ends:
+            return None
+        low, high = np.mean(ends, axis=0)
+        return float(low), float(high)
+
+    def percentile(self, metric: ComparedMetric) -> float | None:
+        """Return the percentage of real trials that are closer to their mean; mean over the repeats that have it."""
+        if metric.percentile is None:
+            return None
+        known = [value for result in self.results if (value := getattr(result.score, metric.percentile)) is not None]
+        return float(np.mean(known)) if known else None
 
     @property
     def times_s(self) -> tuple[float, float]:
@@ -77,6 +101,7 @@ class ExperimentComparison:
     Attributes:
         id: Gymnasium id.
         grade: Grade of the reference.
+        withheld: Whether its band is withheld by default.
         unit: Unit of the observable.
         cells: Results in the order of `Comparison.configurations`; None for a configuration without this experiment.
         baselines: Published scatter of real trials and scores of three engines, by metric.
@@ -85,6 +110,7 @@ class ExperimentComparison:
 
     id: str
     grade: str
+    withheld: bool
     unit: str
     cells: tuple[Cell | None, ...]
     baselines: Mapping[str, Baseline]
@@ -95,28 +121,44 @@ class ExperimentComparison:
         """Id without `GAUGE/`."""
         return self.id.removeprefix("GAUGE/")
 
+    @property
+    def primary(self) -> str:
+        """Metric that reports show first: `rmse_aligned` if the experiment starts with a release, else `rmse`."""
+        results = [result for cell in self.cells if cell is not None for result in cell.results]
+        return next((one.score.primary for one in results if one.score.primary is not None), "rmse")
+
     def metrics(self, among: Iterable[str] = tuple(COMPARED_METRICS)) -> list[str]:
-        """Return the metrics that a result has or that were published."""
-        return [
+        """Return the metrics that a result has or whose published scores can stand beside it, the primary first."""
+        names = [
             name
             for name in among
-            if COMPARED_METRICS[name].published in self.baselines
+            if self.published(name) is not None
             or any(cell is not None and cell.spread(COMPARED_METRICS[name], normalized=False) for cell in self.cells)
         ]
+        return sorted(names, key=lambda name: name != self.primary)
+
+    def published(self, metric: str) -> Mapping[str, float | None] | None:
+        """Return the published scores of a metric by engine; None where nothing comparable was published.
+
+        The paper scored trajectories against the mean of real trials, so RMSE and DTW need a reference of that grade.
+        Event metrics do not depend on the reference.
+        """
+        known = COMPARED_METRICS[metric]
+        line = self.baselines.get(known.published or "")
+        if line is None or not (known.is_event or (self.grade == BandGrade.TRIALS.value and not self.withheld)):
+            return None
+        return line.engines
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """One configuration over all its experiments.
-
-    The numbers are descriptive: the experiments are neither identically distributed nor independent.
+    """Counts and cost of one configuration over all its experiments.
 
     Attributes:
         ran: Number of experiments that ran.
         scored: Number of those in which every repeat has a normalized RMSE.
         diverged: Number of experiments in which a repeat diverged.
         not_run: Number of experiments that were declined or failed.
-        geometric_mean: Geometric mean of the normalized RMSE over `Comparison.scored_by_all`; None if that is empty.
         wall_s_per_sim_s: Wall seconds per simulated second over all experiments that ran.
         wall_s_per_sim_s_common: Wall seconds per simulated second over `Comparison.run_by_all`.
     """
@@ -125,7 +167,6 @@ class Summary:
     scored: int
     diverged: int
     not_run: int
-    geometric_mean: float | None
     wall_s_per_sim_s: float | None
     wall_s_per_sim_s_common: float | None
 
@@ -137,20 +178,26 @@ class Comparison:
     Attributes:
         configurations: What was tested.
         experiments: Each experiment in all configurations, in the order of `gauge list`.
-        notes: Repeats that were left out, and files that do not belong together, a sentence each.
+        notes: Results that were left out, and files that do not belong together, a sentence each.
     """
 
     configurations: tuple[RunConfiguration, ...]
     experiments: tuple[ExperimentComparison, ...]
     notes: tuple[str, ...]
 
-    @property
-    def scored_by_all(self) -> tuple[ExperimentComparison, ...]:
-        """Experiments in which every configuration has a normalized RMSE."""
+    @cached_property
+    def grades(self) -> tuple[GradeComparison, ...]:
+        """What the scores of each grade say, best grade first; an experiment of several references is left out."""
+        graded = [one for one in self.experiments if _has_one_reference(one)]
         return tuple(
-            one
-            for one in self.experiments
-            if all(cell is not None and cell.normalized_rmse is not None for cell in one.cells)
+            compare_grade(
+                grade.value,
+                withheld=withheld,
+                experiments=[_graded(one) for one in graded if (one.grade, one.withheld) == (grade.value, withheld)],
+            )
+            for grade in BandGrade
+            for withheld in (False, True)
+            if any((one.grade, one.withheld) == (grade.value, withheld) and _is_scored(one) for one in graded)
         )
 
     @property
@@ -162,32 +209,36 @@ class Comparison:
         """Return one summary for each configuration, in their order."""
         return tuple(self._summary(index) for index in range(len(self.configurations)))
 
-    def published_geometric_mean(self, engine: str) -> float | None:
-        """Return the geometric mean of an engine's published RMSE over `scored_by_all`, or None if one is missing."""
-        values = [one.baselines["rmse"].engines[engine] for one in self.scored_by_all if "rmse" in one.baselines]
-        return _geometric_mean(values) if len(values) == len(self.scored_by_all) else None
-
     def _summary(self, index: int) -> Summary:
         cells = [cell for one in self.experiments if (cell := one.cells[index]) is not None]
         common = [cell for one in self.run_by_all if (cell := one.cells[index]) is not None]
-        scores = [cell.normalized_rmse for one in self.scored_by_all if (cell := one.cells[index]) is not None]
         return Summary(
             ran=sum(cell.ran for cell in cells),
-            scored=sum(cell.normalized_rmse is not None for cell in cells),
+            scored=sum(all(one.score.rmse_normalized is not None for one in cell.results) for cell in cells),
             diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
             not_run=sum(not cell.ran for cell in cells),
-            geometric_mean=_geometric_mean(scores),
             wall_s_per_sim_s=_cost(cells),
             wall_s_per_sim_s_common=_cost(common),
         )
 
 
-def _geometric_mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    if not known or len(known) < len(values):
-        return None
-    # A score against a law can be exactly 0. It makes the mean 0, and its logarithm would raise a warning.
-    return 0.0 if min(known) <= 0.0 else float(np.exp(np.mean(np.log(known))))
+def _is_scored(one: ExperimentComparison) -> bool:
+    return any(cell is not None and cell.draws is not None for cell in one.cells)
+
+
+def _has_one_reference(one: ExperimentComparison) -> bool:
+    """Return whether all results of an experiment are scored against the same reference."""
+    results = [result for cell in one.cells if cell is not None for result in cell.results if result.error is None]
+    return len({_reference_of(result) for result in results}) <= 1
+
+
+def _reference_of(result: Result) -> tuple[object, ...]:
+    return (result.score.grade, result.score.withheld, *sorted(result.dataset.items()))
+
+
+def _graded(one: ExperimentComparison) -> GradedExperiment:
+    draws = tuple(None if cell is None else cell.draws for cell in one.cells)
+    return GradedExperiment(id=one.id, draws=draws, published=one.published("rmse") or {})
 
 
 def _cost(cells: Iterable[Cell]) -> float | None:
@@ -204,12 +255,13 @@ def compare(results: Iterable[Result]) -> Comparison:
     groups = group_by_configuration(every)
     notes: list[str] = []
     by_id = {
-        name: tuple(_cell(name, members, notes) for _, members in groups)
+        name: tuple(_cell(name, configuration, members, notes) for configuration, members in groups)
         for name in sorted({result.id for result in every}, key=_list_order)
     }
     experiments = []
     for name, cells in by_id.items():
-        first = next(result for cell in cells if cell is not None for result in cell.results)
+        every_cell = [result for cell in cells if cell is not None for result in cell.results]
+        first = next((result for result in every_cell if result.error is None), every_cell[0])
         baselines = published_baselines(name.removeprefix("GAUGE/"))
         present = [(index, cell.results) for index, cell in enumerate(cells) if cell is not None]
         distances = (
@@ -220,6 +272,7 @@ def compare(results: Iterable[Result]) -> Comparison:
             ExperimentComparison(
                 id=name,
                 grade=first.score.grade,
+                withheld=first.score.withheld is not None,
                 unit=first.score.unit,
                 cells=cells,
                 baselines=baselines,
@@ -239,7 +292,7 @@ def _list_order(name: str) -> tuple[int, str]:
     return places.get(name, len(places)), name
 
 
-def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None:
+def _cell(name: str, configuration: RunConfiguration, members: Sequence[Result], notes: list[str]) -> Cell | None:
     """Return the results of one experiment among those of a configuration, and add what was left out to the notes."""
     mine = [result for result in members if result.id == name]
     latest = {result.seed: result for result in sorted(mine, key=lambda result: result.created)}
@@ -252,7 +305,26 @@ def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None
     if any(settings != in_force[0] for settings in in_force):
         notes.append(f"{name.removeprefix('GAUGE/')}: repeats of {mine[0].backend} differ in the settings in force")
     kept = tuple(sorted(latest.values(), key=lambda result: result.seed or 0))
-    return Cell(results=kept) if kept else None
+    return Cell(results=kept, draws=_cell_draws(kept, configuration, notes)) if kept else None
+
+
+def _cell_draws(results: Sequence[Result], configuration: RunConfiguration, notes: list[str]) -> ScoreDraws | None:
+    """Return the draws of repeats; None without them, with a note if they should have some."""
+    if any(result.score.rmse_normalized is None for result in results):
+        return None
+    name = results[0].id.removeprefix("GAUGE/")
+    try:
+        experiment = recorded_experiment(results[0])
+        band = reference_band(experiment, use_withheld=results[0].score.withheld is not None)
+        draws = None if band is None else score_draws(results, experiment, band, configuration)
+    except GaugeError as error:
+        notes.append(f"{name}: not compared in pairs, because its result cannot be scored again: {error}")
+        return None
+    stated = [result.score.rmse_normalized for result in results]
+    if draws is None or np.allclose(draws.raw, np.array(stated, dtype=np.float64), rtol=1e-6, atol=1e-9):
+        return draws
+    notes.append(f"{name}: not compared in pairs, because its score was made against another reference; run it again")
+    return None
 
 
 def _mismatches(results: Sequence[Result]) -> list[str]:

@@ -22,12 +22,18 @@ class ComparedMetric:
         normalized: Attribute of `Score` with the value over the mean of the real trials; None if it has none.
         published: Key of `published_baselines`; None if it was not published.
         unit: Unit; None is that of the observable.
+        interval: Attribute of `Score` with the 95 % interval of the normalized value; None if it has none.
+        percentile: Attribute of `Score` with the percentage of real trials that are closer; None if it has none.
+        is_event: Whether it measures an event, without the mean trajectory of a reference.
     """
 
     raw: str
     normalized: str | None
     published: str | None
     unit: str | None = None
+    interval: str | None = None
+    percentile: str | None = None
+    is_event: bool = False
 
 
 def _compared_metrics() -> dict[str, ComparedMetric]:
@@ -35,10 +41,20 @@ def _compared_metrics() -> dict[str, ComparedMetric]:
     for key, metric in METRICS.items():
         if metric.is_event and "rmse_aligned" not in columns:
             columns["rmse_aligned"] = ComparedMetric(
-                raw="rmse_aligned", normalized="rmse_aligned_normalized", published=None
+                raw="rmse_aligned",
+                normalized="rmse_aligned_normalized",
+                published=None,
+                interval="rmse_aligned_normalized_95",
+                percentile="percentile_aligned",
             )
         columns[key] = ComparedMetric(
-            raw=metric.score_field, normalized=metric.normalized_field, published=key, unit=metric.unit
+            raw=metric.score_field,
+            normalized=metric.normalized_field,
+            published=key,
+            unit=metric.unit,
+            interval=f"{metric.normalized_field}_95" if metric.is_normalized else None,
+            percentile="percentile" if key == "rmse" else None,
+            is_event=metric.is_event,
         )
     return columns
 

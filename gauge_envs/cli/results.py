@@ -49,21 +49,21 @@ def compare(
     ] = None,
     wide: Wide = False,
 ) -> None:
-    """Compare engines, parameters and settings: scores side by side, and distances where there is no reference.
+    """Compare engines, parameters and settings: scores with intervals, ranks and pairs within each grade of reference.
 
-    Results that differ in their seed alone are repeats, shown as mean and scatter. Exit code 1 when a damaged file was
-    skipped.
+    Without a reference, distances between engines are shown. Results that differ in their seed alone are repeats,
+    shown as mean and scatter. Exit code 1 when a damaged file was skipped.
     """
     from gauge_envs.analysis.comparison import compare as compare_results
     from gauge_envs.analysis.scores import check_metrics
-    from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view
+    from gauge_envs.report import comparison_json, comparison_markdown, comparison_view
 
     check_one_format(json_lines, markdown)
     chosen = check_metrics(metrics or [])
     results, skipped = _loaded(sources)
     comparison = compare_results(results)
     if json_lines:
-        print_json_lines(comparison_rows(comparison, chosen))
+        print_json_lines(comparison_json(comparison, chosen))
     elif markdown:
         echo(comparison_markdown(comparison, chosen), nl=False)
     else:
@@ -71,7 +71,7 @@ def compare(
     if out is not None:
         from gauge_envs.report.figures.overview import save_comparison
 
-        for path in save_comparison(results, out, metric=chosen[0]):
+        for path in save_comparison(results, out, metric=metrics[0] if metrics else None):
             stderr_console().print(plain_text(str(path)), soft_wrap=True)
     if skipped:
         raise typer.Exit(EXIT_FAILED)

@@ -251,13 +251,16 @@ class Episode:
     def run_on(self, simulation: Simulation) -> None:
         """Simulate on past the last frame, so that the release alignment knows the later motion.
 
-        Driven bodies continue their recorded motion without actions. Poses and nodes stay those of the last frame.
+        Driven bodies continue their recorded motion without actions. The simulation then returns to the last frame.
         """
-        zero = np.zeros(self.action_space.shape or 0)
+        if not self.runs_on:
+            return
+        zero, state = np.zeros(self.action_space.shape or 0), simulation.state()
         while self.runs_on:
             self.begin_later_frame()
             self.advance(simulation, zero)
             self.end_later_frame()
+        simulation.restore(state)
 
     def begin_later_frame(self) -> None:
         """Keep the view of the last frame before the world runs on."""

@@ -10,26 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.deviation import (
+    Deviation,
+    band_baseline,
+    band_deviations,
+    experiment_sensitivities,
+    sampled_frames,
+)
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
 from gauge_envs.evaluation.metrics import (
     band_coverage,
+    dtw_path,
     mean_abs_z,
-    release_offset,
     signed_error,
-    trajectory_dtw,
-    trajectory_rmse,
     z_scores,
 )
-from gauge_envs.evaluation.swing import EventTime, swing_metrics, swing_notes
+from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
 from gauge_envs.evaluation.trials import percentile_among, trial_distances
-from gauge_envs.evaluation.uncertainty import BudgetEntry, band_errors
+from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
-from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.references.sensitivities import Sensitivities
 
 __all__ = ["Score", "score_trajectory"]
 
@@ -53,6 +56,7 @@ class Score:
             without single trials.
         dtw: E_DTW of the paper.
         dtw_normalized: `dtw` over the published baseline mean.
+        dtw_normalized_95: 95 % interval of `dtw_normalized`.
         release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
         rmse_aligned: RMSE after that shift.
         rmse_aligned_normalized: `rmse_aligned` over the published baseline mean, which is not aligned.
@@ -67,6 +71,7 @@ class Score:
         signed_error: Mean signed deviation of each scored coordinate.
         lsd_s: Longest stationary duration of the last ball [s].
         lsd_normalized: `lsd_s` over the published mean; 1 is ideal.
+        lsd_normalized_95: 95 % interval of `lsd_normalized`.
         lsd_speed_3d_s: LSD if the speed in space is limited, in place of that of the height [s].
         lsd_speed_3d_normalized: `lsd_speed_3d_s` over the published mean.
         lsd_central_s: LSD if the speed of the height is that of central differences [s].
@@ -74,8 +79,10 @@ class Score:
         lsd_dropped_rests_s: Rests at the first and the last frame, which no LSD counts [s].
         mte: Momentum transfer efficiency, ratio.
         mte_normalized: `mte` over the published mean; 1 is ideal.
+        mte_normalized_95: 95 % interval of `mte_normalized`.
         pd_s: Period [s].
         pd_normalized: `pd_s` over the published mean; 1 is ideal.
+        pd_normalized_95: 95 % interval of `pd_normalized`.
         pd_fft_s: Period of the strongest bin of the plain Fourier spectrum [s].
         pd_fft_normalized: `pd_fft_s` over the published mean.
         events: Times of the cradle's last ball, simulated and recorded.
@@ -97,6 +104,7 @@ class Score:
     percentile: float | None = None
     dtw: float | None = None
     dtw_normalized: float | None = None
+    dtw_normalized_95: tuple[float, float] | None = None
     release_offset_s: float | None = None
     rmse_aligned: float | None = None
     rmse_aligned_normalized: float | None = None
@@ -111,6 +119,7 @@ class Score:
     signed_error: tuple[float, ...] | None = None
     lsd_s: float | None = None
     lsd_normalized: float | None = None
+    lsd_normalized_95: tuple[float, float] | None = None
     lsd_speed_3d_s: float | None = None
     lsd_speed_3d_normalized: float | None = None
     lsd_central_s: float | None = None
@@ -118,8 +127,10 @@ class Score:
     lsd_dropped_rests_s: tuple[float, float] | None = None
     mte: float | None = None
     mte_normalized: float | None = None
+    mte_normalized_95: tuple[float, float] | None = None
     pd_s: float | None = None
     pd_normalized: float | None = None
+    pd_normalized_95: tuple[float, float] | None = None
     pd_fft_s: float | None = None
     pd_fft_normalized: float | None = None
     events: tuple[EventTime, ...] | None = None
@@ -179,19 +190,20 @@ def score_trajectory(
     Raises:
         ShapeError: A frame is missing, or values are not finite or have the wrong width.
     """
-    frames = _frames(experiment, times_s, values)
+    frames = sampled_frames(experiment, times_s, values)
     baselines = experiment.baselines
     scores: dict[str, Any] = {}
     if band is not None:
         # An edited scene is another one, whose sensitivities are not known.
-        if sensitivities is None and not experiment.edited:
-            sensitivities = load_sensitivities(experiment.name, backend)
+        if sensitivities is None:
+            sensitivities = experiment_sensitivities(experiment, backend)
         scores |= _band_scores(experiment, band, times_s, values, frames, sensitivities)
     scores["implied"] = implied_parameters(
         experiment, band, times_s=times_s, values=values, release_offset_s=scores.get("release_offset_s")
     )
-    scores |= _metric_fields(swing_metrics(experiment, frames), baselines)
-    scores |= swing_notes(experiment, frames, times_s=times_s, values=values)
+    events = swing_metrics(experiment, frames)
+    notes = swing_notes(experiment, frames, times_s=times_s, values=values)
+    scores |= _metric_fields(events, baselines) | notes | event_intervals(events, notes, baselines)
     # NaN is an event that never happens, or a mean over no measured value. It is reported as None.
     scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
     return Score(
@@ -201,19 +213,6 @@ def score_trajectory(
         edited=experiment.edited,
         **scores,
     )
-
-
-def _frames(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> FloatArray:
-    wanted = np.arange(experiment.frame_count) / FRAME_RATE_HZ
-    index = np.clip(np.searchsorted(times_s, wanted - 1e-6), 0, len(times_s) - 1)
-    missing = np.abs(times_s[index] - wanted) > 1e-4
-    if missing.any():
-        frame = int(missing.argmax())
-        raise ShapeError(
-            f"{experiment.name} needs {experiment.frame_count} frames at 30 Hz: "
-            f"no sample at frame {frame} (t = {wanted[frame]:.4f} s)"
-        )
-    return values[index]
 
 
 def _over(value: float, baselines: Mapping[str, Baseline], metric: str) -> float | None:
@@ -242,22 +241,18 @@ def _band_scores(
 ) -> dict[str, Any]:
     baselines = experiment.baselines if band.normalized_by_baseline else {}
     simulated = band.project(frames)
+    deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
     known = np.isfinite(band.mean).any(axis=1)
-    distances = {
-        "rmse": trajectory_rmse(simulated, band.mean),
-        "dtw": trajectory_dtw(simulated[known], band.mean[known]),
-    }
+    cost, path = dtw_path(simulated[known], band.mean[known])
+    distances = {"rmse": deviations.raw.rmse, "dtw": cost / len(path)}
     # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
-    squares = np.nansum(np.square(simulated - band.mean), axis=1)
-    trials = trial_distances(band)
-    # A reference of a user may state a mean of 0, which normalizes nothing.
-    baseline = baselines["rmse"] if "rmse" in baselines and baselines["rmse"].mean else None
-    errors = band_errors(band, baseline, sensitivities).with_projection(band, frames)
+    squares = np.nansum(np.square(deviations.raw.values), axis=1)
+    trials, baseline = trial_distances(band), band_baseline(experiment, band)
     scores = _metric_fields(distances, baselines) | {
-        "primary": "rmse",
+        "primary": deviations.primary,
         "coordinates": band.coordinates,
         "percentile": None if trials is None else percentile_among(trials.raw, distances["rmse"]),
         "compared_frames": int(known.sum()),
@@ -269,29 +264,24 @@ def _band_scores(
         "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
         "sensitivities": None if sensitivities is None else _origin(sensitivities),
     }
-    deviation = simulated - band.mean
-    # The mean of a law is exact from frame 0 on. A shift of time would only hide a drift.
-    if band.grade is not BandGrade.LAW:
-        projected = band.project(values)
-        offset_s, aligned = release_offset(times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ)
-        left, velocity = _shifted(times_s, projected, offset_s, len(band.mean))
-        left_errors = errors.aligned(velocity)
+    aligned = deviations.aligned
+    if aligned is not None:
         scores |= {
-            "release_offset_s": offset_s,
-            "rmse_aligned": aligned,
-            "rmse_aligned_normalized": _over(aligned, baselines, "rmse"),
-            "percentile_aligned": None if trials is None else percentile_among(trials.aligned, aligned),
+            "release_offset_s": deviations.release_offset_s,
+            "rmse_aligned": aligned.rmse,
+            "rmse_aligned_normalized": _over(aligned.rmse, baselines, "rmse"),
+            "percentile_aligned": None if trials is None else percentile_among(trials.aligned, aligned.rmse),
         }
-        if baseline is not None:
-            scores["rmse_aligned_normalized_95"] = _normalized(left_errors.interval(left - band.mean), baseline)
-        if not experiment.scene.drivers:
-            scores["primary"] = "rmse_aligned"
-            errors_of_primary, deviation_of_primary = left_errors, left - band.mean
     if baseline is not None:
-        scores["rmse_normalized_95"] = _normalized(errors.interval(deviation), baseline)
-        if scores["primary"] == "rmse":
-            errors_of_primary, deviation_of_primary = errors, deviation
-        scores["budget"] = errors_of_primary.budget(deviation_of_primary, baseline=baseline.mean)
+        scores["rmse_normalized_95"] = _interval(deviations.raw, baseline)
+        cells = np.flatnonzero(known)[path]
+        low, high = deviations.raw.errors.path_interval(cells, simulated, band.mean)
+        if (line := baselines.get("dtw")) is not None and line.mean:
+            scores["dtw_normalized_95"] = low / line.mean, high / line.mean
+        if aligned is not None:
+            scores["rmse_aligned_normalized_95"] = _interval(aligned, baseline)
+        first = deviations.first
+        scores["budget"] = first.errors.budget(first.values, baseline=baseline.mean)
     return scores
 
 
@@ -307,16 +297,6 @@ def _settings(sensitivities: Sensitivities) -> list[str]:
     ]
 
 
-def _normalized(interval: tuple[float, float], baseline: Baseline) -> tuple[float, float]:
-    return interval[0] / baseline.mean, interval[1] / baseline.mean
-
-
-def _shifted(
-    times_s: FloatArray, values: FloatArray, offset_s: float, frame_count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return a simulation that is shifted in time, and its velocity, at the frames, each of shape [T, C]."""
-    queries_s = np.arange(frame_count) / FRAME_RATE_HZ - offset_s
-    shifted = np.column_stack([np.interp(queries_s, times_s, column) for column in values.T])
-    velocity = np.column_stack([np.interp(queries_s, times_s, np.gradient(column, times_s)) for column in values.T])
-    # Before its start the simulation is held.
-    return shifted, np.where(queries_s[:, None] < 0.0, 0.0, velocity)
+def _interval(deviation: Deviation, baseline: Baseline) -> tuple[float, float]:
+    low, high = deviation.errors.interval(deviation.values)
+    return low / baseline.mean, high / baseline.mean

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -22,12 +23,20 @@ from gauge_envs.evaluation.metrics import (
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.events import EventQuantity, recorded_events
 from gauge_envs.references.metrics import EVENT_METRICS
+from gauge_envs.references.published import Baseline
+from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["EventTime", "swing_metrics", "swing_notes"]
+__all__ = ["EventTime", "event_intervals", "swing_metrics", "swing_notes"]
 
 FloatArray = NDArray[np.float64]
+
+NORMAL_95 = 1.959964
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+CHOICES = {"lsd": ("lsd_central_s", 0.5 / FRAME_RATE_HZ), "mte": ("", 0.0), "pd": ("pd_fft_s", 0.0)}
+"""Other likely estimator of each metric, as a field of `Score`, and half the step in which it is counted [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,3 +177,31 @@ def _events(variant: str, seen: SwingTimes) -> tuple[EventTime, ...] | None:
         for number, value_s in enumerate(event.values_s, start=1)
     ]
     return tuple(events) or None
+
+
+def event_intervals(
+    events: Mapping[str, float], notes: Mapping[str, Any], baselines: Mapping[str, Baseline]
+) -> dict[str, tuple[float, float]]:
+    """Return the 95 % intervals of normalized event metrics, by field of `Score`.
+
+    Contributions: the published mean, its standard deviation over the root of 20 trials; half a frame of a duration
+    that is counted in frames; and the choice of the estimator, the difference between the two likely ones. The latter
+    two are half widths of rectangular distributions (GUM 4.3.7).
+
+    Args:
+        events: Raw metrics from `swing_metrics`.
+        notes: Fields from `swing_notes`.
+        baselines: Published scores by metric.
+    """
+    intervals: dict[str, tuple[float, float]] = {}
+    for metric, (alternative, counted_s) in CHOICES.items():
+        value, line = events.get(metric), baselines.get(metric)
+        if value is None or line is None or not line.mean or line.std is None or not np.isfinite(value):
+            continue
+        other = notes.get(alternative)
+        choice = 0.0 if other is None else abs(other - value) / math.sqrt(3.0)
+        own = math.hypot(choice, counted_s / math.sqrt(3.0)) / line.mean
+        relative = line.std / line.mean / math.sqrt(input_uncertainties().trials.count)
+        half = NORMAL_95 * math.hypot(own, relative * value / line.mean)
+        intervals[f"{metric}_normalized_95"] = max(value / line.mean - half, 0.0), value / line.mean + half
+    return intervals

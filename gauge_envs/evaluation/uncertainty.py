@@ -52,6 +52,15 @@ BELOW_NOISE = 0.01
 SEED = 20_260_711
 """Seed of the draws. It is fixed, so that scores repeat and engines are compared on the same draws."""
 
+LEAST_RESAMPLED = 8
+"""Number of trials from which their mean score is resampled."""
+
+SIMULATION_KINDS = ("constant", "start", "tilt", "discretization", "projection")
+"""Kinds of contributions that belong to the simulation; the others belong to the mean of the trials."""
+
+PATH_NUMBERS = 2_000_000
+"""Largest count of numbers in the draws of a warping path."""
+
 PROJECTION_FLOOR_MM = 1.0
 """Motion across the measured coordinates below which their direction does not matter: 0.3 degrees of it is 5 um."""
 
@@ -136,6 +145,20 @@ class BandErrors:
             return self
         return replace(self, shapes=self.shapes - np.outer(self.shapes @ direction, direction) / size)
 
+    def redrawn(self, kind: str, stream: str) -> BandErrors:
+        """Return the errors with other random factors for one kind, which two simulations do not share.
+
+        Args:
+            kind: Kind of the sources, as `discretization`.
+            stream: Name of the simulation; each name has its own random numbers.
+        """
+        factors = self.factors.copy()
+        for source in self.sources:
+            if source.kind == kind:
+                shape = factors[:, source.columns].shape
+                factors[:, source.columns] = _random(f"{source.name}: {stream}").standard_normal(shape)
+        return replace(self, factors=factors)
+
     def with_projection(self, band: Band, frames: FloatArray) -> BandErrors:
         """Return the errors with that of the band's directions, for a band that has fewer coordinates than g(t).
 
@@ -183,8 +206,10 @@ class BandErrors:
         Args:
             deviation: Simulation minus mean, shape [T, C].
         """
-        low, high = self._interval(self.flat(deviation))
-        return _reported(low), _reported(high)
+        vector = self.flat(deviation)
+        size = float(np.linalg.norm(vector))
+        low, high = self._interval(vector)
+        return min(_reported(low), size), max(_reported(high), size)
 
     def _interval(self, vector: FloatArray) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
@@ -209,6 +234,31 @@ class BandErrors:
         low = max(float(np.quantile(roots, tail, method="lower")), 0.0)
         high = float(np.quantile(roots, 1.0 - tail * reached, method="higher"))
         return min(low, size), max(high, size)
+
+    def path_interval(self, path: NDArray[np.intp], simulated: FloatArray, mean: FloatArray) -> tuple[float, float]:
+        """Return the 95 % interval of a mean distance along a warping path, in the unit of the band.
+
+        To first order an error does not change the best path. The errors of a cell are those of the simulation at its
+        one frame and those of the mean at its other frame.
+
+        Args:
+            path: Frames (simulated, real) of the cells, shape [cell_count, 2].
+            simulated: Band coordinates of the simulation, shape [T, C].
+            mean: Mean of the real trials, shape [T, C].
+        """
+        shapes = (self.shapes * math.sqrt(max(int(self.known.any(axis=1).sum()), 1))).reshape(-1, *self.known.shape)
+        of_simulation = np.zeros(len(shapes), dtype=bool)
+        for source in self.sources:
+            of_simulation[source.columns] = source.kind in SIMULATION_KINDS
+        frames = np.where(of_simulation[:, None], path[:, 0], path[:, 1])
+        errors = shapes[np.arange(len(shapes))[:, None], frames].reshape(len(shapes), -1)
+        difference = np.nan_to_num(simulated[path[:, 0]] - mean[path[:, 1]])
+        count = max(min(len(self.factors), PATH_NUMBERS // difference.size), 100)
+        cells = (self.factors[:count] @ errors).reshape(count, *difference.shape) + difference
+        distances = np.linalg.norm(cells, axis=2).mean(axis=1) / self.baseline_ratio[:count]
+        observed = float(np.linalg.norm(difference, axis=1).mean())
+        half = float(student.ppf(0.5 * (1.0 + LEVEL), 1e9) * distances.std(ddof=1))
+        return _reported(max(observed - half, 0.0)), _reported(observed + half)
 
     def draws(self, deviation: FloatArray) -> FloatArray:
         """Return the normalized distance of each draw times the baseline, shape [draw_count].
@@ -349,6 +399,14 @@ def _sampling(band: Band, baseline_spread: float | None, shapes: _Shapes) -> tup
     return np.maximum(ratio, 0.1), f"published standard deviation over the root of {band.trial_count or trial_count}"
 
 
+def _spread_of(distances: FloatArray, count: int) -> tuple[FloatArray, str]:
+    """Return the baseline's ratio for few trials, a resample of which may hold one of them alone."""
+    mean = float(distances.mean())
+    relative = float(distances.std(ddof=1)) / mean / math.sqrt(count) if mean > 0.0 else 0.0
+    ratio = 1.0 + relative * _random("baseline").standard_normal(DRAW_COUNT)
+    return np.maximum(ratio, 0.1), f"standard deviation over the root of {count} trials"
+
+
 def _columns(band: Band) -> range:
     return range(band.mean.shape[1])
 
@@ -369,6 +427,8 @@ def _resampled(band: Band, trials: FloatArray, shapes: _Shapes) -> tuple[FloatAr
     # The mean is subtracted, so an error of the mean enters with the other sign.
     shapes.add("release time of the mean", "release", "A", source, list(-shift), factors)
     shapes.add("mean of the trials", "sampling", "A", source, list(shift - residuals), factors)
+    if count < LEAST_RESAMPLED:
+        return _spread_of(np.linalg.norm(residuals, axis=1), count)
     gram = residuals @ residuals.T
     own = np.einsum("kj,kj->k", weights @ gram, weights)
     squares = np.maximum(np.diag(gram) - 2.0 * weights @ gram + own[:, None], 0.0)
@@ -395,6 +455,9 @@ def _measurement(band: Band, shapes: _Shapes) -> None:
 def _inputs(band: Band, sensitivities: Sensitivities, shapes: _Shapes) -> None:
     for one in sensitivities.inputs:
         if len(one.change) < len(band.mean) or one.change.shape[1] != band.projection.shape[1]:
+            continue
+        # A law keeps the body where it starts, so another start moves simulation and mean alike.
+        if band.grade is BandGrade.LAW and one.kind == "start":
             continue
         change = band.project(one.change[: len(band.mean)])
         if np.abs(change).max() > 0.0:

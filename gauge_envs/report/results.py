@@ -308,15 +308,17 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         row: dict[str, Any] = common | {
             "metric": title,
             "score": None if raw is None else f"{number_text(raw)}{unit}",
-            "normalized": None if normalized is None else number_text(normalized),
+            "normalized": (
+                None
+                if normalized is None
+                else interval_text(normalized, getattr(score, f"{metric}_normalized_95", None))
+            ),
             # Published scores are over the whole motion. Some laws hold for its first frames alone.
             "engines": None if line is None or is_partial else line.engines,
         }
         if metric == "rmse":
             row |= {"z": score.mean_abs_z, "percentile": score.percentile, "extrapolated": score.extrapolated_share}
             row["convergence"] = _convergence(result)
-            if normalized is not None:
-                row["normalized"] = interval_text(normalized, score.rmse_normalized_95)
         rows.append(row)
     # The aligned score comes first where the experiment starts with a release, else after the raw one.
     if score.primary == "rmse" and len(rows) > 1 and rows[0]["metric"] == ALIGNED_TITLE:

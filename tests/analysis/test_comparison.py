@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from rich.console import Console
-from scipy.stats import gmean
 from typer.testing import CliRunner
 
 from gauge_envs.analysis.comparison import compare
@@ -15,18 +14,27 @@ from gauge_envs.analysis.distance import MOTION_SHARE
 from gauge_envs.analysis.scores import COMPARED_METRICS, ScoreSpread, check_metrics
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.files import versions
 from gauge_envs.references.published import published_baselines
-from gauge_envs.report import comparison_markdown, comparison_rows, comparison_view, configuration_labels
+from gauge_envs.report import (
+    comparison_json,
+    comparison_markdown,
+    comparison_rows,
+    comparison_view,
+    configuration_labels,
+)
 from gauge_envs.report.figures.experiment import draw_experiment
 from gauge_envs.report.figures.overview import draw_overview, save_comparison
 from gauge_envs.report.figures.style import OURS
+from gauge_envs.report.text import score_text
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import result_file_name, write_result
+from gauge_envs.runs.scene_record import recorded_experiment
 
 SLIDER, PLASTIC, FOAM, CRADLE = (
     "SlopeSlider-2-wood",
@@ -36,6 +44,9 @@ SLIDER, PLASTIC, FOAM, CRADLE = (
 )
 GRADES = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
 RATE_HZ = 180
+
+HOLD, DRIVEN = "SlopeSlider-1-wood", "SlopeSlider-3-metal"
+"""Experiments of the grades law and recording."""
 
 
 def recorded(motion, *, seconds=1.0):
@@ -205,8 +216,10 @@ def test_cells_say_why_there_is_no_score():
 def test_repeats_that_diverged_are_counted_and_leave_the_cell_unscored_in_the_summary():
     results = [made(backend="newton", rmse=1.0), made(backend="newton", rmse=3.0, seed=1), diverged(seed=2)]
     assert cells(results) == ["2.00 +- 1.41 (2), 1 diverged"]
-    (summary,) = compare(results).summaries()
-    assert (summary.ran, summary.scored, summary.diverged, summary.geometric_mean) == (1, 0, 1, None)
+    comparison = compare(results)
+    (summary,) = comparison.summaries()
+    assert (summary.ran, summary.scored, summary.diverged) == (1, 0, 1)
+    assert comparison.grades == ()
 
 
 def test_a_raw_score_without_baseline_is_stated_in_its_unit():
@@ -236,26 +249,10 @@ def test_wall_time_is_over_simulated_time():
     assert comparison.summaries()[0].wall_s_per_sim_s == 4.0
 
 
-def test_summary_is_the_geometric_mean_over_what_all_have_scored():
-    ours = [made(rmse=2.0), made(PLASTIC, rmse=8.0), made(FOAM)]
-    comparison = compare([*ours, made(backend="newton", rmse=3.0), made(PLASTIC, backend="newton", rmse=12.0)])
-    first, second = comparison.summaries()
-    assert (first.geometric_mean, second.geometric_mean) == (pytest.approx(4.0), pytest.approx(6.0))
-    assert (first.ran, first.scored, second.ran) == (3, 2, 2)
-    genesis = [published_baselines(name)["rmse"].engines["genesis"] for name in (SLIDER, PLASTIC)]
-    assert comparison.published_geometric_mean("genesis") == pytest.approx(gmean(genesis))
-    narrowed = compare([*ours, made(backend="newton", rmse=3.0)])
-    assert [one.geometric_mean for one in narrowed.summaries()] == [pytest.approx(2.0), pytest.approx(3.0)]
-
-
-def test_a_perfect_score_makes_the_geometric_mean_zero_without_a_warning():
-    (summary,) = compare([made(rmse=0.0), made(PLASTIC, rmse=1.0)]).summaries()
-    assert summary.geometric_mean == 0.0
-
-
 def test_nothing_in_common():
     text = printed([made(rmse=1.0), made(PLASTIC, backend="newton", rmse=1.0)])
-    assert "none is scored by all" in text
+    assert "Ranking" not in text
+    assert "Pairs" not in text
     assert "Where engines disagree" not in text
 
 
@@ -268,6 +265,232 @@ def test_one_configuration_is_shown_beside_what_was_published():
 def test_nothing_to_compare():
     assert "no results to compare" in printed([])
     assert comparison_rows(compare([])) == []
+    assert comparison_json(compare([])) == []
+
+
+# --- grades and pairs ---
+
+
+@pytest.fixture(scope="module")
+def real():
+    """Results of MuJoCo of every grade, by variant."""
+    return {name: run_episode(RunRequest(name)) for name in (SLIDER, PLASTIC, HOLD, DRIVEN)}
+
+
+def altered(result, scale, **changes):
+    """A result whose displacements are scaled, scored again."""
+    trajectory = result.trajectory
+    start = np.array(trajectory.samples[0])
+
+    def scaled(rows):
+        return (start + scale * (np.array(rows).reshape(len(rows), -1) - start)).tolist() if rows else []
+
+    moved = replace(trajectory, samples=scaled(trajectory.samples), later_samples=scaled(trajectory.later_samples))
+    experiment = recorded_experiment(result)
+    times_s, values = moved.arrays(later=True)
+    band = reference_band(experiment, use_withheld=result.score.withheld is not None)
+    score = score_trajectory(experiment, band, times_s=times_s, values=values, backend=result.backend)
+    return replace(result, trajectory=moved, score=score, **changes)
+
+
+def as_newton(result, **changes):
+    """The same result under another engine's name."""
+    return replace(result, backend="newton", versions={"newton": "1.0", **versions()}, **changes)
+
+
+def under_two_names(real, *names):
+    return [one for name in names for one in (real[name], as_newton(real[name]))]
+
+
+def grade(comparison, name):
+    return next(one for one in comparison.grades if one.name == name)
+
+
+def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
+    trials, others = under_two_names(real, SLIDER, PLASTIC), under_two_names(real, HOLD, DRIVEN)
+    alone, together = compare(trials), compare([*others, *trials])
+    assert [one.name for one in together.grades] == ["trials", "recording", "law"]
+    assert grade(alone, "trials") == grade(together, "trials")
+    scores = [real[name].score for name in (SLIDER, PLASTIC)]
+    ours = grade(together, "trials").scores[0]
+    aligned = [score.rmse_aligned_normalized for score in scores]
+    raw = [score.rmse_normalized for score in scores]
+    assert ours.geometric_mean.value == pytest.approx(np.sqrt(aligned[0] * aligned[1]))
+    assert ours.geometric_mean_raw.value == pytest.approx(np.sqrt(raw[0] * raw[1]))
+    assert grade(together, "law").scores[0].geometric_mean.value == pytest.approx(real[HOLD].score.rmse_normalized)
+
+
+def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
+    comparison = compare(list(real.values()))
+    assert {one.name: bool(one.published) for one in comparison.grades} == {
+        "trials": True,
+        "recording": False,
+        "law": False,
+    }
+    genesis = [published_baselines(name)["rmse"].engines["genesis"] for name in (SLIDER, PLASTIC)]
+    assert grade(comparison, "trials").published["genesis"] == pytest.approx(np.sqrt(genesis[0] * genesis[1]))
+    rows = {(row["id"], row["metric"]): row["published"] for row in comparison_rows(comparison)}
+    assert rows[f"GAUGE/{SLIDER}", "rmse"] == published_baselines(SLIDER)["rmse"].engines
+    assert rows[f"GAUGE/{SLIDER}", "rmse_aligned"] is None
+    assert {rows[f"GAUGE/{name}", "rmse"] for name in (HOLD, DRIVEN)} == {None}
+
+
+def test_a_withheld_band_is_a_group_of_its_own(real):
+    withheld = run_episode(RunRequest("SlopeContact-wood", use_withheld=True))
+    comparison = compare([real[DRIVEN], withheld])
+    names = {one.name: one.ids for one in comparison.grades}
+    assert names == {"recording": (f"GAUGE/{DRIVEN}",), f"{withheld.score.grade}, withheld": (withheld.id,)}
+
+
+def test_only_experiments_that_all_have_scored_are_ranked_and_pairs_have_their_own(real):
+    third = altered(real[SLIDER], 1.1, settings_given={"timestep_s": 0.001})
+    both = [real[SLIDER], real[PLASTIC], as_newton(real[SLIDER]), as_newton(real[PLASTIC])]
+    one = grade(compare([*both, third]), "trials")
+    assert one.ids == (f"GAUGE/{SLIDER}",)
+    counts = {(pair.first, pair.second): len(pair.ids) for pair in one.pairs}
+    assert counts == {(0, 1): 1, (0, 2): 2, (1, 2): 1}
+
+
+def test_identical_trajectories_are_never_distinguishable(real):
+    comparison = compare(under_two_names(real, *real))
+    assert len(comparison.grades) == 3
+    for one in comparison.grades:
+        (pair,) = one.pairs
+        assert (pair.difference, pair.distinguishable) == (0.0, False)
+        assert pair.probability_of_improvement == pytest.approx(0.5, abs=0.03)
+        assert not any(single.distinguishable for single in pair.experiments)
+        assert [single.difference for single in pair.experiments] == [0.0] * len(pair.ids)
+        assert {score.rank for score in one.scores} == {1}
+
+
+def test_rounding_is_not_distinguishable(real):
+    results = [one for name in (HOLD, DRIVEN) for one in (real[name], as_newton(altered(real[name], 1.0 + 1e-7)))]
+    pairs = [pair for one in compare(results).grades for pair in one.pairs]
+    assert [len(pair.ids) for pair in pairs] == [1, 1]
+    assert all(single.difference != 0.0 for pair in pairs for single in pair.experiments)
+    assert not any(pair.distinguishable for pair in pairs)
+    assert not any(single.distinguishable for pair in pairs for single in pair.experiments)
+
+
+def test_a_large_difference_is_distinguishable_and_ranks(real):
+    wrong = {name: as_newton(altered(real[name], 1.5)) for name in (SLIDER, PLASTIC)}
+    comparison = compare([*wrong.values(), real[SLIDER], real[PLASTIC]])
+    trials = grade(comparison, "trials")
+    (pair,) = trials.pairs
+    assert pair.distinguishable
+    assert pair.difference_95[1] < 0.0
+    assert pair.probability_of_improvement > 0.99
+    assert [score.rank for score in trials.scores] == [1, 2]
+    first = real[SLIDER].score.primary_normalized
+    second = wrong[SLIDER].score.primary_normalized
+    assert pair.experiments[0].difference == pytest.approx(first - second)
+    text = printed([real[SLIDER], wrong[SLIDER]])
+    assert "distinguishable" in text
+    assert "not distinguishable" not in text
+    assert "not distinguishable" in printed([real[SLIDER], as_newton(real[SLIDER])])
+
+
+def test_a_pair_turned_round_has_the_opposite_difference(real):
+    other_motion = altered(real[SLIDER], 1.02)
+    results = [real[SLIDER], as_newton(other_motion)]
+    swapped = [other_motion, as_newton(real[SLIDER])]
+    (one,), (other,) = (grade(compare(some), "trials").pairs for some in (results, swapped))
+    assert other.difference == pytest.approx(-one.difference)
+    # Discretization is drawn for each configuration, so the ends agree up to these draws.
+    width = one.difference_95[1] - one.difference_95[0]
+    assert other.difference_95 == pytest.approx([-one.difference_95[1], -one.difference_95[0]], abs=0.1 * width)
+
+
+def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
+    scales = {1: 0.9, 2: 1.0, 3: 1.1}
+    ours = [altered(real[SLIDER], scale, seed=seed) for seed, scale in scales.items()]
+    theirs = [as_newton(result) for result in ours[1:]]
+    (pair,) = grade(compare([*ours, *theirs]), "trials").pairs
+    assert pair.experiments[0].difference == 0.0
+    assert not pair.distinguishable
+    (score, *_) = grade(compare(ours), "trials").scores
+    mean = np.mean([result.score.primary_normalized for result in ours])
+    assert score.geometric_mean.value == pytest.approx(mean)
+    # Repeats that differ widen the interval: their scatter is part of the uncertainty of the mean.
+    (alone, *_) = grade(compare(ours[1:2]), "trials").scores
+    widths = [one.geometric_mean.interval_95[1] - one.geometric_mean.interval_95[0] for one in (score, alone)]
+    assert widths[0] > widths[1]
+
+
+def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are_not(real):
+    comparison = compare(under_two_names(real, SLIDER, PLASTIC))
+    drawn = [[cell.draws.raw_draws[0] for cell in one.cells] for one in comparison.experiments]
+    assert np.corrcoef(*drawn[0])[0, 1] > 0.99
+    assert abs(np.corrcoef(drawn[0][0], drawn[1][0])[0, 1]) < 0.06
+
+
+def test_discretization_is_drawn_for_each_configuration(real):
+    (pair,) = grade(compare([real[SLIDER], as_newton(real[SLIDER])]), "trials").pairs
+    low, high = pair.experiments[0].difference_95
+    assert low < 0.0 < high
+
+
+def test_a_score_of_another_reference_is_not_compared_in_pairs(real):
+    stale = replace(real[SLIDER], score=replace(real[SLIDER].score, rmse_normalized=0.3))
+    comparison = compare([stale, as_newton(real[SLIDER])])
+    assert grade(comparison, "trials").pairs == ()
+    assert any("its score was made against another reference" in note for note in comparison.notes)
+
+
+def test_a_trajectory_that_does_not_fit_the_experiment_is_not_compared_in_pairs():
+    comparison = compare([made(rmse=0.5, seconds=0.1)])
+    assert comparison.grades == ()
+    assert any("cannot be scored again" in note and "no sample at frame" in note for note in comparison.notes)
+
+
+def test_results_of_two_references_are_not_averaged(real):
+    imported = as_newton(real[SLIDER], dataset={"drivers": "bundled", "reference": "imported"})
+    comparison = compare([real[SLIDER], replace(imported, score=replace(imported.score, grade="recording"))])
+    assert comparison.grades == ()
+    assert any("references of grade" in note for note in comparison.notes)
+
+
+def test_cells_have_intervals_and_the_percentile_below_the_primary_score(real):
+    score = real[SLIDER].score
+    text = printed([real[SLIDER]])
+    low, high = (score_text(end) for end in score.rmse_aligned_normalized_95)
+    assert f"{score_text(score.rmse_aligned_normalized)} [{low}, {high}]" in text
+    lines = text.splitlines()
+    place = next(index for index, line in enumerate(lines) if line.strip().startswith("RMSE aligned"))
+    assert lines[place + 1].split()[:5] == ["trials", "closer", "-", f"{score.percentile_aligned:.0f}", "%"]
+    assert lines[place + 2].split()[0] == "RMSE"
+
+
+@pytest.mark.parametrize("metric", [name for name, one in COMPARED_METRICS.items() if one.normalized is not None])
+def test_each_normalized_metric_has_an_interval(metric):
+    known = COMPARED_METRICS[metric]
+    score = Score(grade="none", unit="mm", **{known.normalized: 0.5, known.raw: 9.0, known.interval: (0.25, 1.5)})
+    assert cells([made(score=score)], metric) == ["0.50 [0.25, 1.50]"]
+
+
+def test_json_has_pairs_and_grades(real):
+    comparison = compare(under_two_names(real, SLIDER, PLASTIC, HOLD))
+    record = by_kind(json.loads(json.dumps(comparison_json(comparison), allow_nan=False)))
+    assert set(record) == {"experiment", "grade", "pair"}
+    trials, law = record["pair"]
+    assert (trials["first"], trials["second"], trials["grade"]) == ("mujoco", "newton", "trials")
+    assert trials["ids"] == [f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}"]
+    assert (trials["difference"], trials["distinguishable"]) == (0.0, False)
+    assert trials["difference_95"][0] <= 0.0 <= trials["difference_95"][1]
+    assert law["ids"] == [f"GAUGE/{HOLD}"]
+    assert {one["id"]: set(one) for one in trials["experiments"]} == {
+        name: {"id", "difference", "difference_95", "distinguishable"} for name in trials["ids"]
+    }
+    assert [(one["grade"], one["withheld"]) for one in record["grade"]] == [("trials", False), ("law", False)]
+    means = record["grade"][0]["configurations"][0]
+    low, high = means["geometric_mean_95"]
+    assert (means["label"], means["rank"]) == ("mujoco", 1)
+    assert low <= means["geometric_mean"] <= high
+    assert set(record["grade"][0]["published"]) == {"isaacsim", "genesis", "newton"}
+    assert record["grade"][1]["published"] == {}
+    row = next(one for one in record["experiment"] if one["metric"] == "rmse_aligned")
+    assert row["configurations"][0]["normalized_95"] == list(real[SLIDER].score.rmse_aligned_normalized_95)
+    assert row["configurations"][0]["percentile"] == real[SLIDER].score.percentile_aligned
 
 
 # --- distances ---
@@ -345,7 +568,11 @@ def test_json_has_one_object_an_experiment_and_metric():
     results = [made(rmse=1.0), made(rmse=2.0, seed=1), diverged(), made(FOAM), made(FOAM, backend="newton")]
     rows = json.loads(json.dumps(comparison_rows(compare(results)), allow_nan=False))
     keys = [(row["id"], row["metric"]) for row in rows]
-    assert len(set(keys)) == len(keys) == 4
+    assert sorted(keys, key=str) == [
+        (f"GAUGE/{SLIDER}", "dtw"),
+        (f"GAUGE/{SLIDER}", "rmse"),
+        (f"GAUGE/{FOAM}", None),
+    ]
     first = next(row for row in rows if row["id"] == f"GAUGE/{SLIDER}" and row["metric"] == "rmse")
     mujoco, newton = first["configurations"]
     assert (mujoco["label"], mujoco["seeds"], mujoco["outcomes"]) == ("mujoco", [0, 1], ["finished", "finished"])
@@ -397,14 +624,33 @@ def test_engines_without_a_reference_get_a_panel_of_their_distance():
     assert not any("distance" in axis.get_ylabel() for axis in draw_experiment([made(FOAM)]).axes)
 
 
+def places_of(axis):
+    """Places of the dots of a panel."""
+    return {float(line.get_xdata()[0]) for line in axis.get_lines() if len(line.get_xdata())}
+
+
 def test_overview_has_every_score_where_it_belongs():
-    figure = draw_overview(compare([made(rmse=0.41), diverged(), made(PLASTIC, backend="newton", rmse=2.0)]))
+    comparison = compare([made(rmse=0.41), diverged(), made(PLASTIC, backend="newton", rmse=2.0)])
+    figure = draw_overview(comparison, metric="rmse")
     (axis,) = figure.axes
-    places = {float(line.get_xdata()[0]) for line in axis.get_lines() if len(line.get_xdata())}
-    assert {0.41, 2.0, 1.23, 0.53, 1.71, 0.48, 0.82, 0.51, 1.0} <= places
+    assert {0.41, 2.0, 1.23, 0.53, 1.71, 0.48, 0.82, 0.51, 1.0} <= places_of(axis)
     assert axis.get_xscale() == "log"
     assert [tick.get_text() for tick in axis.get_yticklabels()] == [f"{SLIDER}  (trials)", f"{PLASTIC}  (trials)"]
     assert draw_overview(compare([made(rmse=0.41)]), metric="el") is None
+
+
+def test_overview_shows_intervals_and_published_engines_beside_raw_trials_alone(real):
+    figure = draw_overview(compare([real[SLIDER], real[HOLD]]))
+    primary, raw = figure.axes
+    score = real[SLIDER].score
+    assert {score.rmse_aligned_normalized, real[HOLD].score.rmse_normalized} <= places_of(primary)
+    assert score.rmse_normalized in places_of(raw)
+    published = {name: set(published_baselines(name)["rmse"].engines.values()) for name in (SLIDER, HOLD)}
+    assert published[SLIDER] <= places_of(raw)
+    assert not published[SLIDER] & places_of(primary)
+    assert not published[HOLD] & places_of(raw)
+    bars = [tuple(path.vertices[:, 0]) for bar in primary.collections for path in bar.get_paths()]
+    assert any(bar == pytest.approx(score.rmse_aligned_normalized_95) for bar in bars if len(bar) == 2)
 
 
 def test_pictures_of_a_comparison(tmp_path):
@@ -425,6 +671,14 @@ def gauge(tmp_path, monkeypatch):
     return lambda *arguments: CliRunner(env={"COLUMNS": "240"}).invoke(app, list(map(str, arguments)))
 
 
+def by_kind(records):
+    """Return the records of `gauge compare --json` by kind, each without it."""
+    found = {}
+    for record in records:
+        found.setdefault(record.pop("record"), []).append(record)
+    return found
+
+
 def write(folder, *results):
     for result in results:
         write_result(result, folder / "results" / result_file_name(result))
@@ -435,15 +689,21 @@ def test_two_settings_of_a_real_engine(gauge, tmp_path):
     write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-2-wood")), replace(fine, backend="newton", seed=4))
     result = gauge("compare", "--out", "plots")
     assert result.exit_code == 0
-    for text in ("timestep_s", "0.41", "Isaac Sim", "Summary", "wall s/sim s"):
+    assert "Pairs in each experiment" not in result.stdout
+    assert "Pairs in each experiment" in gauge("compare", "--wide").stdout
+    for text in ("timestep_s", "0.41", "Isaac Sim", "Ranking", "Pairs within each grade", "wall s/sim s"):
         assert text in result.stdout
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == [
         f"{SLIDER}.png",
         "Turntable-2-wood.png",
         "overview.png",
     ]
-    rows = [json.loads(line) for line in gauge("compare", "--json", "--metric", "rmse").stdout.splitlines()]
-    assert [row["metric"] for row in rows] == ["rmse", "rmse"]
+    record = by_kind(map(json.loads, gauge("compare", "--json", "--metric", "rmse").stdout.splitlines()))
+    rows = record["experiment"]
+    assert {"first", "second", "grade", "ids", "difference", "difference_95", "distinguishable"} <= set(
+        record["pair"][0]
+    )
+    assert [row["metric"] for row in rows] == ["rmse", None]
     values = [one["normalized"] for one in rows[0]["configurations"]]
     assert values[0]["mean"] == fine.score.rmse_normalized
     assert values[1]["mean"] == coarse.score.rmse_normalized
@@ -467,9 +727,11 @@ def test_a_damaged_file_is_skipped_with_a_note_and_exit_code_1(gauge, tmp_path):
 
 def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
     write(tmp_path, made(rmse=0.41))
-    (row, *_) = gauge("compare", "results", "results", "--json", "--metric", "rmse").stdout.splitlines()
-    assert json.loads(row)["configurations"][0]["normalized"]["count"] == 1
-    assert json.loads(row)["notes"] == []
+    first, *_ = map(
+        json.loads, gauge("compare", "results", "results", "--json", "--metric", "rmse").stdout.splitlines()
+    )
+    assert first["configurations"][0]["normalized"]["count"] == 1
+    assert not any("the latest of each counts" in note for note in first["notes"])
 
 
 @pytest.mark.parametrize(

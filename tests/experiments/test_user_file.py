@@ -292,9 +292,9 @@ def fewer(stage: Usd.Stage) -> None:
 
 
 def test_a_prim_of_the_layer_has_the_markers(flung: Callable[..., Path], tmp_path: Path) -> None:
-    every = run_episode(RunRequest(str(flung())))
+    every = run_episode(RunRequest(str(flung()), marker_proxy="node"))
     path = flung(fewer, 'prim = "/World/Shelf/Dots"\nfaces = [[0, 1, 4]]')
-    some, scene = run_episode(RunRequest(str(path))), load_experiment_file(str(path)).scene
+    some, scene = run_episode(RunRequest(str(path), marker_proxy="node")), load_experiment_file(str(path)).scene
     full = load_experiment(FLUNG).scene.markers
     assert scene.markers is not None
     assert full is not None
@@ -392,7 +392,7 @@ def test_what_is_wrong_with_markers_is_reported(
 
 def test_markers_away_from_their_body_are_refused(flung: Callable[..., Path]) -> None:
     path = flung(dots("Points", 2), 'prim = "/World/Dots"')
-    with pytest.raises(ShapeError, match=r"marker 0 is 727.* mm from its node"):
+    with pytest.raises(ShapeError, match=r"marker 0 is 727.* mm from the material"):
         gymnasium.make("GAUGE/Asset", asset=path)
 
 

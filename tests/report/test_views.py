@@ -113,7 +113,7 @@ def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
         (("list",), 80),
         (("data", "status"), 160),
         (("materials",), 80),
-        (("compare",), 60),
+        (("compare",), 90),
         (("run", IDS[0], "--out", "new"), 15),
         (("sanity", "HalfCheetah-v5"), 120),
     ],

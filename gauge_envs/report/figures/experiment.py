@@ -20,10 +20,12 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.report import (
+    ALIGNED_TITLE,
     ENGINE_TITLES,
     GRADE_NOTES,
     METRIC_TITLES,
     configuration_labels,
+    interval_text,
     score_text,
 )
 from gauge_envs.report.figures.style import (
@@ -295,7 +297,7 @@ def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Seque
 
 
 def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
-    """Draw the distance of each configuration to the first, and that of a typical real trial to the mean."""
+    """Draw the distance of each configuration to the first, and that of the real trials to their mean."""
     first = series[0]
     for one in series[1:]:
         for times, distance in distances_over_time(first.results, one.results):
@@ -330,26 +332,42 @@ def _recorded(result: Result) -> RecordedTrajectory:
 
 @dataclass(frozen=True)
 class _Bar:
-    """A normalized score: label, colour, spread, and the text for a missing one."""
+    """A normalized score: label, colour, spread, its 95 % interval, and the text for a missing one."""
 
     label: str
     color: str
     spread: ScoreSpread | None
     missing: str
+    interval: tuple[float, float] | None = None
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the whisker: the 95 % interval of a single run, or one standard deviation of repeats."""
+        if self.spread is None:
+            return 0.0, 0.0
+        reach = self.spread.std or 0.0
+        return self.interval or (self.spread.mean - reach, self.spread.mean + reach)
+
+    @property
+    def text(self) -> str:
+        """The score beside the bar."""
+        if self.spread is None:
+            return self.missing
+        if self.interval is not None:
+            return interval_text(self.spread.mean, self.interval)
+        reach = self.spread.std
+        return score_text(self.spread.mean) + (f" +- {score_text(reach)}" if reach else "")
 
 
 def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
     """Return normalized scores of the results and of the published engines, for the metrics of the paper."""
     groups: dict[str, list[_Bar]] = {}
+    if any(result.score.primary == "rmse_aligned" for one in series for result in one.results):
+        groups[ALIGNED_TITLE] = [_own_bar(one, "rmse_aligned") for one in series]
     for metric, line in published_baselines(name.removeprefix("GAUGE/")).items():
         if metric == "el":
             continue
-        bars = []
-        for one in series:
-            values = [getattr(result.score, f"{metric}_normalized") for result in one.results]
-            spread = ScoreSpread.of([value for value in values if value is not None])
-            diverged = any(result.diverged for result in one.results)
-            bars.append(_Bar(one.label, one.color, spread, "diverged" if diverged else "no reference"))
+        bars = [_own_bar(one, metric) for one in series]
         for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
             value = line.engines[engine]
             bars.append(
@@ -359,22 +377,39 @@ def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
     return groups
 
 
+def _own_bar(one: _Series, metric: str) -> _Bar:
+    """Return the bar of results; a single one has its 95 % interval."""
+    scores = [result.score for result in one.results]
+    values = [getattr(score, f"{metric}_normalized") for score in scores]
+    spread = ScoreSpread.of([value for value in values if value is not None])
+    diverged = any(result.diverged for result in one.results)
+    return _Bar(
+        one.label,
+        one.color,
+        spread,
+        "diverged" if diverged else "no reference",
+        getattr(scores[0], f"{metric}_normalized_95", None) if len(scores) == 1 else None,
+    )
+
+
 def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> None:
     """Draw bars from the top down; `depth` is the least number that fits, so that no bar is thick."""
-    spreads = [bar.spread for group in groups.values() for bar in group if bar.spread is not None]
-    longest = max([1.2, *(spread.mean + (spread.std or 0.0) for spread in spreads)])
+    longest = max(
+        [1.2, *(max(bar.spread.mean, bar.ends[1]) for group in groups.values() for bar in group if bar.spread)]
+    )
     unit = 0.015 * longest
     ticks, places = [], []
     place = 0.0
     for metric, group in groups.items():
         axis.text(unit, place - 0.75, metric, fontsize=9, fontweight="bold", va="center", bbox=BACKING)
         for bar in group:
-            length, reach, text = 0.0, 0.0, bar.missing
-            if bar.spread is not None:
-                length, reach = bar.spread.mean, bar.spread.std or 0.0
-                text = score_text(length) + (f" +- {score_text(reach)}" if reach else "")
-            axis.barh(place, length, color=bar.color, height=0.78, xerr=reach or None, error_kw=WHISKER)
-            axis.text(length + reach + unit, place, text, va="center", fontsize=8, color="#404040", bbox=BACKING)
+            length = 0.0 if bar.spread is None else bar.spread.mean
+            low, high = bar.ends
+            # The end of an interval may be the score itself, but for its last digit.
+            whisker = [[max(length - low, 0.0)], [max(high - length, 0.0)]] if low < high else None
+            axis.barh(place, length, color=bar.color, height=0.78, xerr=whisker, error_kw=WHISKER)
+            end = max(length, high) + unit
+            axis.text(end, place, bar.text, va="center", fontsize=8, color="#404040", bbox=BACKING)
             places.append(place)
             ticks.append("\n".join(wrap(bar.label, 22)))
             place += 1.0
@@ -382,8 +417,8 @@ def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> No
     axis.axvline(1.0, color=REAL, lw=1.0, ls="--", zorder=2)
     axis.set_yticks(places, ticks, fontsize=8)
     axis.set_ylim(max(place - 1.3, depth), -1.3)
-    axis.set_xlim(0.0, 1.28 * longest)
-    meaning = "a typical real trial" if METRIC_TITLES["rmse"] in groups else "the real mean, ideal"
+    axis.set_xlim(0.0, 1.45 * longest)
+    meaning = "mean of the real trials" if METRIC_TITLES["rmse"] in groups else "the real mean, ideal"
     axis.set_xlabel(f"normalized score; 1 = {meaning}")
     tidy_axis(axis)
     axis.grid(visible=False, axis="y")

@@ -1,0 +1,138 @@
+"""Deviation of a simulation from the mean of a band, as it is and after release alignment, each with its errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.metrics import release_offset, trajectory_rmse
+from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.published import Baseline
+from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = ["Deviation", "Deviations", "band_baseline", "band_deviations", "experiment_sensitivities", "sampled_frames"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Deviation:
+    """Simulation minus mean at the frames.
+
+    Attributes:
+        values: Deviation in the band's unit, shape [T, C].
+        rmse: Its root mean square over frames, E_RMSE of the paper.
+        errors: Its errors.
+    """
+
+    values: FloatArray
+    rmse: float
+    errors: BandErrors
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Deviations:
+    """Deviations of one simulation.
+
+    Attributes:
+        raw: The simulation as it is.
+        aligned: The simulation after the time shift that fits best; None for a law.
+        release_offset_s: That shift [s]; None for a law.
+        primary: Field of `Score` that reports show first: `rmse_aligned` for an experiment that starts with a release,
+            else `rmse`.
+    """
+
+    raw: Deviation
+    aligned: Deviation | None
+    release_offset_s: float | None
+    primary: str
+
+    @property
+    def first(self) -> Deviation:
+        """The deviation of the primary score."""
+        return self.aligned if self.primary == "rmse_aligned" and self.aligned is not None else self.raw
+
+
+def experiment_sensitivities(experiment: Experiment, backend: str | None) -> Sensitivities | None:
+    """Return the stored sensitivities of an experiment on an engine; None without them, or for an edited scene."""
+    return None if experiment.edited else load_sensitivities(experiment.name, backend)
+
+
+def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:
+    """Return the published RMSE of real trials that normalizes a score against a band; None without one."""
+    baseline = experiment.baselines.get("rmse") if band.normalized_by_baseline else None
+    # A reference of a user may state a mean of 0, which normalizes nothing.
+    return baseline if baseline is not None and baseline.mean else None
+
+
+def band_deviations(
+    experiment: Experiment,
+    band: Band,
+    *,
+    times_s: FloatArray,
+    values: FloatArray,
+    sensitivities: Sensitivities | None = None,
+) -> Deviations:
+    """Return the deviations of a generalized trajectory from a band, with their errors.
+
+    Args:
+        experiment: Experiment that was simulated.
+        band: Reference of the score.
+        times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count].
+        values: g(t) at those times, shape [sample_count, coordinate_count].
+        sensitivities: Uncertain inputs of the simulation; None leaves them out.
+
+    Raises:
+        ShapeError: A frame is missing, or values are not finite or have the wrong width.
+    """
+    frames = sampled_frames(experiment, times_s, values)
+    simulated = band.project(frames)
+    errors = band_errors(band, band_baseline(experiment, band), sensitivities).with_projection(band, frames)
+    raw = Deviation(values=simulated - band.mean, rmse=trajectory_rmse(simulated, band.mean), errors=errors)
+    # The mean of a law is exact from frame 0 on. A shift of time would only hide a drift.
+    if band.grade is BandGrade.LAW:
+        return Deviations(raw=raw, aligned=None, release_offset_s=None, primary="rmse")
+    projected = band.project(values)
+    offset_s, rmse = release_offset(times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ)
+    shifted, velocity = _shifted(times_s, projected, offset_s, len(band.mean))
+    return Deviations(
+        raw=raw,
+        aligned=Deviation(values=shifted - band.mean, rmse=rmse, errors=errors.aligned(velocity)),
+        release_offset_s=offset_s,
+        primary="rmse" if experiment.scene.drivers else "rmse_aligned",
+    )
+
+
+def sampled_frames(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the samples at the 30 Hz frames of an experiment, shape [T, coordinate_count].
+
+    Raises:
+        ShapeError: A frame is missing.
+    """
+    wanted = np.arange(experiment.frame_count) / FRAME_RATE_HZ
+    index = np.clip(np.searchsorted(times_s, wanted - 1e-6), 0, len(times_s) - 1)
+    missing = np.abs(times_s[index] - wanted) > 1e-4
+    if missing.any():
+        frame = int(missing.argmax())
+        raise ShapeError(
+            f"{experiment.name} needs {experiment.frame_count} frames at 30 Hz: "
+            f"no sample at frame {frame} (t = {wanted[frame]:.4f} s)"
+        )
+    return values[index]
+
+
+def _shifted(
+    times_s: FloatArray, values: FloatArray, offset_s: float, frame_count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return a simulation that is shifted in time, and its velocity, at the frames, each of shape [T, C]."""
+    queries_s = np.arange(frame_count) / FRAME_RATE_HZ - offset_s
+    shifted = np.column_stack([np.interp(queries_s, times_s, column) for column in values.T])
+    velocity = np.column_stack([np.interp(queries_s, times_s, np.gradient(column, times_s)) for column in values.T])
+    # Before its start the simulation is held.
+    return shifted, np.where(queries_s[:, None] < 0.0, 0.0, velocity)
