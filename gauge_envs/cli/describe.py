@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, Wide, matching_variants
-from gauge_envs.cli.output import counted, print_json_lines, print_table, stdout_console
+from gauge_envs.cli.output import counted, plain_text, print_json_lines, print_table, stderr_console, stdout_console
 from gauge_envs.references.imported import DataSource
 
 __all__ = ["list_", "materials", "show"]
@@ -23,7 +23,13 @@ def list_(
     from gauge_envs.references.bands import BandGrade
     from gauge_envs.report import control_summary, list_rows, list_table
 
-    rows = [row for row in list_rows(matching_variants(pattern)) if not scored or row["grade"] != BandGrade.NONE]
+    stderr = stderr_console()
+    found = list_rows(
+        matching_variants(pattern),
+        isolate=True,
+        notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
+    )
+    rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
     print_table(list_table(rows), json_lines=json_lines, wide=wide)
     if json_lines:
         return

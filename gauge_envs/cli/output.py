@@ -13,6 +13,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
+from gauge_envs.cli.streams import result_stream
 from gauge_envs.report.table import Table, as_rich, as_rows
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "EXIT_USAGE",
     "PIPE_WIDTH",
     "counted",
+    "echo",
     "plain_text",
     "print_json_lines",
     "print_table",
@@ -44,7 +46,7 @@ EXIT_INTERRUPTED = 130
 
 def stdout_console() -> Console:
     """Return the console of results."""
-    return _widened(Console())
+    return _widened(Console(file=result_stream()))
 
 
 def stderr_console() -> Console:
@@ -74,10 +76,20 @@ def progress_bar(console: Console) -> Any:
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
+def echo(text: object, *, nl: bool = True) -> None:
+    """Print a text on stdout as a result of the command.
+
+    Args:
+        text: The text.
+        nl: Whether to end the line.
+    """
+    typer.echo(text, file=result_stream(), nl=nl)
+
+
 def print_json_lines(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print one JSON object per line on stdout."""
     for row in rows:
-        typer.echo(json.dumps(row, allow_nan=False))
+        echo(json.dumps(row, allow_nan=False))
 
 
 def print_table(table: Table, *, json_lines: bool, wide: bool = False) -> None:
