@@ -1,7 +1,16 @@
 """Physics engines behind one interface, one folder per engine."""
 
 from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Simulation, Support, World, Worlds
-from gauge_envs.backends.registry import backend, backend_for, backend_names, backend_of_suffix
+from gauge_envs.backends.registry import (
+    backend,
+    backend_for,
+    backend_names,
+    backend_of_suffix,
+    engine_call,
+    is_bundled,
+    support_of,
+    versions_of,
+)
 
 __all__ = [
     "Backend",
@@ -15,4 +24,8 @@ __all__ = [
     "backend_for",
     "backend_names",
     "backend_of_suffix",
+    "engine_call",
+    "is_bundled",
+    "support_of",
+    "versions_of",
 ]

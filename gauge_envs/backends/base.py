@@ -109,6 +109,14 @@ class World(ABC):
             f"{type(self).__name__} applies no force or torque to {body!r}: it does not implement World.apply_wrench"
         )
 
+    def fault(self) -> str | None:
+        """Return why the engine itself gave up the state since the last reset, or None.
+
+        An engine that replaces a state that is not finite must report it here. Environments then count the episode as
+        diverged. They find a state that is not finite, or outside the scene's bounds, on their own.
+        """
+        return None
+
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         raise KeyError(name)

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from gauge_envs.backends.base import Backend, FileBackend
-from gauge_envs.errors import BackendError, GaugeError, UnknownNameError
+from gauge_envs.backends.base import Backend, FileBackend, Support
+from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
+from gauge_envs.scene import Scene
 
-__all__ = ["backend", "backend_for", "backend_names", "backend_of_suffix"]
+__all__ = [
+    "backend",
+    "backend_for",
+    "backend_names",
+    "backend_of_suffix",
+    "engine_call",
+    "is_bundled",
+    "support_of",
+    "versions_of",
+]
 
 ENTRY_POINT_GROUP = "gauge_envs.backends"
 
@@ -26,17 +38,94 @@ def backend(name: str) -> Backend:
     Raises:
         UnknownNameError: No installed package provides it.
         MissingExtraError: Its engine is not installed.
-        BackendError: Its package cannot be imported for another reason.
+        BackendError: Its package cannot be imported for another reason, or its class is no backend of that name.
     """
     for point in entry_points(group=ENTRY_POINT_GROUP):
         if point.name == name:
-            try:
-                return point.load()()
-            except GaugeError:
-                raise
-            except Exception as error:  # A third-party package may raise anything; other backends must stay usable.
-                raise BackendError(f"backend {name!r} ({point.value}): {type(error).__name__}: {error}") from error
+            place = f"backend {name!r} ({point.value})"
+            with _as_backend_error(place):
+                engine = point.load()()
+            if not isinstance(engine, Backend):
+                raise BackendError(f"{place}: the entry point gives a {type(engine).__name__}, expected a Backend")
+            if engine.name != name:
+                raise BackendError(
+                    f"{place}: the class has the name {engine.name!r}. "
+                    "Give the key of the entry point and the attribute `name` of the class the same text."
+                )
+            return engine
     raise UnknownNameError("backend", name, backend_names())
+
+
+def is_bundled(name: str) -> bool:
+    """Return whether the backend of a name is part of this package."""
+    values = [point.value for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
+    return bool(values) and values[0].startswith("gauge_envs.")
+
+
+@contextmanager
+def _as_backend_error(place: str) -> Iterator[None]:
+    """Raise a `BackendError` for anything that an engine raises, so that other backends stay usable.
+
+    Errors of this package and Ctrl-C pass.
+    """
+    try:
+        yield
+    except (GaugeError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # Also SystemExit.
+        raise BackendError(f"{place}: {type(error).__name__}: {error}".removesuffix(": ")) from error
+
+
+@contextmanager
+def engine_call(name: str, method: str) -> Iterator[None]:
+    """Raise a `BackendError` for anything that a method of an engine raises, SystemExit included.
+
+    Args:
+        name: Name of the backend.
+        method: The method, as `supports`.
+
+    Raises:
+        BackendError: The method raised an error that is neither of this package nor Ctrl-C.
+    """
+    with _as_backend_error(f"backend {name!r}: {method} raised an error"):
+        yield
+
+
+def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Support:
+    """Return whether a backend can build a scene.
+
+    Args:
+        name: Name of the backend.
+        scene: The scene.
+        model_file: File that replaces the scene, or None.
+
+    Raises:
+        UnknownNameError: No installed package provides it.
+        MissingExtraError: Its engine is not installed.
+        BackendError: It cannot be imported, or `supports` does not work.
+    """
+    engine = backend_for(name, model_file)
+    with engine_call(name, "supports"):
+        support = engine.supports(scene)
+    if not isinstance(support, Support):
+        raise BackendError(f"backend {name!r}: supports returned a {type(support).__name__}, expected a Support")
+    return support
+
+
+def versions_of(name: str) -> dict[str, str]:
+    """Return the versions of a backend's packages.
+
+    Raises:
+        UnknownNameError: No installed package provides it.
+        MissingExtraError: Its engine is not installed.
+        BackendError: It cannot be imported, or `versions` does not work.
+    """
+    engine = backend(name)
+    with engine_call(name, "versions"):
+        versions = dict(engine.versions())
+    if not all(isinstance(part, str) for pair in versions.items() for part in pair):
+        raise BackendError(f"backend {name!r}: versions returned {versions!r}, expected texts by package")
+    return versions
 
 
 def backend_for(name: str, model_file: Path | None) -> Backend:
@@ -46,14 +135,20 @@ def backend_for(name: str, model_file: Path | None) -> Backend:
         UnknownNameError: No installed package provides it.
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason.
+        ParameterError: The name is no text.
     """
+    if not isinstance(name, str):
+        raise ParameterError(f"backend {name!r}: expected the name of a backend, as 'mujoco'")
     engine = backend(name)
     return engine if model_file is None else FileBackend(engine, model_file)
 
 
 def backend_of_suffix(suffix: str) -> Backend | None:
-    """Return the installed backend that reads model files with a suffix, or None if no backend does."""
-    for name in backend_names():
+    """Return the installed backend that reads model files with a suffix, or None if no backend does.
+
+    Backends of this package have precedence.
+    """
+    for name in sorted(backend_names(), key=is_bundled, reverse=True):
         try:
             engine = backend(name)
         except GaugeError:

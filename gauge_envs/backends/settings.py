@@ -5,29 +5,41 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 __all__ = ["SteppedSettings", "check_drive_interval", "resolve_settings"]
 
+INTEGER_LIMIT = 2**31 - 1
+"""Largest integer setting; engines hold integers in 32 bits."""
+
 
 class SteppedSettings(BaseModel):
     """Settings that every engine has. An engine subclasses it and gives each of its settings a default and a rationale.
 
+    Numbers are finite, unless a field has `allow_inf_nan=True`. Integers have 32 bits.
+
     Attributes:
         preset: Name of the preset that supplied the other values.
-        timestep_s: Time step of the integrator [s]; `drive_interval_s` must be a multiple of it.
+        timestep_s: Time step of the integrator [s], at least 1e-8; `drive_interval_s` must be a multiple of it.
         drive_interval_s: Interval by which the caller drives and advances the simulation [s]. Environments need
-            1/180 s; code that steps the backend itself may use another interval.
+            1/180 s; code that steps the backend itself may use another interval, at most 60 s.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     preset: str
-    timestep_s: float = Field(gt=0.0)
-    drive_interval_s: float = Field(default=DRIVE_INTERVAL_S, gt=0.0)
+    timestep_s: float = Field(ge=1e-8)
+    drive_interval_s: float = Field(default=DRIVE_INTERVAL_S, gt=0.0, le=60.0)
+
+    @field_validator("*")
+    @classmethod
+    def _in_32_bits(cls, value: Any) -> Any:
+        if isinstance(value, int) and abs(value) > INTEGER_LIMIT:
+            raise ValueError(f"must be at most {INTEGER_LIMIT}")
+        return value
 
 
 Settings = TypeVar("Settings", bound=SteppedSettings)
@@ -49,9 +61,11 @@ def resolve_settings(
         ParameterError: A setting does not exist or has an invalid value, or `timestep_s` does not divide
             `drive_interval_s`.
     """
+    if not isinstance(changes, Mapping | None):
+        raise ParameterError(f"{engine} settings {changes!r}: expected a mapping, as {{'timestep_s': 0.0005}}")
     values = dict(changes or {})
     name = values.pop("preset", None) or preset
-    if name not in presets:
+    if not isinstance(name, str) or name not in presets:
         raise UnknownNameError(f"{engine} preset", str(name), presets)
     start = presets[name]
     try:

@@ -152,6 +152,8 @@ def record(
     samples: list[_Sample] = []
     for index in range(count + 1):
         now = _read(simulation, scene, observer) if index else last
+        if engine_fault := simulation.fault():
+            raise DivergedError(f"after {index * interval_s:.3g} s {engine_fault}")
         if fault := _fault(scene, last, now, interval_s=interval_s, speed_limit_m_per_s=speed_limit_m_per_s):
             raise DivergedError(f"after {index * interval_s:.3g} s {fault}")
         kept = {name: nodes for name, nodes in now.nodes_m.items() if nodes_of is None or name in nodes_of}

@@ -1,5 +1,21 @@
 """The `gauge` command."""
 
-from gauge_envs.cli.app import app, main
+from __future__ import annotations
 
-__all__ = ["app", "main"]
+import os
+import sys
+
+__all__ = ["main"]
+
+EXIT_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the `gauge` command."""
+    try:
+        from gauge_envs.cli.app import main as run_command
+    except KeyboardInterrupt:  # The imports take a noticeable time.
+        sys.stderr.write("interrupted\n")
+        sys.stderr.flush()
+        os._exit(EXIT_INTERRUPTED)
+    run_command()

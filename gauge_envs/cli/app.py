@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from typing import Any
 
 import typer
@@ -10,12 +11,32 @@ import typer.core
 from gauge_envs.cli.checks import backend_app, sanity
 from gauge_envs.cli.data import assets_app, data_app
 from gauge_envs.cli.describe import list_, materials, show
-from gauge_envs.cli.output import EXIT_INTERRUPTED, EXIT_USAGE, plain_text, stderr_console
+from gauge_envs.cli.output import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
+from gauge_envs.cli.streams import reserved_stdout
 from gauge_envs.errors import GaugeError
 
 __all__ = ["app", "main"]
+
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""Errors of a full or broken disk."""
+
+
+def _print_error(text: str) -> None:
+    stderr_console().print(f"[red]error:[/] {plain_text(text)}", soft_wrap=True)
+
+
+class _Command(typer.core.TyperCommand):
+    """Command whose stdout holds its results only, whatever engines print, and which no engine can end."""
+
+    def invoke(self, ctx: Any) -> Any:
+        with reserved_stdout():
+            try:
+                return super().invoke(ctx)
+            except SystemExit as error:
+                _print_error(f"an engine or a library ended the command: SystemExit: {error}")
+                raise typer.Exit(EXIT_FAILED) from None
 
 
 class _Group(typer.core.TyperGroup):
@@ -25,7 +46,12 @@ class _Group(typer.core.TyperGroup):
         try:
             return super().invoke(ctx)
         except GaugeError as error:
-            stderr_console().print(f"[red]error:[/] {plain_text(str(error))}", soft_wrap=True)
+            _print_error(str(error))
+            raise typer.Exit(EXIT_USAGE) from None
+        except OSError as error:
+            if error.errno not in UNWRITABLE:
+                raise
+            _print_error(f"the output cannot be written: {error.strerror}")
             raise typer.Exit(EXIT_USAGE) from None
         except KeyboardInterrupt:
             stderr_console().print("interrupted")
@@ -48,6 +74,9 @@ for command in (show, run, score, plot, compare, diagnose, sanity, materials):
 app.add_typer(backend_app, name="backend")
 app.add_typer(assets_app, name="assets")
 app.add_typer(data_app, name="data")
+for group in (app, backend_app, assets_app, data_app):
+    for registered in group.registered_commands:
+        registered.cls = _Command
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from gauge_envs.cli.arguments import Json, Wide, check_one_format, parsed_settin
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
+    echo,
     plain_text,
     print_json_lines,
     print_table,
@@ -87,7 +88,7 @@ def sanity(
     if json_lines:
         print_json_lines(sanity_rows(report))
     elif markdown:
-        typer.echo(sanity_markdown(report), nl=False)
+        echo(sanity_markdown(report), nl=False)
     else:
         stdout_console().print(sanity_view(report, wide=wide))
     if html is not None:
@@ -114,7 +115,7 @@ def backend_list(json_lines: Json = False) -> None:
     """List installed backends and the versions of their engines."""
     from gauge_envs.report import backend_rows, backend_table
 
-    print_table(backend_table(backend_rows()), json_lines=json_lines)
+    print_table(backend_table(backend_rows(isolate=True)), json_lines=json_lines)
 
 
 @backend_app.command("check")
@@ -149,7 +150,7 @@ def backend_check(
                 if json_lines:
                     print_json_lines([finding.to_dict()])
     if markdown:
-        typer.echo(findings_markdown(findings))
+        echo(findings_markdown(findings))
     elif not json_lines:
         stdout_console().print(findings_view(findings, wide=wide))
     bad = sum(finding.is_bad for finding in findings)

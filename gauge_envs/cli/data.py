@@ -12,6 +12,7 @@ from gauge_envs.cli.arguments import Json, Wide, matching_variants
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
+    echo,
     plain_text,
     print_json_lines,
     print_table,
@@ -43,7 +44,7 @@ def data_download(
     commit = resolved_revision(revision or PINNED_REVISION)
     stderr_console().print(f"{DATASET}, revision {revision or PINNED_REVISION} is {commit}", soft_wrap=True)
     path, _ = download_dataset(folder, patterns=patterns or [TRIAL_FILES], revision=commit)
-    typer.echo(path)
+    echo(path)
     stderr_console().print(plain_text(f"gauge data import '{path}' makes bands and drivers from it"), soft_wrap=True)
 
 
@@ -119,12 +120,12 @@ def assets_build(
 
     folder = out or assets_folder()
     if not check:
-        typer.echo(f"{counted(len(build_assets(folder)), 'file')} in {folder}")
+        echo(f"{counted(len(build_assets(folder)), 'file')} in {folder}")
     elif stale := stale_asset(folder):
         stderr_console().print(f"[red]stale:[/] {plain_text(str(stale))}; gauge assets build renews it", soft_wrap=True)
         raise typer.Exit(EXIT_FAILED)
     else:
-        typer.echo(f"{folder} is current")
+        echo(f"{folder} is current")
 
 
 @assets_app.command("list")

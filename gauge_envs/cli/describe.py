@@ -35,11 +35,16 @@ def list_(
     from gauge_envs.references.bands import BandGrade
     from gauge_envs.report import list_rows, list_table
 
+    stderr = stderr_console()
     faults = task_file_faults()
     for fault in faults.values():
-        stderr_console().print(f"[yellow]skipped:[/] {plain_text(str(fault))}", soft_wrap=True)
-    listed = [variant for variant in matching_variants(pattern) if variant.family not in faults]
-    rows = [row for row in list_rows(listed) if not scored or row["grade"] != BandGrade.NONE]
+        stderr.print(f"[yellow]skipped:[/] {plain_text(str(fault))}", soft_wrap=True)
+    found = list_rows(
+        [variant for variant in matching_variants(pattern) if variant.family not in faults],
+        isolate=True,
+        notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
+    )
+    rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
     print_table(list_table(rows), json_lines=json_lines, wide=wide)
     if not json_lines:
         _print_counts(rows, with_control=pattern == "*" and not scored)

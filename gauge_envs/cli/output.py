@@ -16,6 +16,7 @@ from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook,
 from rich.control import Control
 from rich.segment import Segment
 
+from gauge_envs.cli.streams import result_stream
 from gauge_envs.files import printable
 from gauge_envs.report.table import Table, as_rich, as_rows
 
@@ -25,6 +26,7 @@ __all__ = [
     "EXIT_USAGE",
     "PIPE_WIDTH",
     "counted",
+    "echo",
     "plain_text",
     "print_json_lines",
     "print_table",
@@ -48,7 +50,7 @@ EXIT_INTERRUPTED = 130
 
 def stdout_console() -> Console:
     """Return the console of results."""
-    return _prepared(Console(emoji=False))
+    return _prepared(Console(file=result_stream(), emoji=False))
 
 
 def stderr_console() -> Console:
@@ -106,10 +108,20 @@ def progress_bar(console: Console) -> Any:
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
+def echo(text: object, *, nl: bool = True) -> None:
+    """Print a text on stdout as a result of the command.
+
+    Args:
+        text: The text.
+        nl: Whether to end the line.
+    """
+    typer.echo(text, file=result_stream(), nl=nl)
+
+
 def print_json_lines(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print one JSON object per line on stdout."""
     for row in rows:
-        typer.echo(json.dumps(row, allow_nan=False))
+        echo(json.dumps(row, allow_nan=False))
 
 
 def print_table(table: Table, *, json_lines: bool, wide: bool = False) -> None:

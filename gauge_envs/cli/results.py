@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli.arguments import Json, Wide, WithheldOption, check_one_format
-from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, stderr_console, stdout_console
+from gauge_envs.cli.output import EXIT_FAILED, echo, plain_text, print_json_lines, stderr_console, stdout_console
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def plot(
 
     results, skipped = _loaded(sources, with_scene=True)
     for path in save_figures(results, out):
-        typer.echo(path)
+        echo(path)
     if skipped:
         raise typer.Exit(EXIT_FAILED)
 
@@ -65,7 +65,7 @@ def compare(
     if json_lines:
         print_json_lines(comparison_json(comparison, chosen))
     elif markdown:
-        typer.echo(comparison_markdown(comparison, chosen), nl=False)
+        echo(comparison_markdown(comparison, chosen), nl=False)
     else:
         stdout_console().print(comparison_view(comparison, chosen, wide=wide))
     if out is not None:

@@ -32,7 +32,7 @@ from gauge_envs.cli.output import (
     stderr_console,
     stdout_console,
 )
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter
 
@@ -80,6 +80,16 @@ def run(
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
     resume: Annotated[bool, typer.Option(help="Keep results that exist already.")] = False,
+    isolate: Annotated[
+        bool,
+        typer.Option(
+            "--isolate",
+            help="Each experiment in a process of its own; engines of other packages always run in another process.",
+        ),
+    ] = False,
+    time_limit_s: Annotated[
+        float, typer.Option(help="Time limit of an experiment in another process, with its repeats [s].")
+    ] = 3600.0,
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
@@ -121,7 +131,8 @@ def run(
         for engine in engines
         for subject in chosen
     ]
-    check_requests(requests)
+    isolation = isolate or None
+    check_requests(requests, isolate=isolation)
     by_name = {request.calibrated_experiment().id for request in requests if request.variant in named}
 
     stderr = stderr_console()
@@ -130,20 +141,29 @@ def run(
         requests,
         out=out,
         resume=resume,
+        isolate=isolation,
+        time_limit_s=time_limit_s,
         notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
     )
+    total = len(requests) * repeats
     try:
         with progress_bar(stderr) as progress:
-            bar = progress.add_task("episodes", total=len(requests) * repeats)
+            bar = progress.add_task("episodes", total=total)
             for result in episodes:
                 results.append(result)
                 progress.update(bar, advance=1, description=result.id.removeprefix("GAUGE/"))
+                if not stderr.is_terminal:
+                    stderr.print(plain_text(_progress_line(result, len(results), total)), soft_wrap=True)
                 if json_lines:
                     print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
         kept = sum(result.error is None for result in results)
         stderr.print(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
         raise typer.Exit(EXIT_INTERRUPTED) from None
+    except ResultFileError:
+        stderr.print(summary_view(results, wide=wide, budget=uncertainty))
+        stderr.print(f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone")
+        raise
     (stderr if json_lines else stdout_console()).print(summary_view(results, wide=wide, budget=uncertainty))
     stderr.print(_totals(results, out))
     bad = (Outcome.FAILED, Outcome.DIVERGED)
@@ -191,6 +211,10 @@ def _totals(results: Sequence[Result], out: Path) -> str:
     for result in results:
         counts[result.outcome.value] = counts.get(result.outcome.value, 0) + 1
     return f"{', '.join(f'{number} {outcome}' for outcome, number in counts.items())}; results in {out}"
+
+
+def _progress_line(result: Result, number: int, total: int) -> str:
+    return f"{number}/{total} {result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}"
 
 
 def _jitter(position_mm: float | None, angle_deg: float | None) -> Jitter | None:

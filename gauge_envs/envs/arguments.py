@@ -11,7 +11,7 @@ from typing import Any, TypedDict
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from gauge_envs.backends.registry import backend_for, backend_names
+from gauge_envs.backends.registry import backend_names, is_bundled, support_of
 from gauge_envs.envs.trial_start import TrialStart, trial_scene
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
@@ -48,7 +48,7 @@ class EnvArguments:
             `GAUGE/Asset` it is an experiment file.
 
     Raises:
-        ParameterError: There is no such marker proxy.
+        ParameterError: There is no such marker proxy, or an argument has the wrong type.
     """
 
     variant: str | Variant
@@ -64,6 +64,24 @@ class EnvArguments:
 
     def __post_init__(self) -> None:
         checked_proxy(self.marker_proxy)
+        self._check_types()
+
+    def _check_types(self) -> None:
+        """Raise an error for an argument of a type that no run can use."""
+        expected: tuple[tuple[str, type | tuple[type, ...], str], ...] = (
+            ("variant", (str, Variant), "a Variant or its name, as 'SlopeSlider-2-wood'"),
+            ("backend", str, "the name of a backend, as 'mujoco'"),
+            ("settings", (Mapping, type(None)), "a mapping, as {'timestep_s': 0.0005}"),
+            ("asset", (str, PathLike, type(None)), "the path of a file"),
+        )
+        for name, types, text in expected:
+            value = getattr(self, name)
+            if not isinstance(value, types):
+                raise ParameterError(f"{name} is {value!r}, expected {text}")
+        for name in ("parameters", "settings"):
+            value = getattr(self, name)
+            if isinstance(value, Mapping) and not all(isinstance(key, str) for key in value):
+                raise ParameterError(f"{name} {value!r}: expected texts as keys")
 
     @property
     def proxy(self) -> MarkerProxy:
@@ -186,7 +204,7 @@ def check_support(experiment: Experiment, backend: str) -> None:
         MissingExtraError: Its engine is not installed.
         UnsupportedSceneError: It does not support the scene; the message names the features, and a backend that does.
     """
-    support = backend_for(backend, experiment.model_file).supports(experiment.scene)
+    support = support_of(backend, experiment.scene, experiment.model_file)
     if not support:
         raise UnsupportedSceneError(_unsupported_message(experiment, backend, support.missing))
 
@@ -195,10 +213,11 @@ def _unsupported_message(experiment: Experiment, asked: str, missing: tuple[str,
     able = []
     for name in backend_names():
         try:
-            if name != asked and backend_for(name, experiment.model_file).supports(experiment.scene):
+            # An engine outside this package might crash here and take the run along.
+            if name != asked and is_bundled(name) and support_of(name, experiment.scene, experiment.model_file):
                 able.append(name)
         except GaugeError:
             continue
     reasons = "; ".join(missing)
-    others = f"backend={able[0]!r} can" if able else "no installed backend can run this experiment yet"
+    others = f"backend={able[0]!r} can" if able else "no other backend of this package can"
     return f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {others}"

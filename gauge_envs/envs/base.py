@@ -10,7 +10,7 @@ from gymnasium.core import ActType, ObsType
 from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.base import Backend, Simulation
-from gauge_envs.backends.registry import backend_for
+from gauge_envs.backends.registry import backend_for, versions_of
 from gauge_envs.envs.arguments import check_support, plain_spec
 from gauge_envs.envs.rendering.lazy import RENDER_MODES, Pictures
 from gauge_envs.errors import BackendError, EpisodeError
@@ -55,7 +55,8 @@ class EngineEnvironment:
         self.render_mode = pictures.render_mode
         self._pictures = pictures
         self._settings = settings
-        self.versions = self._engine.versions()
+        self._is_closed = False
+        self.versions = versions_of(backend)
 
     @property
     def _engine(self) -> Backend:
@@ -75,16 +76,26 @@ class EngineEnvironment:
         """Name of the environment in error messages."""
         return self.experiment.id
 
+    def _check_open(self, call: str) -> None:
+        """Raise an error if a method is called after `close`.
+
+        Raises:
+            EpisodeError: The environment is closed.
+        """
+        if self._is_closed:
+            raise EpisodeError(f"{self._label}: {call} after close; make the environment again")
+
     def _check_started(self, call: str, *, started: bool) -> None:
-        """Raise an error if a method is called before the first reset.
+        """Raise an error if a method is called before the first reset, or after `close`.
 
         Args:
             call: Name of the method.
             started: Whether `reset` was called.
 
         Raises:
-            EpisodeError: It was not.
+            EpisodeError: It was not, or the environment is closed.
         """
+        self._check_open(call)
         if not started:
             raise EpisodeError(f"{self._label}: call reset before {call}")
 
@@ -132,7 +143,7 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
             MissingExtraError: The engine is not installed.
         """
         vars(self).update(state["attributes"])
-        installed = self._engine.versions()
+        installed = versions_of(self.backend_name)
         if installed != self.versions:
             raise BackendError(
                 f"{self._label}: the pickle is from {_listed(self.versions)}, installed is {_listed(installed)}. "
@@ -152,7 +163,12 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
             raise EpisodeError(f"{self._label}: the episode is over, call reset")
 
     def close(self) -> None:
-        """Free the simulation and the renderer."""
+        """Free the simulation and the renderer. A second call does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._free()
+
+    def _free(self) -> None:
         self._pictures.close()
         self.simulation.close()
 

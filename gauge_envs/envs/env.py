@@ -131,15 +131,17 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
                 anew, which takes as long as making the environment.
 
         Raises:
+            EpisodeError: The environment is closed.
             ParameterError: There is no such option or trial, or the scene has no start that can be jittered.
             UnsupportedSceneError: The backend cannot build the scene from that start.
         """
+        self._check_open("reset")
         super().reset(seed=seed)
         self.seed_used = 0 if seed is None else seed
         jitter = jitter_option(options or {})
         if jitter is not None or self.jitter is not None:
             experiment = jittered_experiment(self.experiment, jitter, seed=self.seed_used, backend=self.backend_name)
-            self.close()
+            self._free()
             self._build(experiment)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)

@@ -427,6 +427,9 @@ class Episode:
 
     def _fault(self, states: NDArray[np.float64]) -> str | None:
         """Return why the simulation counts as diverged, or None."""
+        engine_fault = self._world.fault()
+        if engine_fault is not None:
+            return engine_fault
         for bounds in self._deformable_bounds:
             fault = bounds.fault(self._world.nodes(bounds.name))
             if fault:

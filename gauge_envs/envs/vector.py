@@ -28,6 +28,9 @@ from gauge_envs.scene.jitter import Jitter
 
 __all__ = ["GaugeVectorEnv", "ScoreEpisodes", "scored_vector_env"]
 
+WORLD_LIMIT = 100_000
+"""Largest number of worlds; as many SlopeSlider worlds take 63 GB on MuJoCo."""
+
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
 
@@ -62,7 +65,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
     Raises:
         GaugeError: See `GaugeEnv`.
-        ParameterError: `num_envs` is below 1.
+        ParameterError: `num_envs` is no whole number from 1 to 100 000.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -93,8 +96,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         height: int = 480,
         **arguments: Unpack[EnvKeywords],
     ) -> None:
-        if num_envs < 1:
-            raise ParameterError(f"num_envs is {num_envs}, expected 1 or more")
+        _check_world_count(num_envs)
         pictures = Pictures(render_mode, width=width, height=height)
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
@@ -136,6 +138,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             UnsupportedSceneError: The backend cannot build the scene from one of the starts.
         """
         seeds = self._seeds(seed)
+        self._check_open("reset")
         super().reset(seed=seeds[0])
         self.seeds_used = seeds
         jitter = jitter_option(options or {})
@@ -143,7 +146,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             experiments = [
                 jittered_experiment(self.experiment, jitter, seed=one, backend=self.backend_name) for one in seeds
             ]
-            self.close_extras()
+            self._free()
             self._build(experiments)
         self.jitter = jitter
         self.worlds.reset(seeds[0])
@@ -157,6 +160,8 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         if seed is None or isinstance(seed, int | np.integer):
             first = 0 if seed is None else int(seed)
             return tuple(range(first, first + self.num_envs))
+        if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+            raise ParameterError(f"seed {seed!r}: expected a number of 0 or more, or one for each world")
         if len(seed) != self.num_envs:
             raise ParameterError(
                 f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
@@ -244,8 +249,22 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
     def close_extras(self, **_: Any) -> None:
         """Free the worlds and the renderer."""
+        self._is_closed = True
+        self._free()
+
+    def _free(self) -> None:
         self._pictures.close()
         self.worlds.close()
+
+
+def _check_world_count(num_envs: object) -> None:
+    """Raise an error for an impossible number of worlds.
+
+    Raises:
+        ParameterError: It is no whole number from 1 to `WORLD_LIMIT`.
+    """
+    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool) or not 1 <= num_envs <= WORLD_LIMIT:
+        raise ParameterError(f"num_envs is {num_envs!r}, expected a whole number from 1 to {WORLD_LIMIT}")
 
 
 class ScoreEpisodes(VectorWrapper):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.backends import backend, backend_for, backend_names
-from gauge_envs.errors import BackendError, MissingExtraError
+from gauge_envs.backends import backend_names, is_bundled, support_of, versions_of
+from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
@@ -14,14 +14,32 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.imported import has_import
 from gauge_envs.report.table import Column, Table
 from gauge_envs.report.text import pairs_text, short_id, shortened
+from gauge_envs.runs.isolation import Worker
 
 __all__ = ["backend_rows", "backend_table", "list_rows", "list_table", "unsupported_features_of"]
 
 
-def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
-    """Return one row per variant; `backends` maps each installed backend to the features of the scene that it lacks."""
+QUERY_LIMIT_S = 60.0
+"""Time for which an engine outside this package may answer [s]."""
+
+
+def list_rows(
+    variants: Iterable[Variant],
+    *,
+    isolate: bool = False,
+    notify: Callable[[str], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Return one row per variant; `backends` maps each installed backend to the features of the scene that it lacks.
+
+    Args:
+        variants: The variants.
+        isolate: Whether backends outside this package answer in a process of their own.
+        notify: Receives one sentence for each backend that does not work.
+    """
+    variants = list(variants)
+    lacking = {name: _lacking(name, variants, isolate=isolate, notify=notify) for name in backend_names()}
     rows = []
-    for variant in variants:
+    for index, variant in enumerate(variants):
         experiment = load_experiment(variant)
         rows.append(
             {
@@ -32,21 +50,66 @@ def list_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
                 "frames": experiment.frame_count,
                 "grade": band_grade(variant.name).value,
                 "imported": has_import(variant.name),
-                "backends": unsupported_features_of(experiment),
+                "backends": {name: lacks[index] for name, lacks in lacking.items()},
             }
         )
     return rows
 
 
+def _lacking(
+    name: str, variants: Sequence[Variant], *, isolate: bool, notify: Callable[[str], None] | None
+) -> list[list[str]]:
+    """Return what a backend lacks for each variant, or its error."""
+    try:
+        if not isolate or is_bundled(name):
+            lacks, fault = _lacks_of_each(name, variants)
+        else:
+            with Worker(QUERY_LIMIT_S) as worker:
+                lacks, fault = worker.call(_lacks_of_each, name, variants)
+    except GaugeError as error:
+        fault = f"backend {name!r}: {error}"
+        lacks = [[fault]] * len(variants)
+    if fault is not None and notify is not None:
+        notify(fault)
+    return lacks
+
+
+def _lacks_of_each(name: str, variants: Sequence[Variant]) -> tuple[list[list[str]], str | None]:
+    """Return what a backend lacks for each variant, and the first error that it raised, or None."""
+    lacks, fault = [], None
+    for variant in variants:
+        experiment = load_experiment(variant)
+        try:
+            lacks.append(list(support_of(name, experiment.scene, experiment.model_file).missing))
+        except GaugeError as error:
+            lacks.append([str(error)])
+            if not isinstance(error, MissingExtraError):
+                fault = fault or str(error)
+    return lacks, fault
+
+
 def unsupported_features_of(experiment: Experiment) -> dict[str, list[str]]:
-    """Return what each installed backend lacks for an experiment; an empty list for a backend that can run it."""
-    return {name: _lacks(name, experiment) for name in backend_names()}
+    """Return what each installed backend lacks for an experiment; an empty list for a backend that can run it.
+
+    Backends outside this package answer in a process of their own.
+    """
+    return {name: _isolated_lacks(name, experiment) for name in backend_names()}
+
+
+def _isolated_lacks(name: str, experiment: Experiment) -> list[str]:
+    if is_bundled(name):
+        return _lacks(name, experiment)
+    try:
+        with Worker(QUERY_LIMIT_S) as worker:
+            return worker.call(_lacks, name, experiment)
+    except GaugeError as error:
+        return [f"backend {name!r}: {error}"]
 
 
 def _lacks(name: str, experiment: Experiment) -> list[str]:
     try:
-        return list(backend_for(name, experiment.model_file).supports(experiment.scene).missing)
-    except (BackendError, MissingExtraError) as error:
+        return list(support_of(name, experiment.scene, experiment.model_file).missing)
+    except GaugeError as error:
         return [str(error)]
 
 
@@ -72,15 +135,26 @@ def _usable_text(backends: dict[str, list[str]]) -> str:
     return ", ".join(name for name, lacks in backends.items() if not lacks) or "none"
 
 
-def backend_rows() -> list[dict[str, Any]]:
-    """Return the installed backends: name, versions of the engine, and the error of one that cannot be used."""
+def backend_rows(*, isolate: bool = False) -> list[dict[str, Any]]:
+    """Return the installed backends: name, versions of the engine, and the error of one that cannot be used.
+
+    Args:
+        isolate: Whether backends outside this package answer in a process of their own.
+    """
     rows: list[dict[str, Any]] = []
     for name in backend_names():
         try:
-            rows.append({"name": name, "versions": backend(name).versions(), "error": None})
-        except (BackendError, MissingExtraError) as error:
+            rows.append({"name": name, "versions": _versions(name, isolate=isolate), "error": None})
+        except GaugeError as error:
             rows.append({"name": name, "versions": {}, "error": str(error)})
     return rows
+
+
+def _versions(name: str, *, isolate: bool) -> Mapping[str, str]:
+    if not isolate or is_bundled(name):
+        return versions_of(name)
+    with Worker(QUERY_LIMIT_S) as worker:
+        return worker.call(versions_of, name)
 
 
 def backend_table(rows: Sequence[dict[str, Any]]) -> Table:

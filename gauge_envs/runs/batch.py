@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import logging
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from gauge_envs.backends import backend as find_backend
-from gauge_envs.backends import backend_for
+from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of, versions_of
 from gauge_envs.envs.arguments import check_support
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.runs.episodes import planned_result, run_episode, run_repeats
+from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
@@ -23,14 +25,21 @@ __all__ = ["check_requests", "run_many"]
 
 Notify = Callable[[str], None]
 
+LEFTOVER_AGE_S = 3600.0
+"""Age from which a temporary file belongs to no run that goes on [s]."""
+
+CHECK_LIMIT_S = 120.0
+"""Time limit of the check of a request in another process [s]."""
+
 _log = logging.getLogger(__name__)
 
 
-def check_requests(requests: Sequence[RunRequest]) -> None:
+def check_requests(requests: Sequence[RunRequest], *, isolate: bool | None = False) -> None:
     """Raise an error that would otherwise fail every episode of a run.
 
     Args:
         requests: The run, on one or several backends.
+        isolate: As for `run_many`. An engine that crashes here fails each of its episodes later.
 
     Raises:
         UnknownNameError: No such backend.
@@ -49,7 +58,11 @@ def check_requests(requests: Sequence[RunRequest]) -> None:
     if refused is not None and not any(by_backend.values()):
         raise refused
     for name, runs in by_backend.items():
-        _check_backend(name, runs)
+        if isolate or (isolate is None and not is_bundled(name)):
+            with Worker(CHECK_LIMIT_S) as worker, suppress(CrashError):
+                worker.call(_check_backend, name, runs)
+        else:
+            _check_backend(name, runs)
 
 
 def _check_backend(name: str, runs: Sequence[tuple[RunRequest, Experiment]]) -> None:
@@ -58,8 +71,9 @@ def _check_backend(name: str, runs: Sequence[tuple[RunRequest, Experiment]]) -> 
     if runs and runs[0][0].asset is not None:
         check_support(runs[0][1], name)
     for request, experiment in runs:
-        if request.settings and engine.supports(experiment.scene):
-            engine.build(experiment.scene, request.settings).close()
+        if request.settings and support_of(name, experiment.scene, experiment.model_file):
+            with engine_call(name, "build"):
+                engine.build(experiment.scene, request.settings).close()
             return
 
 
@@ -69,6 +83,8 @@ def run_many(
     out: Path | None = None,
     resume: bool = False,
     notify: Notify = _log.warning,
+    isolate: bool | None = False,
+    time_limit_s: float = TIME_LIMIT_S,
 ) -> Iterator[Result]:
     """Run episodes one after another, repeats together; each result is written before it is yielded.
 
@@ -80,6 +96,11 @@ def run_many(
         resume: Take a result from `out` if it has the same request, task file, asset, imported trials and versions of
             engine and gauge-envs. A damaged file is renamed to `*.damaged`, and its episode runs again.
         notify: Receives one sentence for each file that `resume` could not take.
+        isolate: With True, each request runs in a process of its own. With None, requests of engines outside this
+            package share another process, which is replaced when it crashes. With False, all run in this process,
+            except those of an engine outside this package that raised an unexpected error before. The results have
+            the same bits.
+        time_limit_s: Time limit of a request that runs in another process, with all its repeats [s].
 
     Returns:
         Iterator over the results; it runs an episode when its result is asked for.
@@ -87,15 +108,67 @@ def run_many(
     Raises:
         ResultFileError: `out` cannot be written; raised before anything runs.
         AssetError: An asset or an experiment file cannot be used; raised before anything runs.
-        ParameterError: A request has `imported`, but nothing was imported; raised before anything runs.
+        ParameterError: A request has `imported`, but nothing was imported, or the time limit is not positive; raised
+            before anything runs.
     """
+    place = _Place(isolate, time_limit_s)
     runs = [
         _Run(replace(request, jitter=Jitter()) if request.repeats > 1 and request.jitter is None else request)
         for request in requests
     ]
     if out is not None:
         _check_writable(out)
-    return (result for run in runs for result in run.results(out, notify=notify if resume else None))
+    return _all_results(runs, place, out, notify if resume else None)
+
+
+def _all_results(runs: Sequence[_Run], place: _Place, out: Path | None, notify: Notify | None) -> Iterator[Result]:
+    try:
+        for run in runs:
+            yield from run.results(place, out, notify=notify)
+    finally:
+        place.close()
+
+
+class _Place:
+    """Choice of the process in which the episodes of a request run.
+
+    Args:
+        isolate: As for `run_many`.
+        time_limit_s: Time limit of a request in another process [s].
+    """
+
+    def __init__(self, isolate: bool | None, time_limit_s: float) -> None:
+        self._isolate = isolate
+        self._worker = Worker(time_limit_s)
+        self._unsafe: set[str] = set()
+
+    def versions(self, backend: str) -> dict[str, str]:
+        """Return the versions of an engine's packages."""
+        return self._worker.call(versions_of, backend) if self._is_isolated(backend) else versions_of(backend)
+
+    def episodes(self, request: RunRequest, planned: Sequence[Result]) -> list[Result]:
+        """Return the results of a request; those that were declined or failed hold the reason."""
+        if not self._is_isolated(request.backend):
+            results, is_safe = _episodes(request, planned)
+            if not is_safe:
+                self._unsafe.add(request.backend)
+            return results
+        try:
+            return self._worker.call(_episodes, request, planned)[0]
+        except GaugeError as error:
+            return _not_run(planned, Outcome.FAILED, str(error))
+        finally:
+            if self._isolate:
+                self._worker.close()
+
+    def close(self) -> None:
+        """End the other process."""
+        self._worker.close()
+
+    def _is_isolated(self, backend: str) -> bool:
+        if self._isolate is not None:
+            return self._isolate or (backend in self._unsafe and not is_bundled(backend))
+        return not is_bundled(backend)
 
 
 class _Run:
@@ -109,10 +182,11 @@ class _Run:
         self._request = request
         self._calibrated = request.calibrated_experiment()
 
-    def results(self, out: Path | None, *, notify: Notify | None) -> Iterator[Result]:
+    def results(self, place: _Place, out: Path | None, *, notify: Notify | None) -> Iterator[Result]:
         """Yield the results: those in a folder if all are there, else new ones.
 
         Args:
+            place: Choice of the process.
             out: Folder of the result files, or None.
             notify: Receives a sentence for each file that cannot be taken; None takes no files.
         """
@@ -122,42 +196,63 @@ class _Run:
             for number in range(request.repeats)
         ]
         if out is None:
-            yield from self._run(planned)
+            yield from place.episodes(request, planned)
             return
         files = [out / result_file_name(one) for one in planned]
         if notify is not None:
-            found = [_earlier_result(file, one, notify) for file, one in zip(files, planned, strict=True)]
+            found = [_earlier_result(file, one, place, notify) for file, one in zip(files, planned, strict=True)]
             taken = [result for result in found if result is not None]
             if len(taken) == len(planned):
                 yield from taken
                 return
-        for result, file in zip(self._run(planned), files, strict=True):
+        for result, file in zip(place.episodes(request, planned), files, strict=True):
             if result.error is None:
                 write_result(result, file)
             yield result
 
-    def _run(self, planned: Sequence[Result]) -> list[Result]:
-        """Return the results of the episodes; those that were declined or failed hold the reason."""
-        request = self._request
 
-        def not_run(outcome: Outcome, reason: str) -> list[Result]:
-            return [replace(one, outcome=outcome, error=reason) for one in planned]
+def _not_run(planned: Sequence[Result], outcome: Outcome, reason: str) -> list[Result]:
+    """Return planned results with an outcome and its reason."""
+    return [replace(one, outcome=outcome, error=reason) for one in planned]
 
-        try:
-            experiment = request.experiment()
-            if request.jitter is not None:
-                jittered(experiment.scene, request.jitter, seed=0)
-        except GaugeError as error:
-            outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
-            return not_run(outcome, str(error))
-        try:
-            return [run_episode(request)] if request.jitter is None else run_repeats(request)
-        except GaugeError as error:
-            outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
-            return not_run(outcome, str(error))
-        except Exception as error:  # An engine may raise any error, and the other episodes must still run.
-            _log.exception("%s on %s", planned[0].id, request.backend)
-            return not_run(Outcome.FAILED, f"{type(error).__name__}: {error}")
+
+def _episodes(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result], bool]:
+    """Run the episodes of a request.
+
+    Args:
+        request: The request.
+        planned: Its results before it runs.
+
+    Returns:
+        The results, and whether the engine raised no unexpected error. Results of episodes that were declined or failed
+        hold the reason.
+    """
+    try:
+        experiment = request.experiment()
+        if request.jitter is not None:
+            jittered(experiment.scene, request.jitter, seed=0)
+    except GaugeError as error:
+        outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
+        return _not_run(planned, outcome, str(error)), True
+    try:
+        return ([run_episode(request)] if request.jitter is None else run_repeats(request)), True
+    except GaugeError as error:
+        outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
+        return _not_run(planned, outcome, str(error)), True
+    except KeyboardInterrupt:
+        raise
+    # An engine may raise any error, SystemExit included, and the other episodes must still run.
+    except BaseException as error:
+        _log.exception("%s on %s", planned[0].id, request.backend)
+        return _not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": ")), False
+
+
+def _remove_leftovers(out: Path) -> None:
+    """Remove the temporary files of runs that were killed while they wrote."""
+    for file in out.glob(".*.json.*.tmp"):
+        with suppress(OSError):
+            if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
+                file.unlink()
 
 
 def _check_writable(out: Path) -> None:
@@ -166,6 +261,7 @@ def _check_writable(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
+        _remove_leftovers(out)
     except OSError as error:
         raise ResultFileError(f"{out}: results cannot be written there: {error.strerror or error}") from error
 
@@ -185,7 +281,7 @@ SAME_EPISODE = (
 """Fields of a result that identify its episode."""
 
 
-def _earlier_result(file: Path, wanted: Result, notify: Notify) -> Result | None:
+def _earlier_result(file: Path, wanted: Result, place: _Place, notify: Notify) -> Result | None:
     """Return the result in a file if it is of the same episode and versions, or None."""
     if not file.exists():
         return None
@@ -198,7 +294,11 @@ def _earlier_result(file: Path, wanted: Result, notify: Notify) -> Result | None
         if getattr(found, key) != getattr(wanted, key):
             notify(f"{file}: {key} differs from the request; run again")
             return None
-    engine = {} if wanted.backend is None else find_backend(wanted.backend).versions()
+    try:
+        engine = {} if wanted.backend is None else place.versions(wanted.backend)
+    except GaugeError as error:
+        notify(f"{file}: the versions of {wanted.backend} are unknown: {error}; run again")
+        return None
     for package, now in {**engine, "gauge-envs": wanted.versions["gauge-envs"]}.items():
         if found.versions.get(package) != now:
             notify(f"{file}: made with {package} {found.versions.get(package)}, not {now}; run again")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +17,7 @@ from gauge_envs.envs.arguments import EnvArguments, jittered_experiment
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode, advance_together, run_on_together
 from gauge_envs.envs.trial_start import TrialStart
+from gauge_envs.errors import BackendError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -210,6 +212,25 @@ def planned_result(
     )
 
 
+def _settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings in force in a form that JSON takes.
+
+    Raises:
+        BackendError: One of them has no such form.
+    """
+    record: dict[str, Any] = {}
+    for name, value in settings.items():
+        record[str(name)] = json_ready(value)
+        try:
+            json.dumps(record[str(name)])
+        except (TypeError, ValueError, RecursionError) as error:
+            raise BackendError(
+                f"backend {backend!r}: setting {name!r} is a {type(value).__name__}, which JSON does not have. "
+                "World.settings must hold numbers, texts, booleans, None, lists and mappings."
+            ) from error
+    return record
+
+
 def _finished(
     planned: Result,
     episode: Episode,
@@ -230,7 +251,7 @@ def _finished(
         diverged_reason=episode.fault,
         wall_s=wall_s,
         sim_s=float(recorded.times_s[-1]),
-        settings=json_ready(episode.settings),
+        settings=_settings_record(planned.backend, episode.settings),
         versions={**engine_versions, **versions()},
         error=None,
         trajectory=RecordedTrajectory.of(episode.experiment, *recorded.dense),

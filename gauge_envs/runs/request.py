@@ -51,10 +51,12 @@ class RunRequest(EnvArguments):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.seed < 0:
-            raise ParameterError(f"seed is {self.seed}, expected 0 or more")
-        if self.repeats < 1:
-            raise ParameterError(f"repeats is {self.repeats}, expected 1 or more")
+        for name, least in (("seed", 0), ("repeats", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
+                raise ParameterError(f"{name} is {value!r}, expected {least} or more")
+        if not isinstance(self.jitter, Jitter | None):
+            raise ParameterError(f"jitter is {self.jitter!r}, expected None or a gauge_envs.Jitter")
         if isinstance(self.variant, str) and not is_experiment_file(Path(self.variant)):
             object.__setattr__(self, "variant", find_variant(self.variant))
 

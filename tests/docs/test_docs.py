@@ -19,7 +19,7 @@ import typer
 from places import ROOT
 
 import gauge_envs
-from gauge_envs.cli import app
+from gauge_envs.cli.app import app
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"

@@ -13,6 +13,7 @@ from gauge_envs.backends.mujoco.contacts import contact_constants
 from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Box, Contact, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Shape, Sphere, Tether
 from gauge_envs.scene.meshes import prism
 
@@ -133,7 +134,11 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
             add_flex_contact(scene, contact, parts, geoms, settings, bit=1 << index)
         else:
             _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        reason = str(error).removeprefix("Error: ")
+        raise ParameterError(f"MuJoCo cannot build the scene with these settings: {reason}") from error
     velocities = start_velocities(scene, model)
     if velocities.any():
         spec.add_key(name=START_KEY, qvel=velocities)

@@ -20,6 +20,13 @@ from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 __all__ = ["SimulationMuJoCo"]
 
+BAD_STATES = {
+    mujoco.mjtWarning.mjWARN_BADQPOS: "position",
+    mujoco.mjtWarning.mjWARN_BADQVEL: "velocity",
+    mujoco.mjtWarning.mjWARN_BADQACC: "acceleration",
+}
+"""Quantity of each warning after which MuJoCo puts the state back to its start."""
+
 
 class SimulationMuJoCo(Simulation):
     """A scene in MuJoCo.
@@ -59,6 +66,7 @@ class SimulationMuJoCo(Simulation):
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
         self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
         self.data.qvel[:] = self._start_velocities
+        self._warning_counts = self.data.warning.number
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. MuJoCo draws no random numbers, so the seed has no effect."""
@@ -85,6 +93,14 @@ class SimulationMuJoCo(Simulation):
     def advance(self, seconds: float) -> None:
         """Step the model."""
         mujoco.mj_step(self.model, self.data, nstep=round(seconds / self._timestep_s))
+
+    def fault(self) -> str | None:
+        """Return why MuJoCo put the state back to its start since the last reset, or None; see `World.fault`."""
+        counts = self._warning_counts
+        for warning, quantity in BAD_STATES.items():
+            if counts[warning]:
+                return f"MuJoCo found a {quantity} that is huge or not finite, and put the state back to its start"
+        return None
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
@@ -123,6 +139,7 @@ class SimulationMuJoCo(Simulation):
 
     def restore(self, state: NDArray[np.float64]) -> None:
         """Restore an integration state."""
+        self._warning_counts[:] = 0
         mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def close(self) -> None:

@@ -123,7 +123,7 @@ class SettingsVBD(SettingsNewton):
     stretch_damping_n_s_per_m: float = Field(default=0.0, ge=0.0)
     bend_damping_n_s: float = Field(default=0.0, ge=0.0)
     soft_damping_s: float = Field(default=0.0, ge=0.0)
-    soft_rigid_ratio: float = Field(default=50.0, gt=1.0)
+    soft_rigid_ratio: float = Field(default=50.0, gt=1.0, allow_inf_nan=True)
     soft_contact_radius_m: float = Field(default=0.001, gt=0.0)
     soft_contact_stiffness_n_per_m: float = Field(default=1e4, gt=0.0)
     contact_per_stretch: float = Field(default=5.0, gt=0.0)

@@ -165,8 +165,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Start a new episode; the start is always the same, and there are no options.
 
         Raises:
+            EpisodeError: The environment is closed.
             ParameterError: An option was given.
         """
+        self._check_open("reset")
         super().reset(seed=seed)
         if options:
             raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
@@ -231,6 +233,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def _fault(self) -> str | None:
         """Return why the simulation counts as diverged, or None."""
+        engine_fault = self.simulation.fault()
+        if engine_fault is not None:
+            return engine_fault
         velocities = self.simulation.body_states(self._dynamic)[:, 7:10]
         return speed_fault(self._dynamic, velocities, self.experiment.scene.speed_limit_m_per_s)
 

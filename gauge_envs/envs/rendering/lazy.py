@@ -19,6 +19,9 @@ __all__ = ["RENDER_MODES", "Pictures"]
 RENDER_MODES = ("rgb_array",)
 """Render modes of the environments, apart from None."""
 
+SIZE_LIMIT = 16_384
+"""Largest width and height of a picture [pixels], that of common graphics cards."""
+
 
 class Pictures:
     """Renderer of the scene that an environment simulates.
@@ -32,12 +35,15 @@ class Pictures:
         render_mode: None or `rgb_array`.
 
     Raises:
-        ParameterError: There is no such mode.
+        ParameterError: There is no such mode, or width or height is impossible.
     """
 
     def __init__(self, render_mode: str | None, *, width: int, height: int) -> None:
         if render_mode not in (None, *RENDER_MODES):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+        for name, value in (("width", width), ("height", height)):
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= SIZE_LIMIT:
+                raise ParameterError(f"{name} is {value!r}, expected a whole number of pixels from 1 to {SIZE_LIMIT}")
         self.render_mode = render_mode
         self._size = (width, height)
         self._renderer: SceneRenderer | None = None

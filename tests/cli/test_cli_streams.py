@@ -1,0 +1,145 @@
+"""Stdout of the command holds results only, and a full disk or Ctrl-C ends it with a message."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hostile import install
+from places import ROOT
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ResultFileError
+from gauge_envs.runs import batch
+
+NAME = "SlopeSlider-2-wood"
+COMMAND = [sys.executable, "-c", "from gauge_envs.cli import main; main()"]
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    """Environment of a process in which hostile backends are installed."""
+    site = tmp_path / "site"
+    site.mkdir()
+    install(site, "talking", "crash", "supports-crash")
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
+
+
+@pytest.mark.parametrize("arguments", [["run", NAME, "--backend", "talking"], ["list", NAME], ["show", NAME]])
+def test_what_engines_print_never_reaches_json(
+    environment: dict[str, str], tmp_path: Path, arguments: list[str]
+) -> None:
+    done = subprocess.run(
+        [*COMMAND, *arguments, "--json"], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    (row,) = map(json.loads, done.stdout.splitlines())
+    assert row["id"] == f"GAUGE/{NAME}"
+    assert "a line of the engine" in done.stderr
+    assert "a line of C code" in done.stderr
+
+
+def test_a_run_goes_on_after_an_engine_that_crashes(environment: dict[str, str], tmp_path: Path) -> None:
+    arguments = ["run", "SlopeSlider-2-*", "--backend", "crash", "--backend", "mujoco", "--json"]
+    done = subprocess.run([*COMMAND, *arguments], env=environment, cwd=tmp_path, capture_output=True, text=True)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [row["outcome"] for row in rows].count("finished") == 5
+    (failed,) = [row for row in rows if row["outcome"] == "failed"]
+    assert (failed["id"], failed["backend"]) == ("GAUGE/SlopeSlider-2-plastic", "crash")
+    assert "SIGSEGV" in failed["error"]
+    assert done.returncode == 1
+    assert len(list((tmp_path / "results").iterdir())) == 5
+
+
+def test_progress_has_a_line_for_each_episode_without_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
+    lines = [line for line in result.stderr.splitlines() if line.startswith(("1/3 ", "2/3 ", "3/3 "))]
+    assert lines[0] == "1/3 SlopeSlider-2-wood on mujoco: finished"
+    assert len(lines) == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("arguments", [["list", "--json"], ["list"], ["run", NAME, "--json"], ["backend", "list"]])
+def test_a_full_device_is_an_error_without_a_traceback(tmp_path: Path, arguments: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*COMMAND, *arguments],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+    assert done.returncode == 2
+    assert "error: the output cannot be written: No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_closed_pipe_ends_the_command_quietly(tmp_path: Path) -> None:
+    line = f"{sys.executable} -c 'from gauge_envs.cli import main; main()' list --json | head -1"
+    done = subprocess.run(
+        line, shell=True, capture_output=True, text=True, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    assert json.loads(done.stdout)["id"]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_full_disk_shows_what_is_done_and_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, count = batch.write_result, 0
+
+    def full_after_one(*arguments: object) -> None:
+        nonlocal count
+        count += 1
+        if count > 1:
+            raise ResultFileError(f"{arguments[1]}: cannot be written: {os.strerror(errno.ENOSPC)}")
+        write(*arguments)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(batch, "write_result", full_after_one)
+    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
+    assert result.exit_code == 2
+    assert "No space left on device" in result.stderr
+    assert "1 finished; results in results; --resume continues" in " ".join(result.stderr.split())
+    assert "SlopeSlider-2-wood" in result.stderr
+
+
+def test_an_engine_that_exits_ends_no_command_without_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def exits(*_: object, **__: object) -> None:
+        raise SystemExit(0)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("gauge_envs.report.list_rows", exits)
+    result = CliRunner().invoke(app, ["list"])
+    assert result.exit_code == 1
+    assert "an engine or a library ended the command" in result.stderr
+
+
+def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'gauge_envs.cli.app':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from gauge_envs.cli import main\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 128 + signal.SIGINT
+    assert done.stderr == "interrupted\n"

@@ -1,0 +1,138 @@
+"""An installed package of backends that misbehave, each at one place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+SOURCE = '''
+import ctypes, os, sys, time
+from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+
+
+def segfault():
+    ctypes.string_at(0)
+
+
+def say():
+    print("a line of the engine")
+    ctypes.CDLL(None).printf(b"a line of C code\\n")
+
+
+class Well(BackendMuJoCo):
+    name = "well"
+
+
+class OtherName(BackendMuJoCo):
+    name = "another"
+
+
+class NoBackend:
+    name = "no-backend"
+
+
+def at_import():
+    raise SystemExit(3)
+
+
+class Supports(BackendMuJoCo):
+    name = "supports"
+
+    def supports(self, scene):
+        raise ZeroDivisionError("mass of nothing")
+
+
+class SupportsExit(BackendMuJoCo):
+    name = "supports-exit"
+
+    def supports(self, scene):
+        sys.exit(4)
+
+
+class SupportsCrash(BackendMuJoCo):
+    name = "supports-crash"
+
+    def supports(self, scene):
+        segfault()
+
+
+class SupportsHang(BackendMuJoCo):
+    name = "supports-hang"
+
+    def supports(self, scene):
+        time.sleep(1000)
+
+
+class Talking(BackendMuJoCo):
+    name = "talking"
+
+    def supports(self, scene):
+        say()
+        return super().supports(scene)
+
+    def build(self, scene, settings=None):
+        say()
+        return super().build(scene, settings)
+
+
+class NoJson(BackendMuJoCo):
+    name = "no-json"
+
+    def build(self, scene, settings=None):
+        simulation = super().build(scene, settings)
+        simulation.settings = {**simulation.settings, "pool": {1, 2}}
+        return simulation
+
+
+def fails_on_plastic(backend_name, fail):
+    """A backend that calls a function in the episode of one scene."""
+
+    class Stepped(SimulationMuJoCo):
+        def reset(self, seed):
+            if 0.1469 in self.model.body_mass.round(6):
+                fail()
+            super().reset(seed)
+
+    class Failing(BackendMuJoCo):
+        name = backend_name
+
+        def build(self, scene, settings=None):
+            simulation = super().build(scene, settings)
+            simulation.__class__ = Stepped
+            return simulation
+
+    return Failing
+
+
+Crash = fails_on_plastic("crash", segfault)
+Exit = fails_on_plastic("exit", lambda: sys.exit(5))
+HardExit = fails_on_plastic("hard-exit", lambda: os._exit(6))
+Hang = fails_on_plastic("hang", lambda: time.sleep(1000))
+'''
+
+BACKENDS = {
+    "well": "Well",
+    "other-name": "OtherName",
+    "no-backend": "NoBackend",
+    "at-import": "at_import",
+    "supports": "Supports",
+    "supports-exit": "SupportsExit",
+    "supports-crash": "SupportsCrash",
+    "supports-hang": "SupportsHang",
+    "talking": "Talking",
+    "no-json": "NoJson",
+    "crash": "Crash",
+    "exit": "Exit",
+    "hard-exit": "HardExit",
+    "hang": "Hang",
+}
+
+
+def install(folder: Path, *names: str) -> None:
+    """Install some of the backends into a folder that is on the import path."""
+    (folder / "hostile_engines.py").write_text(SOURCE)
+    info = folder / "hostile_engines-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile-engines\nVersion: 1.0\n")
+    lines = [f"{name} = hostile_engines:{BACKENDS[name]}" for name in names]
+    (info / "entry_points.txt").write_text("\n".join(["[gauge_envs.backends]", *lines, ""]))

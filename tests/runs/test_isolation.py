@@ -1,0 +1,152 @@
+"""Engines that crash, exit or hang cost their own episode, and results are the same in another process."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hostile import install
+
+from gauge_envs.backends import backend
+from gauge_envs.errors import BackendError, GaugeError, ParameterError
+from gauge_envs.experiments.variants import find_variant
+from gauge_envs.report import backend_rows, list_rows, listing
+from gauge_envs.runs.batch import check_requests, run_many
+from gauge_envs.runs.isolation import CrashError, Worker
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
+
+WOOD, PLASTIC, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Installs hostile backends: installed("crash", "hang")."""
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(folder))
+    backend.cache_clear()
+    yield lambda *names: install(folder, *names)
+    backend.cache_clear()
+
+
+def plain(result: Result) -> str:
+    """A result without the times of its making, to the last bit."""
+    return json.dumps(replace(result, wall_s=None, created="").to_dict())
+
+
+def test_results_have_the_same_bits_in_another_process() -> None:
+    requests = [RunRequest(WOOD), RunRequest("SlopeSlider-3-metal", seed=2), RunRequest(METAL, repeats=2)]
+    here, there = run_many(requests), run_many(requests, isolate=True)
+    assert list(map(plain, here)) == list(map(plain, there))
+
+
+@pytest.mark.parametrize(
+    ("name", "isolate", "cause"),
+    [
+        ("crash", True, "its process ended by SIGSEGV"),
+        ("crash", None, "its process ended by SIGSEGV"),
+        ("hard-exit", None, "ended its process with exit code 6"),
+        ("hang", None, "did not finish within the time limit of 15 s"),
+        ("exit", None, "SystemExit: 5"),
+    ],
+)
+def test_an_engine_that_dies_costs_one_episode(
+    installed: Callable[..., None], name: str, isolate: bool | None, cause: str
+) -> None:
+    installed(name)
+    requests = [RunRequest(variant, backend=name) for variant in (WOOD, PLASTIC, METAL)]
+    results = list(run_many(requests, isolate=isolate, time_limit_s=15.0))
+    assert [result.outcome.value for result in results] == ["finished", "failed", "finished"]
+    assert cause in str(results[1].error)
+
+
+def test_an_engine_that_raised_something_foreign_is_isolated_from_then_on(installed: Callable[..., None]) -> None:
+    installed("exit")
+    results = run_many([RunRequest(variant, backend="exit") for variant in (WOOD, PLASTIC, METAL)])
+    assert [result.outcome.value for result in results] == ["finished", "failed", "finished"]
+
+
+def test_a_setting_that_json_does_not_have_costs_its_episode(installed: Callable[..., None], tmp_path: Path) -> None:
+    installed("no-json")
+    broken, healthy = run_many([RunRequest(WOOD, backend="no-json"), RunRequest(WOOD)], out=tmp_path / "out")
+    assert "backend 'no-json': setting 'pool' is a set" in str(broken.error)
+    assert healthy.error is None
+
+
+def test_lists_name_broken_engines_with_their_cause(
+    installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed("well", "other-name", "no-backend", "at-import", "supports", "supports-exit", "supports-crash")
+    notes: list[str] = []
+    (row,) = list_rows([find_variant(WOOD)], isolate=True, notify=notes.append)
+    assert row["backends"]["mujoco"] == row["backends"]["well"] == []
+    causes = {
+        "other-name": "the class has the name 'another'",
+        "no-backend": "expected a Backend",
+        "at-import": "SystemExit: 3",
+        "supports": "ZeroDivisionError: mass of nothing",
+        "supports-exit": "SystemExit: 4",
+        "supports-crash": "SIGSEGV",
+    }
+    for name, cause in causes.items():
+        assert cause in row["backends"][name][0]
+        assert any(repr(name) in note and cause in note for note in notes)
+    assert len(notes) == len(causes)
+    errors = {row["name"]: row["error"] for row in backend_rows(isolate=True)}
+    assert errors["mujoco"] is errors["well"] is errors["supports"] is None
+    assert "SystemExit" in errors["at-import"]
+
+
+def test_a_list_waits_for_no_engine_that_hangs(installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+    installed("supports-hang")
+    monkeypatch.setattr(listing, "QUERY_LIMIT_S", 6.0)
+    (row,) = list_rows([find_variant(WOOD)], isolate=True)
+    assert row["backends"]["mujoco"] == []
+    assert "time limit of 6 s" in row["backends"]["supports-hang"][0]
+
+
+def test_one_process_asks_broken_engines_too(installed: Callable[..., None]) -> None:
+    installed("supports", "supports-exit", "at-import", "other-name")
+    backends = list_rows([find_variant(WOOD)])[0]["backends"]
+    assert backends["mujoco"] == []
+    assert "SystemExit" in backends["supports-exit"][0] and "SystemExit" in backends["at-import"][0]
+    for name in ("at-import", "other-name"):
+        with pytest.raises(BackendError, match=name):
+            backend(name)
+
+
+def test_settings_are_checked_in_the_other_process(installed: Callable[..., None]) -> None:
+    installed("well")
+    with pytest.raises(GaugeError, match="MuJoCo setting 'nope'"):
+        check_requests([RunRequest(WOOD, backend="well", settings={"nope": 1})], isolate=None)
+
+
+def test_a_worker_goes_on_after_an_error_and_after_a_crash() -> None:
+    with Worker(20.0) as worker:
+        with pytest.raises(GaugeError, match="unknown experiment"):
+            worker.call(find_variant, "nothing")
+        first = worker.call(os.getpid)
+        assert first != os.getpid()
+        assert worker.call(os.getpid) == first
+        with pytest.raises(CrashError, match="exit code 7"):
+            worker.call(os._exit, 7)
+        assert worker.call(os.getpid) != first
+
+
+def test_the_time_limit_also_ends_what_a_worker_started() -> None:
+    start = time.monotonic()
+    with Worker(2.0) as worker, pytest.raises(CrashError, match="time limit of 2 s"):
+        worker.call(os.system, "sleep 60")
+    assert time.monotonic() - start < 20.0
+
+
+@pytest.mark.parametrize("limit_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_time_limit_is_positive_and_finite(limit_s: float) -> None:
+    with pytest.raises(ParameterError, match="time limit"):
+        run_many([RunRequest(WOOD)], isolate=True, time_limit_s=limit_s)

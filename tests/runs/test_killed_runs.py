@@ -1,0 +1,87 @@
+"""`gauge run`, killed at random moments and resumed: no result is lost, doubled or half-written."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import random
+import signal
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gauge_envs.cli.app import app
+from gauge_envs.runs import batch
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import load_result
+
+KILL_COUNT = 100
+COMMAND = ["run", "SlopeSlider-*", "BouncingBall-rubber", "--repeats", "2", "--resume", "--json", "--out"]
+
+
+def run(folder: Path) -> None:
+    with open(os.devnull, "w") as nothing:  # noqa: PTH123
+        os.dup2(nothing.fileno(), 1)
+        os.dup2(nothing.fileno(), 2)
+    app([*COMMAND, str(folder)])
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """The results of a folder by file name, without the times of their making; each must be complete."""
+    return {
+        file.name: json.dumps(replace(load_result(file), wall_s=None, created="").to_dict())
+        for file in folder.iterdir()
+        if not file.name.startswith(".")
+    }
+
+
+@pytest.mark.slow
+def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path: Path) -> None:
+    process = multiprocessing.get_context("fork").Process
+    moments = random.Random(0)
+    start = time.monotonic()
+    whole = process(target=run, args=(tmp_path / "whole",))
+    whole.start()
+    whole.join()
+    assert whole.exitcode == 0
+    duration_s = time.monotonic() - start
+    expected = contents(tmp_path / "whole")
+    assert len(expected) == 20
+    kills = rounds = partial = 0
+    while kills < KILL_COUNT:
+        folder = tmp_path / f"round-{rounds}"
+        rounds += 1
+        exitcode = None
+        while exitcode != 0:
+            one = process(target=run, args=(folder,))
+            one.start()
+            one.join(moments.uniform(0.0, duration_s))
+            one.kill()
+            one.join()
+            exitcode = one.exitcode
+            assert exitcode in (0, -signal.SIGKILL)
+            kills += exitcode != 0
+            if folder.exists():
+                found = contents(folder)
+                assert found.items() <= expected.items()
+                partial += 0 < len(found) < len(expected)
+        assert contents(folder) == expected
+    print(f"{kills} kills in {rounds} runs of {duration_s:.1f} s, {partial} of them between results")
+    assert partial > KILL_COUNT // 10
+
+
+def test_files_that_a_killed_run_left_are_removed_later(tmp_path: Path) -> None:
+    old, new, other = (
+        tmp_path / name for name in (".a.json.0123456789abcdef.tmp", ".b.json.0123456789abcdef.tmp", "c")
+    )
+    for file in (old, new, other):
+        file.write_text("{")
+    for file in (old, other):
+        long_ago = time.time() - 2.0 * batch.LEFTOVER_AGE_S
+        os.utime(file, (long_ago, long_ago))
+    run_many([RunRequest("SlopeSlider-2-wood")], out=tmp_path)
+    assert sorted(tmp_path.iterdir()) == sorted([new, other])
