@@ -77,6 +77,7 @@ def _hanging(lab: Lab) -> Rollout:
 @check(
     "cloth-start",
     title="cloth, start",
+    scene="a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge",
     measures="largest distance between the sheet's edges and the bounding box of its nodes, in its frame, at the start",
     law="Cloth.size_m, Cloth.pose",
     source="contract (Simulation.nodes)",
@@ -95,6 +96,7 @@ def _cloth_start(lab: Lab) -> Measurement:
 @check(
     "cloth-stretch",
     title="cloth, stretch stiffness K_s",
+    scene="a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge",
     measures="K_s from the mean sag of a strip under its own weight, at least one width from its clamped edge",
     law="u(s) = rho g (L s - s^2 / 2) / K_s",
     source="uniaxial tension with free transverse edges (scene.Cloth)",
@@ -138,6 +140,7 @@ def _sheared(lab: Lab) -> Rollout:
 @check(
     "cloth-shear",
     title="cloth, shear stiffness K_sh",
+    scene="an upright sheet, 0.1 m wide and 0.4 m high, clamped along both upright edges",
     measures="K_sh from the mean sag, at middle height, of an upright sheet clamped along both upright edges",
     law="w(s) = rho g (L s - s^2) / (2 K_sh)",
     source="simple shear of a wide sheet (scene.Cloth)",
@@ -185,6 +188,7 @@ def _cantilever(lab: Lab) -> Rollout:
 @check(
     "cloth-bending",
     title="cloth, bending stiffness",
+    scene="a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity",
     measures="bending stiffness per width from the mean droop of a strip clamped at one end, along the warp",
     law="D w'' = rho g (L - s)^2 / 2",
     source="heavy elastica at small slope; D = K_theta on a square grid (scene/fabrics.py)",
@@ -220,6 +224,7 @@ def _node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> ND
 @check(
     "cloth-energy",
     title="cloth gains no energy",
+    scene="a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity",
     measures="largest gain of kinetic and potential energy of the drooping strip, over the released potential energy",
     law="T + V <= initial T + V; elastic energy is not negative and starts at 0",
     source="elasticity is passive",
@@ -242,6 +247,7 @@ ROD_S = 0.5
 @check(
     "cloth-pinned-edge",
     title="cloth, attached edge follows its driven body",
+    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
     measures="largest distance of an attached node from its place on the driven rod, within 0.5 s",
     law="position in the driven body's frame = const",
     source="contract (scene.Attachment)",
@@ -282,6 +288,7 @@ def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
 @check(
     "cloth-slide",
     title="cloth slides on 30 degrees",
+    scene="a sheet of cloth on a fixed slab that leans by 30 degrees; friction 0.3",
     measures="acceleration downhill of a sheet with friction 0.3, mean over its nodes, quadratic fit from 0.1 to 0.4 s",
     law="a = g (sin 30 - mu cos 30)",
     source="Coulomb",
@@ -303,6 +310,7 @@ def _cloth_slide(lab: Lab) -> Measurement:
 @check(
     "cloth-rests",
     title="cloth lies on what it touches",
+    scene="a sheet of cloth on a fixed slab that leans by 30 degrees; friction 0.3",
     measures="largest difference between a node's height over the slab and half the thickness, 0.3 to 0.4 s",
     law="height = thickness / 2",
     source="contact (scene.Contact), thickness (scene.Cloth)",

@@ -79,6 +79,7 @@ SLIDE_DIAGNOSIS = (
 @check(
     "slide",
     title="slide on 30 degrees",
+    scene="two cubes with friction 0.1 and 0.3 on a fixed board that leans by 30 degrees",
     measures="acceleration downhill of a cube with friction 0.3, quadratic fit over 0.5 s",
     law="a = g (sin 30 - mu cos 30)",
     source="Coulomb",
@@ -93,6 +94,7 @@ def _slide_rough(lab: Lab) -> Measurement:
 @check(
     "slide-of-pair",
     title="friction is the pair's",
+    scene="two cubes with friction 0.1 and 0.3 on a fixed board that leans by 30 degrees",
     measures="acceleration downhill of a second cube, with friction 0.1, on the same board",
     law="a = g (sin 30 - mu cos 30)",
     source="Coulomb; contract (scene.Contact)",
@@ -107,6 +109,7 @@ def _slide_smooth(lab: Lab) -> Measurement:
 @check(
     "slide-straight",
     title="slide is straight",
+    scene="two cubes with friction 0.1 and 0.3 on a fixed board that leans by 30 degrees",
     measures="largest displacement of the sliding cube across the slope or normal to the board within 0.5 s",
     law="y, z in the board's frame = const",
     source="symmetry",
@@ -121,6 +124,7 @@ def _slide_straight(lab: Lab) -> Measurement:
 @check(
     "hold",
     title="hold on 10 degrees",
+    scene="a cube with friction 0.25 on a fixed board that leans by 10 degrees",
     measures="largest displacement of a cube with friction 0.25 (tan 10 = 0.18) within 0.3 s",
     law="r = const if tan(slope) < mu",
     source="Coulomb",
@@ -138,6 +142,7 @@ def _hold_check(lab: Lab) -> Measurement:
 @check(
     "fixed-body-stays",
     title="fixed body stays",
+    scene="two cubes with friction 0.1 and 0.3 on a fixed board that leans by 30 degrees",
     measures="largest displacement of the fixed board under the sliding cubes within 0.5 s",
     law="r = const",
     source="contract (scene.Motion)",
@@ -183,6 +188,7 @@ def _rebound_check(restitution: float) -> None:
     @check(
         f"rebound-{restitution:g}",
         title=f"rebound, e = {restitution:g}",
+        scene=f"a ball of radius 30 mm dropped by {DROP_M:g} m on a plane",
         measures=f"outgoing over incoming speed of a ball dropped by {DROP_M:g} m on a plane",
         law="v' = -e v",
         source="Newton's law of restitution",
@@ -244,6 +250,7 @@ def _not_pushed(left: float, right: float) -> str:
 @check(
     "pushed-ball",
     title="driven plate pushes",
+    scene="a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity",
     measures="speed of a ball after a driven plate has pushed it and braked",
     law="v = largest speed of the plate",
     source="no restitution, no friction",
@@ -258,6 +265,7 @@ def _pushed_ball(lab: Lab) -> Measurement:
 @check(
     "collision-momentum",
     title="two balls, momentum",
+    scene="a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity",
     measures="momentum of two floating balls of different mass after their collision, over that before",
     law="m1 v1 + m2 v2 = const",
     source="Newton",
@@ -276,6 +284,7 @@ def _collision_momentum(lab: Lab) -> Measurement:
 @check(
     "collision-rebound",
     title="two balls, relative speed",
+    scene="a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity",
     measures="relative speed of the two balls after their collision, over that before",
     law="v2' - v1' = e (v1 - v2)",
     source="Newton's law of restitution",
@@ -315,6 +324,7 @@ def _pairs(lab: Lab) -> Rollout:
 @check(
     "contact-unlisted",
     title="bodies without a listed contact pass through each other",
+    scene="three balls of radius 30 mm over a plane; only one of them has a contact with it",
     measures="smaller fall within 0.5 s of two balls through bodies with which they have no contact",
     law="g t^2 / 2",
     source="contract (scene.Contact)",
@@ -333,6 +343,7 @@ def _contact_unlisted(lab: Lab) -> Measurement:
 @check(
     "contact-listed",
     title="bodies with a listed contact hold each other",
+    scene="three balls of radius 30 mm over a plane; only one of them has a contact with it",
     measures="height of a ball's lowest point above the plane, 0.5 s after it was placed there",
     law="height = 0",
     source="contract (scene.Contact)",
@@ -386,6 +397,7 @@ def _tumble(lab: Lab) -> Rollout:
 @check(
     "drop-energy",
     title="tumbling box gains no energy",
+    scene="a box dropped by 0.35 m on a corner, on a plane",
     measures="largest gain of kinetic and potential energy of a box dropped on a corner, within 1 s, over the initial "
     "one",
     law="T + V <= initial T + V",
@@ -419,6 +431,7 @@ def _pile(lab: Lab) -> Rollout:
 @check(
     "pile-energy",
     title="falling pile gains no energy",
+    scene="a slanting stack of six boxes on a plane, which falls over",
     measures="largest gain of kinetic and potential energy of six boxes that fall over, within 1 s, over the initial "
     "one",
     law="T + V <= initial T + V",
@@ -434,6 +447,7 @@ def _pile_energy(lab: Lab) -> Measurement:
 @check(
     "pile-bounds",
     title="falling pile stays in bounds",
+    scene="a slanting stack of six boxes on a plane, which falls over",
     measures="highest speed of a box of the pile, over the speed limit of the scene (Scene.speed_limit_m_per_s)",
     law="v <= 3 sqrt(2 g h)",
     source="energy; beyond this bound an episode counts as diverged",
@@ -450,6 +464,7 @@ def _pile_bounds(lab: Lab) -> Measurement:
 @check(
     "pile-sinks",
     title="pile does not sink in",
+    scene="a slanting stack of six boxes on a plane, which falls over",
     measures="deepest corner of a box of the pile below the ground, 0.8 to 1 s after the start",
     law="height >= 0",
     source="bodies are rigid",

@@ -59,6 +59,7 @@ def _as_built(lab: Lab) -> tuple[Scene, NDArray[np.float64], NDArray[np.float64]
 @check(
     "start-position",
     title="build starts at the scene's positions",
+    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest distance of a fixed, driven or dynamic body's origin from its start position, right after build",
     law="RigidBody.pose",
     source="contract (Backend.build)",
@@ -78,6 +79,7 @@ def _start_position(lab: Lab) -> Measurement:
 @check(
     "start-orientation",
     title="build starts at the scene's orientations",
+    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest distance of a body's quaternion (w, x, y, z), of either sign, from its start, right after build",
     law="RigidBody.pose",
     source="contract (Simulation.body_states)",
@@ -105,6 +107,7 @@ def _start_orientation(lab: Lab) -> Measurement:
 @check(
     "start-rest",
     title="build starts at rest",
+    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest reported speed [m/s] or angular speed [rad/s] right after build",
     law="v = 0, omega = 0",
     source="contract (scene.py has no start velocities)",
@@ -119,6 +122,7 @@ def _start_rest(lab: Lab) -> Measurement:
 @check(
     "order-of-names",
     title="rows are in the order of the names",
+    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest difference between states read in one order of names and in the reversed order",
     law="row i is the state of names[i]",
     source="contract (Simulation.body_states)",
@@ -175,6 +179,7 @@ def _bounce(lab: Lab) -> Rollout:
 @check(
     "time",
     title="advance simulates the given time",
+    scene="a falling brick, advanced by 1/30 s at a time and by 1/180 s at a time",
     measures="fall of a brick in nine calls of advance(1/30), over its fall in 54 calls of advance(1/180)",
     law="advance(6 dt) = 6 advance(dt)",
     source="contract (Simulation.advance)",
@@ -202,6 +207,7 @@ def _time(lab: Lab) -> Measurement:
 @check(
     "sample-positions",
     title="sample_positions equals advance and body_states",
+    scene="a falling ball and a falling brick",
     measures="largest difference between positions from sample_positions and from body_states after each advance",
     law="sample_positions = advance, then body_states",
     source="contract (Simulation.sample_positions)",
@@ -283,6 +289,8 @@ def _start_hint(first: Rollout, second: Rollout) -> str:
 @check(
     "reset-start",
     title="reset restores the start",
+    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
+    "dropped on a plane",
     measures="largest difference of any state [m, 1, m/s, rad/s] after a later reset from right after build",
     law="state after reset = state after build",
     source="contract (Simulation.reset)",
@@ -302,6 +310,8 @@ def _reset_start(lab: Lab) -> Measurement:
 @check(
     "reset-course",
     title="the same seed gives the same trajectory",
+    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
+    "dropped on a plane",
     measures="largest difference of any state between the first 0.5 s after two resets",
     law="same seed, same trajectory",
     source="contract (Simulation.reset)",
@@ -316,6 +326,8 @@ def _reset_course(lab: Lab) -> Measurement:
 @check(
     "determinism",
     title="two builds give the same trajectory",
+    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
+    "dropped on a plane",
     measures="largest difference of any state within 0.5 s between two simulations of one scene",
     law="same scene, same trajectory",
     source="contract (Simulation.reset); a benchmark must be repeatable",
@@ -360,6 +372,8 @@ def _continued_difference(lab: Lab, scene: Scene, *, in_copy: bool = False) -> M
 @check(
     "restore",
     title="restore continues bit for bit",
+    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
+    "dropped on a plane",
     measures="largest difference of any state 0.1 s after the state was saved and 0.1 s after it was restored",
     law="same state, same trajectory",
     source="contract (Simulation.state)",
@@ -374,6 +388,8 @@ def _restore(lab: Lab) -> Measurement:
 @check(
     "copy",
     title="a copy continues bit for bit",
+    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
+    "dropped on a plane",
     measures="largest difference of any state 0.1 s after a state between a simulation and a copy restored from a "
     "pickle",
     law="same state, same trajectory",
@@ -389,6 +405,7 @@ def _copy(lab: Lab) -> Measurement:
 @check(
     "cloth-reset",
     title="cloth: the same seed gives the same trajectory",
+    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
     measures="largest difference of any node [m] or state between the first 0.2 s after two resets",
     law="same seed, same trajectory",
     source="contract (Simulation.reset)",
@@ -403,6 +420,7 @@ def _cloth_reset(lab: Lab) -> Measurement:
 @check(
     "cloth-determinism",
     title="cloth: two builds give the same trajectory",
+    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
     measures="largest difference of any node [m] or state within 0.2 s between two simulations",
     law="same scene, same trajectory",
     source="contract (Simulation.reset); a benchmark must be repeatable",
@@ -417,6 +435,7 @@ def _cloth_determinism(lab: Lab) -> Measurement:
 @check(
     "cloth-restore",
     title="cloth: restore continues bit for bit",
+    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
     measures="largest difference of any node [m] 0.1 s after the state was saved and 0.1 s after it was restored",
     law="same state, same trajectory",
     source="contract (Simulation.state)",
@@ -431,6 +450,7 @@ def _cloth_restore(lab: Lab) -> Measurement:
 @check(
     "cloth-copy",
     title="cloth: a copy continues bit for bit",
+    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
     measures="largest difference of any node [m] 0.1 s after a state between a simulation and a copy from a pickle",
     law="same state, same trajectory",
     source="contract (Simulation.state)",

@@ -46,6 +46,7 @@ def _along(rollout: Rollout) -> NDArray[np.float64]:
 @check(
     "rope-length",
     title="rope does not stretch",
+    scene="a horizontal rope of 0.3 m, held at one end and released",
     measures="length of a rope that swings from one end, at its largest change within 0.5 s",
     law="length = L",
     source="inextensible (scene.Rope)",
@@ -61,6 +62,7 @@ def _rope_length(lab: Lab) -> Measurement:
 @check(
     "rope-energy",
     title="rope gains no energy",
+    scene="a horizontal rope of 0.3 m, held at one end and released",
     measures="largest gain of kinetic and potential energy of the swinging rope, over the released potential energy",
     law="T + V <= initial T + V",
     source="an inextensible rope stores no energy",
@@ -104,6 +106,7 @@ def _drooping_rod(lab: Lab) -> Rollout:
 @check(
     "rod-bending",
     title="rod, bending stiffness",
+    scene="a horizontal rod of 0.15 m, clamped at one end, at a fifth of gravity",
     measures="bending stiffness from the mean droop of a rod clamped at one end",
     law="E I w'' = rho A g (L - s)^2 / 2, I = pi r^4 / 4",
     source="Euler and Bernoulli",

@@ -17,6 +17,7 @@ __all__ = [
     "driver_error",
     "driver_poses",
     "fall_m",
+    "mean_period_s",
     "passive_energy_gain",
     "slide_acceleration",
     "stiffness",
@@ -35,6 +36,14 @@ def fall_m(rollout: Rollout, name: str) -> float:
     """Return the distance [m] by which a body has fallen at the end."""
     height = rollout.position(name)[:, 2]
     return float(height[0] - height[-1])
+
+
+def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float:
+    """Return the mean period [s] from the upward zero crossings; NaN for fewer than two."""
+    before = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))
+    share = angle[before] / (angle[before] - angle[before + 1])
+    crossings = times_s[before] + share * np.diff(times_s)[before]
+    return float(np.diff(crossings).mean()) if len(crossings) > 1 else float("nan")
 
 
 def slide_acceleration(measured: float, friction: float) -> Measurement:

@@ -69,6 +69,7 @@ class Check:
     Attributes:
         id: Stable name.
         title: Subject of the check, in a few words.
+        scene: The scene that is built: bodies, supports, and what moves them.
         measures: The measured quantity and the method.
         law: Formula of the expected value.
         source: Origin of the law.
@@ -80,6 +81,7 @@ class Check:
 
     id: str
     title: str
+    scene: str
     measures: str
     law: str
     source: str

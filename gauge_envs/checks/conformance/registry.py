@@ -18,6 +18,7 @@ def check(
     id: str,
     *,
     title: str,
+    scene: str,
     measures: str,
     law: str,
     source: str,
@@ -37,6 +38,7 @@ def check(
         _CHECKS[id] = Check(
             id=id,
             title=title,
+            scene=scene,
             measures=measures,
             law=law,
             source=source,

@@ -15,7 +15,7 @@ from gauge_envs.checks.conformance.laws import (
     torque_free_orientation,
     world_inertia_kg_m2,
 )
-from gauge_envs.checks.conformance.measurements import acceleration_m_per_s2, fall_m
+from gauge_envs.checks.conformance.measurements import acceleration_m_per_s2, fall_m, mean_period_s
 from gauge_envs.checks.conformance.model import Measurement, Tolerance
 from gauge_envs.checks.conformance.registry import check
 from gauge_envs.checks.conformance.scene_parts import ball, body, box, driver, ramp, vector
@@ -80,6 +80,7 @@ FALL_TOLERANCE = Tolerance(
 @check(
     "free-fall",
     title="free fall",
+    scene="a turned brick of 0.2 kg that falls by 1.2 m, without contacts",
     measures="downward acceleration of a brick without contact, quadratic fit over 0.5 s",
     law="a = g",
     source="Galilei",
@@ -95,6 +96,7 @@ def _free_fall(lab: Lab) -> Measurement:
 @check(
     "gravity-of-scene",
     title="gravity is the scene's",
+    scene="the same brick at a gravity of 1.62 m/s^2",
     measures="downward acceleration of the same brick with Scene.gravity_m_per_s2 = 1.62",
     law="a = Scene.gravity_m_per_s2",
     source="contract (scene.py)",
@@ -110,6 +112,7 @@ def _gravity_of_scene(lab: Lab) -> Measurement:
 @check(
     "free-fall-drift",
     title="free fall is straight",
+    scene="a turned brick of 0.2 kg that falls by 1.2 m, without contacts",
     measures="largest horizontal displacement of the falling brick within 0.5 s",
     law="x, y = const",
     source="Galilei",
@@ -128,6 +131,7 @@ def _free_fall_drift(lab: Lab) -> Measurement:
 @check(
     "free-fall-turn",
     title="free fall does not rotate",
+    scene="a turned brick of 0.2 kg that falls by 1.2 m, without contacts",
     measures="largest rotation of the falling brick within 0.5 s",
     law="orientation = const",
     source="Euler's equations without torque",
@@ -156,6 +160,7 @@ KINDS: dict[str, Shape] = {
 @check(
     "all-bodies-move",
     title="every body moves",
+    scene="a falling box, sphere, cylinder and convex solid, without contacts",
     measures="number of bodies (box, sphere, cylinder, convex solid) that fall by g t^2 / 2 within 0.3 s",
     law="z0 - z = g t^2 / 2",
     source="contract (scene.py)",
@@ -195,17 +200,10 @@ def _pendulum_angle(rollout: Rollout) -> NDArray[np.float64]:
     return np.asarray(np.arctan2(arm[:, 0], -arm[:, 2]))
 
 
-def _period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float:
-    """Return the mean period [s] from the upward zero crossings; NaN for fewer than two."""
-    before = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))
-    share = angle[before] / (angle[before] - angle[before + 1])
-    crossings = times_s[before] + share * np.diff(times_s)[before]
-    return float(np.diff(crossings).mean()) if len(crossings) > 1 else float("nan")
-
-
 @check(
     "pendulum-period",
     title="pendulum, period",
+    scene="a sphere of 50 mm radius on a horizontal hinge 0.2 m away, released at 60 degrees from the vertical",
     measures="mean period of a sphere on a hinge, released at 60 degrees, over 3 s",
     law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2))",
     source="physical pendulum, complete elliptic integral",
@@ -219,12 +217,13 @@ def _pendulum_period(lab: Lab) -> Measurement:
     expected = pendulum_period_s(
         length_m=PENDULUM_M, gyration_m=gyration, amplitude_rad=float(AMPLITUDE_RAD), gravity_m_per_s2=G
     )
-    return Measurement(measured=_period_s(rollout.times_s, _pendulum_angle(rollout)), expected=expected)
+    return Measurement(measured=mean_period_s(rollout.times_s, _pendulum_angle(rollout)), expected=expected)
 
 
 @check(
     "pendulum-energy",
     title="pendulum, energy",
+    scene="a sphere of 50 mm radius on a horizontal hinge 0.2 m away, released at 60 degrees from the vertical",
     measures="kinetic and potential energy lost (negative: gained) within 3 s, over m g times the height of the swing",
     law="T + V = const",
     source="frictionless hinge (scene.py)",
@@ -249,6 +248,7 @@ def _pendulum_energy(lab: Lab) -> Measurement:
 @check(
     "hinge-radius",
     title="hinge keeps its radius",
+    scene="a sphere of 50 mm radius on a horizontal hinge 0.2 m away, released at 60 degrees from the vertical",
     measures="largest change of the bob's distance from the hinge's axis, or along it, within 3 s",
     law="|r - anchor| = l",
     source="hinge (scene.py)",
@@ -277,6 +277,7 @@ def _tether(lab: Lab) -> Rollout:
 @check(
     "tether-slack",
     title="slack string exerts no force",
+    scene="a ball on a slack string of 0.3 m; it falls by 0.1 m until the string is taut",
     measures="acceleration of a ball while its string is slack, over the first 0.13 s",
     law="a = g",
     source="tether (scene.py): it only pulls",
@@ -294,6 +295,7 @@ def _tether_slack(lab: Lab) -> Measurement:
 @check(
     "tether-length",
     title="taut string does not stretch",
+    scene="a ball on a slack string of 0.3 m; it falls by 0.1 m until the string is taut",
     measures="largest distance of the ball from the string's anchor, including the moment when it becomes taut",
     law="|r - anchor| <= l",
     source="tether (scene.py): inextensible",
@@ -394,6 +396,7 @@ def _vector_error(
 @check(
     "spin-momentum",
     title="torque-free spin, angular momentum",
+    scene="a floating brick of 0.4 kg that a driven ball hits off its centre; no gravity",
     measures="largest change of a spinning brick's angular momentum within 0.5 s, over its size",
     law="L = R I R' omega = const",
     source="Euler",
@@ -416,6 +419,7 @@ def _spin_momentum(rollout: Rollout) -> Measurement:
 @check(
     "spin-orientation",
     title="torque-free spin, orientation",
+    scene="a floating brick of 0.4 kg that a driven ball hits off its centre; no gravity",
     measures="angle between the spinning brick after 0.5 s and Euler's equations integrated from its start",
     law="I domega/dt + omega x I omega = 0",
     source="Euler, integrated by scipy's DOP853",
@@ -449,6 +453,7 @@ DERIVATIVE_TOLERANCE = Tolerance(
 @check(
     "angular-velocity",
     title="angular velocity is in the world frame",
+    scene="a floating brick of 0.4 kg that a driven ball hits off its centre; no gravity",
     measures="largest distance of the reported angular velocity from the derivative of the orientation, over its size",
     law="dR/dt = [omega] R",
     source="contract (Simulation.body_states)",
@@ -473,6 +478,7 @@ def _angular_velocity(rollout: Rollout) -> Measurement:
 @check(
     "velocity-of-origin",
     title="velocity is that of the body's origin",
+    scene="the same brick as a convex solid whose body origin is one of its corners, hit by a driven ball; no gravity",
     measures="largest distance of the reported velocity from the derivative of the position, over its size, of a "
     "spinning solid whose origin is one of its corners",
     law="v = dr/dt",
@@ -500,6 +506,7 @@ def _velocity_of_origin(rollout: Rollout) -> Measurement:
 @check(
     "solid-spin-centre",
     title="convex solid rotates about its centre of mass",
+    scene="the same brick as a convex solid whose body origin is one of its corners, hit by a driven ball; no gravity",
     measures="largest distance of the free solid's centre of mass from a straight line within 0.5 s",
     law="centre of mass moves uniformly",
     source="Newton; uniform density (scene.py)",
