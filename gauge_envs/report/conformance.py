@@ -92,7 +92,9 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     """Yield the titles and lines below the table."""
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
-        yield "Diagnoses", [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in bad]
+        own = [one for one in bad if not one.reported_by]
+        lines = [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in own]
+        yield "Diagnoses", lines + list(_same_fault_lines(bad))
     declined: dict[str, list[str]] = {}
     for one in findings:
         if one.status is Status.DECLINED:
@@ -103,6 +105,16 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
         own = [finding for finding in findings if finding.backend == name]
         versions = ", ".join(f"{key} {value}" for key, value in own[0].versions.items())
         yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
+
+
+def _same_fault_lines(bad: Sequence[CheckResult]) -> Iterator[str]:
+    """Yield one line for the checks that fail for a reason that an earlier check reports."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for one in bad:
+        if one.reported_by:
+            groups.setdefault((one.backend, one.reported_by), []).append(one.check)
+    for (backend, first), ids in groups.items():
+        yield f"{backend}: {len(ids)} more are not finite, see {first}: {', '.join(ids)}"
 
 
 def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:

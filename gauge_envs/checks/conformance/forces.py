@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -243,8 +244,33 @@ def _inertia_check(kind: str) -> None:
         turned = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation.as_matrix()
         own = np.diag(turned.T @ inertia @ turned) / np.diag(turned.T @ push.inertia @ turned)
         hint = f"its inertia about body x, y, z is {own[0]:.3g}, {own[1]:.3g} and {own[2]:.3g} times what it should be"
+        hint += _size_hint(SHAPES[kind], np.diag(turned.T @ inertia @ turned))
         worst = float(error.flat[int(np.abs(error).argmax())])
         return Measurement(measured=worst / largest, expected=0.0, hint=hint)
+
+
+def _size_hint(shape: Shape, moments: NDArray[np.float64]) -> str:
+    """Return the sizes [mm] of the solid that has these moments of inertia [kg m^2] about its axes, shape [3]."""
+    shares = moments / MASS_KG
+    if isinstance(shape, Box):
+        squares = 6.0 * (shares.sum() - 2.0 * shares)
+        return f", as if its edges were {_millimetres(squares)} mm instead of {_listed(shape.size_m)} mm"
+    if isinstance(shape, Cylinder):
+        squares = np.array([2.0 * shares[2], 12.0 * shares[0] - 6.0 * shares[2]])
+        expected = _listed((shape.radius_m, shape.length_m))
+        return f", as if its radius and length were {_millimetres(squares)} mm instead of {expected} mm"
+    if isinstance(shape, Sphere):
+        squares = 2.5 * shares[:1]
+        return f", as if its radius were {_millimetres(squares)} mm instead of {_listed((shape.radius_m,))} mm"
+    return ""
+
+
+def _millimetres(squares_m2: NDArray[np.float64]) -> str:
+    return _listed(np.sqrt(np.clip(squares_m2, 0.0, None)).tolist())
+
+
+def _listed(sizes_m: Sequence[float]) -> str:
+    return ", ".join(f"{1e3 * size:.3g}" for size in sizes_m)
 
 
 for _kind in SHAPES:
@@ -326,9 +352,7 @@ def _swing(lab: Lab, shape: Shape, axis: str) -> _Swing:
     finally:
         simulation.close()
     gyration = float(np.sqrt(own @ inertia @ own / MASS_KG))
-    expected = pendulum_period_s(
-        length_m=ARM_M, gyration_m=gyration, amplitude_rad=AMPLITUDE_RAD, gravity_m_per_s2=G
-    )
+    expected = pendulum_period_s(length_m=ARM_M, gyration_m=gyration, amplitude_rad=AMPLITUDE_RAD, gravity_m_per_s2=G)
     return _Swing(rollout, expected)
 
 

@@ -110,6 +110,7 @@ class CheckResult:
         width: Largest admissible difference; None when nothing was measured.
         diagnosis: Likely causes of a failure, or the text of the exception; empty otherwise.
         missing: Features that the backend lacks, when it declined.
+        reported_by: Id of the check that reports the same fault first; empty for a fault of its own.
         wall_s: Time that the check took [s]; checks that share a rollout count it once.
         settings: Numerical settings in force in the last scene of the check.
         versions: Versions of the engine's packages.
@@ -129,6 +130,7 @@ class CheckResult:
     width: float | None = None
     diagnosis: str = ""
     missing: tuple[str, ...] = ()
+    reported_by: str = ""
     wall_s: float = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)

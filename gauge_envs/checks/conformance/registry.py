@@ -14,7 +14,7 @@ __all__ = ["check", "checks"]
 _CHECKS: dict[str, Check] = {}
 
 
-def check(
+def check(  # noqa: PLR0913  a check is all of these texts
     id: str,
     *,
     title: str,

@@ -64,7 +64,9 @@ SUPPORTS: dict[str, tuple[Shape, Vector, float]] = {
 }
 
 
-def _rest_scene(shape: Shape, euler_deg: Vector, height_m: float, centre_m: tuple[float, float], on: list[str]) -> Scene:
+def _rest_scene(
+    shape: Shape, euler_deg: Vector, height_m: float, centre_m: tuple[float, float], on: list[str]
+) -> Scene:
     """Return a scene in which copies of a shape stand on fixed bodies of the given kinds, each above the centre.
 
     Args:
@@ -100,8 +102,8 @@ def _rest_check(
     @check(
         id,
         title=f"{what} rests at its height",
-        scene=f"a {what} of 0.2 kg placed on a fixed plane, box, sphere, cylinder, lying cylinder and convex solid each; "
-        "supports that the backend declines are left out",
+        scene=f"a {what} of 0.2 kg placed on a fixed plane, box, sphere, cylinder, lying cylinder and convex solid "
+        "each; supports that the backend declines are left out",
         measures=f"height of the {what}'s lowest point over its support, the worst of all supports, 0.2 to 0.3 s after "
         "it was placed there",
         law="height = 0",
@@ -118,7 +120,9 @@ def _rest_check(
         kinds = list(SUPPORTS)
         if not lab.backend.supports(_rest_scene(shape, euler_deg, height_m, centre_m, kinds)):
             single = [
-                kind for kind in kinds if lab.backend.supports(_rest_scene(shape, euler_deg, height_m, centre_m, [kind]))
+                kind
+                for kind in kinds
+                if lab.backend.supports(_rest_scene(shape, euler_deg, height_m, centre_m, [kind]))
             ]
             kinds = single or kinds
         rollout = lab.rollout(_rest_scene(shape, euler_deg, height_m, centre_m, kinds), REST_S)
@@ -256,8 +260,8 @@ def _roll_hint(measured: float, share: float, sine: float) -> str:
         return "it slides without rolling: friction has no effect"
     inertia = G * sine / measured - 1.0
     return (
-        f"it rolls as if rolling friction were {(share * G * sine - measured) / (share * G):.3g} of its weight, or as if "
-        f"its inertia were {inertia:.3g} m r^2 instead of {1.0 / share - 1.0:.3g} m r^2"
+        f"it rolls as if rolling friction were {(share * G * sine - measured) / (share * G):.3g} of its weight, or as "
+        f"if its inertia were {inertia:.3g} m r^2 instead of {1.0 / share - 1.0:.3g} m r^2"
     )
 
 
