@@ -83,6 +83,7 @@ def continuation_differences(
 
 
 def continuation_measurement(differences: dict[str, float]) -> Measurement:
+    """Return the largest of the differences, with the uses of a state that are wrong."""
     wrong = [f"{text} {value:.3g}" for text, value in differences.items() if value != 0.0]
     return Measurement(
         measured=float(np.max(list(differences.values()))),
