@@ -25,8 +25,9 @@ Add it to the module of its kind. The decorator registers it for the command, th
 """
 
 # The order of the checks is that of these imports.
-from gauge_envs.checks.conformance import contract, continuation, rigid, forces  # noqa: F401  # isort: skip
-from gauge_envs.checks.conformance import contacts, shapes, driven, cloth, soft, lines, benchmark  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import contract, continuation, rigid, forces, pairs, shapes, spin  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import contacts, driven, collisions  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import cloth, soft, lines, benchmark  # noqa: F401  # isort: skip
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.model import Check, CheckResult, Measurement, Status, Tolerance
 from gauge_envs.checks.conformance.registry import check, checks

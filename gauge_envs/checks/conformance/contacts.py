@@ -1,4 +1,4 @@
-"""Contacts: friction, rebound, momentum, which pairs collide, and energy that must not grow."""
+"""Contacts: friction, rebound, and energy that must not grow."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from gauge_envs.checks.conformance.laws import box_inertia_kg_m2, world_inertia_
 from gauge_envs.checks.conformance.measurements import (
     SLIDE_SLOPE_DEG,
     acceleration_m_per_s2,
-    fall_m,
     slide_acceleration,
 )
 from gauge_envs.checks.conformance.model import Measurement, Tolerance
 from gauge_envs.checks.conformance.registry import check
-from gauge_envs.checks.conformance.scene_parts import ball, body, box, driver, ground, ramp, vector
+from gauge_envs.checks.conformance.scene_parts import ball, body, box, ground, vector
 from gauge_envs.checks.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, ContactMode, Motion, Pose, Scene
 
@@ -228,186 +227,6 @@ SLOW_DROP_M, SLOW_GRAVITY = 0.05, 0.1
 )
 def _rebound_slow(lab: Lab) -> Measurement:
     return _rebound(lab, 0.5, drop_m=SLOW_DROP_M, gravity=SLOW_GRAVITY)
-
-
-# --- two bodies ------------------------------------------------------------------------------------------------------
-# The contract has no start velocities, so a driven plate accelerates the first ball, then brakes and loses contact.
-
-LEFT_KG, RIGHT_KG, RESTITUTION = 0.1, 0.2, 0.6
-PUSH_M_PER_S = 0.5
-BEFORE_S, AFTER_S = 0.42, 0.75
-SLOWDOWN = 5.0
-
-
-def _collision(lab: Lab) -> Rollout:
-    return _collide(lab, 1.0)
-
-
-def _slow_collision(lab: Lab) -> Rollout:
-    return _collide(lab, SLOWDOWN)
-
-
-def _collide(lab: Lab, slowdown: float) -> Rollout:
-    """Record two balls, one of which a driven plate pushes; all times are longer by a factor."""
-    plate = body(
-        "plate", Box(size_m=(0.02, 0.1, 0.1)), Pose(position_m=(-0.03, 0.0, 1.0)), mass_kg=1.0, motion=Motion.KINEMATIC
-    )
-    stroke = ramp(0.1, start_s=0.0, duration_s=0.3 * slowdown, ramp_s=0.1 * slowdown)
-    scene = Scene(
-        bodies=(
-            ball("left", (0.0, 0.0, 1.0), radius_m=0.02, mass_kg=LEFT_KG),
-            ball("right", (0.25, 0.0, 1.0), radius_m=0.02, mass_kg=RIGHT_KG),
-            plate,
-        ),
-        contacts=(
-            Contact(first=("left",), second=("plate",), friction=0.0, restitution=0.0),
-            Contact(first=("left",), second=("right",), friction=0.0, restitution=RESTITUTION, mode=ContactMode.IMPACT),
-        ),
-        drivers=(driver("plate", "translate", (1.0, 0.0, 0.0), stroke),),
-        duration_s=slowdown,
-        gravity_m_per_s2=0.0,
-    )
-    return lab.rollout(scene, slowdown)
-
-
-def _speeds(rollout: Rollout, time_s: float) -> tuple[float, float]:
-    sample = rollout.sample_at(time_s)
-    return float(rollout.velocity("left")[sample, 0]), float(rollout.velocity("right")[sample, 0])
-
-
-def _not_pushed(left: float, right: float, push: float = PUSH_M_PER_S) -> str:
-    """Return why the collision cannot be measured; empty when the first ball moves and the second one rests."""
-    if abs(left) > 0.2 * push and abs(right) < 0.01 * push:
-        return ""
-    return f"before the collision the balls move at {left:.3g} and {right:.3g} m/s instead of {push:g} and 0"
-
-
-@check(
-    "pushed-ball",
-    title="driven plate pushes",
-    scene="a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity",
-    measures="speed of a ball after a driven plate has pushed it and braked",
-    law="v = largest speed of the plate",
-    source="no restitution, no friction",
-    unit="m/s",
-    tolerance=Tolerance(relative=0.02, rationale="a stiff contact may release some elastic energy; 2 % is 1 cm/s"),
-    diagnosis="the driven body moves without velocity, or the contact sticks or rebounds",
-)
-def _pushed_ball(lab: Lab) -> Measurement:
-    return Measurement(measured=_speeds(lab.once(_collision), BEFORE_S)[0], expected=PUSH_M_PER_S)
-
-
-@check(
-    "collision-momentum",
-    title="two balls, momentum",
-    scene="a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity",
-    measures="momentum of two floating balls of different mass after their collision, over that before",
-    law="m1 v1 + m2 v2 = const",
-    source="Newton",
-    unit="1",
-    tolerance=Tolerance(absolute=1e-3, rationale="only rounding and damping can change it"),
-    diagnosis="the masses are not the scene's, bodies are damped, or the contact acts on one body only",
-)
-def _collision_momentum(lab: Lab) -> Measurement:
-    rollout = lab.once(_collision)
-    (before, still), (left, right) = _speeds(rollout, BEFORE_S), _speeds(rollout, AFTER_S)
-    if hint := _not_pushed(before, still):
-        return Measurement(measured=float("nan"), expected=1.0, hint=hint)
-    return Measurement(measured=(LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before), expected=1.0)
-
-
-@check(
-    "collision-rebound",
-    title="two balls, relative speed",
-    scene="a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity",
-    measures="relative speed of the two balls after their collision, over that before",
-    law="v2' - v1' = e (v1 - v2)",
-    source="Newton's law of restitution",
-    unit="1",
-    tolerance=Tolerance(
-        absolute=0.01,
-        rationale="each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision",
-    ),
-    diagnosis="restitution is not that of the pair, or depends on the masses, which is possible for a damped contact",
-)
-def _collision_rebound(lab: Lab) -> Measurement:
-    return _relative_speed(lab.once(_collision), 1.0)
-
-
-def _relative_speed(rollout: Rollout, slowdown: float) -> Measurement:
-    (before, still) = _speeds(rollout, BEFORE_S * slowdown)
-    (left, right) = _speeds(rollout, AFTER_S * slowdown)
-    if hint := _not_pushed(before, still, PUSH_M_PER_S / slowdown):
-        return Measurement(measured=float("nan"), expected=RESTITUTION, hint=hint)
-    return Measurement(measured=(right - left) / before, expected=RESTITUTION)
-
-
-@check(
-    "collision-slow",
-    title="two balls, slow collision",
-    scene="a driven plate pushes a ball of 0.1 kg at 0.1 m/s against a resting one of 0.2 kg; no gravity",
-    measures="relative speed of the two balls after their collision, over that before",
-    law="v2' - v1' = e (v1 - v2) at any speed",
-    source="Newton's law of restitution",
-    unit="1",
-    tolerance=Tolerance(absolute=0.01, rationale="as for the fast collision"),
-    diagnosis="the engine has a threshold speed below which bodies do not rebound: set it to 0",
-)
-def _collision_slow(lab: Lab) -> Measurement:
-    return _relative_speed(lab.once(_slow_collision), SLOWDOWN)
-
-
-# --- which pairs collide ---------------------------------------------------------------------------------------------
-
-
-def _pairs(lab: Lab) -> Rollout:
-    """Record three balls over a plane: one has a contact with the plane, the other two have none."""
-    scene = Scene(
-        bodies=(
-            ball("listed", (-0.1, 0.0, 0.03)),
-            ball("unlisted", (0.1, 0.0, 0.03)),
-            ball("upper", (-0.1, 0.0, 0.2)),
-            ground(),
-        ),
-        contacts=(Contact(first=("listed",), second=("ground",), friction=0.5, restitution=0.0),),
-        duration_s=0.5,
-    )
-    return lab.rollout(scene, 0.5)
-
-
-@check(
-    "contact-unlisted",
-    title="bodies without a listed contact pass through each other",
-    scene="three balls of radius 30 mm over a plane; only one of them has a contact with it",
-    measures="smaller fall within 0.5 s of two balls through bodies with which they have no contact",
-    law="g t^2 / 2",
-    source="contract (scene.Contact)",
-    unit="m",
-    tolerance=Tolerance(relative=0.01, rationale="it is a free fall; any contact force is visible"),
-    diagnosis="the collision filter of the engine lets bodies collide that have no contact in the scene",
-)
-def _contact_unlisted(lab: Lab) -> Measurement:
-    rollout = lab.once(_pairs)
-    fallen = {name: fall_m(rollout, name) for name in ("unlisted", "upper")}
-    slow = min(fallen, key=lambda name: fallen[name])
-    what = {"unlisted": "the plane", "upper": "the plane or the other ball"}[slow]
-    return Measurement(measured=fallen[slow], expected=0.5 * G * 0.5**2, hint=f"ball {slow!r} is held by {what}")
-
-
-@check(
-    "contact-listed",
-    title="bodies with a listed contact hold each other",
-    scene="three balls of radius 30 mm over a plane; only one of them has a contact with it",
-    measures="height of a ball's lowest point above the plane, 0.5 s after it was placed there",
-    law="height = 0",
-    source="contract (scene.Contact)",
-    unit="mm",
-    tolerance=Tolerance(absolute=0.5, rationale="the real trials' scatter is about 1 mm"),
-    diagnosis="the pair does not collide, or the contact is so soft that a body of 0.1 kg sinks in",
-)
-def _contact_listed(lab: Lab) -> Measurement:
-    height = lab.once(_pairs).position("listed")[-1, 2] - 0.03
-    return Measurement(measured=1e3 * float(height), expected=0.0)
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------

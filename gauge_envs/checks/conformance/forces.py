@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,19 @@ LOPSIDED = ConvexUnion(
     )
 )
 """Four pieces of different volume about a corner, with the body origin at that corner."""
+
+WRONG_UNIONS = {
+    "the convex hull of all pieces": ConvexUnion(pieces_m=(tuple(vector(corner) for corner in LOPSIDED.corners_m),)),
+    "the first of its pieces": ConvexUnion(pieces_m=LOPSIDED.pieces_m[:1]),
+}
+WRONG_CENTRES_M = {
+    "at the body origin": np.zeros(3),
+    "at the mean of the vertices": LOPSIDED.corners_m.mean(axis=0),
+    "at the mean of the pieces' centres": np.mean(
+        [mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0] for piece in LOPSIDED.pieces_m], axis=0
+    ),
+}
+"""Solids and places of the centre of mass that engines take instead of the union's."""
 
 SHAPES: dict[str, Shape] = {
     "box": Box(size_m=(0.1, 0.06, 0.03)),
@@ -128,6 +141,28 @@ WRENCH_SCENE = "six floating turned {}s of 0.4 kg, each under a constant force o
 
 
 @check(
+    "wrench-frame",
+    title="wrench is in the world frame",
+    scene=WRENCH_SCENE.format("boxe"),
+    measures="largest velocity of a box across its force after 0.1 s, over that along it",
+    law="a parallel to F",
+    source="contract (World.apply_wrench)",
+    unit="%",
+    tolerance=Tolerance(absolute=1.0, rationale="nothing acts sideways; a wrong frame gives 30 % and more"),
+    diagnosis="force and torque are in the world frame, force first",
+)
+def _wrench_frame(lab: Lab) -> Measurement:
+    push = lab.once(_box)
+    along = np.diag(push.twists[:3, :3])
+    across = push.twists[:3, :3] - np.diag(along)
+    forces, torques = push.twists[:3], push.twists[3:]
+    swapped = np.abs(forces[:, :3]).max() < np.abs(torques[:, :3]).max()
+    hint = "force and torque are swapped" if swapped else ""
+    scale = max(float(np.abs(along).mean()), 1e-12)
+    return Measurement(measured=100.0 * float(np.abs(across).max()) / scale, expected=0.0, hint=hint)
+
+
+@check(
     "wrench-force",
     title="force accelerates a body",
     scene=WRENCH_SCENE.format("boxe"),
@@ -153,28 +188,6 @@ def _force_hint(measured: float) -> str:
 
 
 @check(
-    "wrench-frame",
-    title="wrench is in the world frame",
-    scene=WRENCH_SCENE.format("boxe"),
-    measures="largest velocity of a box across its force after 0.1 s, over that along it",
-    law="a parallel to F",
-    source="contract (World.apply_wrench)",
-    unit="%",
-    tolerance=Tolerance(absolute=1.0, rationale="nothing acts sideways; a wrong frame gives 30 % and more"),
-    diagnosis="force and torque are in the world frame, force first",
-)
-def _wrench_frame(lab: Lab) -> Measurement:
-    push = lab.once(_box)
-    along = np.diag(push.twists[:3, :3])
-    across = push.twists[:3, :3] - np.diag(along)
-    forces, torques = push.twists[:3], push.twists[3:]
-    swapped = np.abs(forces[:, :3]).max() < np.abs(torques[:, :3]).max()
-    hint = "force and torque are swapped" if swapped else ""
-    scale = max(float(np.abs(along).mean()), 1e-12)
-    return Measurement(measured=100.0 * float(np.abs(across).max()) / scale, expected=0.0, hint=hint)
-
-
-@check(
     "wrench-centre",
     title="force acts at the centre of mass",
     scene=WRENCH_SCENE.format("lopsided union"),
@@ -194,14 +207,7 @@ def _wrench_centre(lab: Lab) -> Measurement:
 def _centre_hint(push: _Push) -> str:
     """Return the place at which forces would have to act to give these spins, if it is a known wrong one."""
     turned = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation
-    levers = {
-        "at the body origin": -push.centre_m,
-        "at the mean of the vertices": LOPSIDED.corners_m.mean(axis=0) - push.centre_m,
-        "at the mean of the pieces' centres": np.mean(
-            [mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0] for piece in LOPSIDED.pieces_m], axis=0
-        )
-        - push.centre_m,
-    }
+    levers = {text: place_m - push.centre_m for text, place_m in WRONG_CENTRES_M.items()}
     spin = push.twists[:3, 3:]
     for text, lever in levers.items():
         for sign, what in ((1.0, "the force acts"), (-1.0, "the engine's centre of mass is")):
@@ -244,14 +250,20 @@ def _inertia_check(kind: str) -> None:
         turned = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation.as_matrix()
         own = np.diag(turned.T @ inertia @ turned) / np.diag(turned.T @ push.inertia @ turned)
         hint = f"its inertia about body x, y, z is {own[0]:.3g}, {own[1]:.3g} and {own[2]:.3g} times what it should be"
-        hint += _size_hint(SHAPES[kind], np.diag(turned.T @ inertia @ turned))
+        hint += _size_hint(SHAPES[kind], turned.T @ inertia @ turned)
         worst = float(error.flat[int(np.abs(error).argmax())])
         return Measurement(measured=worst / largest, expected=0.0, hint=hint)
 
 
-def _size_hint(shape: Shape, moments: NDArray[np.float64]) -> str:
-    """Return the sizes [mm] of the solid that has these moments of inertia [kg m^2] about its axes, shape [3]."""
-    shares = moments / MASS_KG
+def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:
+    """Return the solid that has an inertia [kg m^2] in its axes, shape [3, 3]."""
+    if isinstance(shape, ConvexUnion):
+        for text, wrong in WRONG_UNIONS.items():
+            other = mass_properties(wrong, MASS_KG)[1]
+            if np.abs(inertia - other).max() < 0.02 * np.abs(other).max():
+                return f", as if it were {text}"
+        return ""
+    shares = np.diag(inertia) / MASS_KG
     if isinstance(shape, Box):
         squares = 6.0 * (shares.sum() - 2.0 * shares)
         return f", as if its edges were {_millimetres(squares)} mm instead of {_listed(shape.size_m)} mm"
@@ -363,6 +375,30 @@ def _period_ratio(swing: _Swing, centre_m: NDArray[np.float64]) -> float:
     return mean_period_s(rollout.times_s, places[:, 0] - 0.1) / swing.period_s
 
 
+def _wrong_centre(ratios: Mapping[str, float]) -> str:
+    """Return the wrong place of the union's centre of mass that gives these ratios of periods, if it is a known one."""
+    centre_m, inertia = mass_properties(LOPSIDED, MASS_KG)
+    for text, place_m in WRONG_CENTRES_M.items():
+        errors = []
+        for axis, ratio in ratios.items():
+            own, arm = np.eye(3)["xyz".index(axis)], np.asarray(AXES[axis])
+            lever = ARM_M * arm + place_m - centre_m
+            lever -= own * (own @ lever)
+            length = float(np.linalg.norm(lever))
+            gyration = float(np.sqrt(own @ inertia @ own / MASS_KG))
+            turned = np.arctan2(np.cross(arm, lever) @ own, arm @ lever)
+            common = {"gyration_m": gyration, "gravity_m_per_s2": G}
+            right = pendulum_period_s(length_m=ARM_M, amplitude_rad=AMPLITUDE_RAD, **common)
+            wrong = [
+                pendulum_period_s(length_m=length, amplitude_rad=AMPLITUDE_RAD + sign * turned, **common)
+                for sign in (1.0, -1.0)
+            ]
+            errors.append(min(abs(ratio - period / right) for period in wrong))
+        if max(errors) < 2e-3:
+            return f"; the engine's centre of mass is {text}"
+    return ""
+
+
 def _swing_check(kind: str) -> None:
     title = {"union": "solid of four pieces"}.get(kind, kind)
 
@@ -384,7 +420,10 @@ def _swing_check(kind: str) -> None:
         ratios = {axis: _period_ratio(_swing(lab, SHAPES[kind], axis), centre_m) for axis in AXES}
         worst = max(ratios, key=lambda axis: abs(np.nan_to_num(ratios[axis], nan=np.inf) - 1.0))
         text = ", ".join(f"{axis} {ratio:.4g}" for axis, ratio in ratios.items())
-        return Measurement(measured=ratios[worst], expected=1.0, hint=f"ratio about each body axis: {text}")
+        hint = f"ratio about each body axis: {text}"
+        if kind == "union":
+            hint += _wrong_centre(ratios)
+        return Measurement(measured=ratios[worst], expected=1.0, hint=hint)
 
 
 for _kind in ("box", "cylinder", "union"):

@@ -133,7 +133,8 @@ def _drooping_rod(lab: Lab) -> Rollout:
     source="Euler and Bernoulli",
     unit="N m^2",
     tolerance=Tolerance(relative=0.1, rationale="the clamp of a mesh can be off by half a segment, 3 % of the length"),
-    diagnosis="check the conversion of E and radius to the bending constant, and that the clamp holds the slope",
+    diagnosis="check the conversion of E and radius to the bending constant, the mass of the nodes, and that the "
+    "clamp holds the slope",
 )
 def _rod_bending(lab: Lab) -> Measurement:
     rollout = lab.once(_drooping_rod)

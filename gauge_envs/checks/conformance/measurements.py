@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -124,4 +126,12 @@ def attachment_error(rollout: Rollout, name: str) -> Measurement:
     """Measure the largest distance [mm] of a hanging body's upper nodes from their places on the driven body."""
     nodes = rollout.nodes_m[name]
     attached = nodes[0, :, 2] > nodes[0, :, 2].max() - PLACE_TOLERANCE_M
-    return driver_error(rollout, nodes[:, attached])
+    found = driver_error(rollout, nodes[:, attached])
+    jump_mm = 1e3 * float(np.linalg.norm(nodes[1] - nodes[0], axis=1).max())
+    fallen_mm = 1e3 * float((nodes[0] - nodes[-1])[attached, 2].mean())
+    free_mm = 500.0 * rollout.scene.gravity_m_per_s2 * float(rollout.times_s[-1]) ** 2
+    if jump_mm > 10.0:
+        return replace(found, hint=f"nodes jump by {jump_mm:.3g} mm in the first interval: their order changes")
+    if fallen_mm > 0.5 * free_mm:
+        return replace(found, hint="the body falls: the attachment is missing")
+    return found

@@ -6,8 +6,8 @@
     fault = FAULTS["plane-level"]
     print(first_failure(Mutant(backend("mujoco"), fault)))
 
-Most faults change the scene that the wrapped backend builds, or what its simulation returns, so that they can be planted
-in any backend. Faults that only an engine itself can have, such as a wrong inertia, are planted in MuJoCo's model.
+Most faults change the scene that the wrapped backend builds, or what its simulation returns, so that any backend can
+have them. Faults that only an engine itself can have, such as a wrong inertia, are planted in MuJoCo's model.
 """
 
 from __future__ import annotations
@@ -190,11 +190,14 @@ def _shapes(change: Callable[[Shape], Shape], *motions: Motion) -> Callable[[Sce
     return _bodies(lambda one: replace(one, shape=change(one.shape)) if one.motion in chosen else one)
 
 
-def _contacts(**changes: Callable[[float], float]) -> Callable[[Scene], Scene]:
+def _contacts(
+    *, friction: Callable[[float], float] = float, restitution: Callable[[float], float] = float
+) -> Callable[[Scene], Scene]:
     def change(scene: Scene) -> Scene:
-        contacts = [
-            replace(one, **{key: value(getattr(one, key)) for key, value in changes.items()}) for one in scene.contacts
-        ]
+        contacts = (
+            replace(one, friction=friction(one.friction), restitution=restitution(one.restitution))
+            for one in scene.contacts
+        )
         return replace(scene, contacts=tuple(contacts))
 
     return change
@@ -330,6 +333,8 @@ def _one_friction(scene: Scene) -> Scene:
 
 def _one_restitution(scene: Scene) -> Scene:
     largest = max((one.restitution for one in scene.contacts), default=0.0)
+    if largest == 0.0:
+        return scene
     return replace(
         scene,
         contacts=tuple(replace(one, restitution=largest, mode=ContactMode.IMPACT) for one in scene.contacts),
@@ -345,6 +350,8 @@ def _random_fabric(scene: Scene) -> Scene:
 
 
 def _nothing_fixed(scene: Scene) -> Scene:
+    if scene.deformables:
+        return scene
     return _bodies(
         lambda one: (
             replace(one, motion=Motion.DYNAMIC)
@@ -896,8 +903,8 @@ FAULTS: dict[str, Fault] = dict(
         _fault(
             "union-centre",
             "centre of a union at the mean of its vertices",
-            "wrench-centre",
-            "mean of the vertices",
+            "swing-union",
+            "at the mean of the vertices",
             simulation=_model(_mean_of_vertices),
             engine="mujoco",
         ),
@@ -986,24 +993,38 @@ FAULTS: dict[str, Fault] = dict(
             "edges were 200, 120, 60 mm",
             scene=_shapes(_box_twice),
         ),
-        _fault("sphere-larger", "sphere 5 % larger", "pendulum-period", "", scene=_shapes(_sphere_larger)),
-        _fault("union-hull", "convex hull of a union", "wrench-centre", "centre of mass", scene=_shapes(_hull)),
+        _fault(
+            "sphere-larger", "sphere 5 % larger", "inertia-sphere", "radius were 31.5", scene=_shapes(_sphere_larger)
+        ),
+        _fault(
+            "union-hull",
+            "convex hull of a union",
+            "inertia-union",
+            "the convex hull of all pieces",
+            scene=_shapes(_hull),
+        ),
         _fault(
             "union-first-piece",
             "first piece of a union only",
-            "wrench-centre",
-            "centre of mass",
+            "inertia-union",
+            "the first of its pieces",
             scene=_shapes(_first_piece),
         ),
         _fault(
             "union-unweighted",
             "pieces of a union weighted equally",
-            "wrench-centre",
+            "swing-union",
             "mean of the pieces' centres",
             simulation=_model(_mean_of_pieces),
             engine="mujoco",
         ),
-        _fault("plane-origin", "plane through the world origin", "slide-plane", "", scene=_bodies(_plane_at_origin)),
+        _fault(
+            "plane-origin",
+            "plane through the world origin",
+            "rest-box",
+            "on each support that is wrong: plane",
+            scene=_bodies(_plane_at_origin),
+        ),
         _fault(
             "quaternion-order",
             "quaternion x, y, z, w",
@@ -1036,19 +1057,27 @@ FAULTS: dict[str, Fault] = dict(
         _fault(
             "spin-frame",
             "angular velocity in the body frame",
-            "spin-momentum",
-            "frame of the angular velocity",
+            "angular-velocity",
+            "body frame",
             simulation=_reporting(_spin_in_body),
         ),
         _fault(
             "spin-degrees",
             "angular velocity in degrees per second",
-            "",
-            "degrees",
+            "pendulum-energy",
+            "in degrees",
             simulation=_reporting(_spin_in_degrees),
         ),
-        _fault("spin-sign", "angular velocity reversed", "", "sign", simulation=_reporting(_spin_reversed)),
-        _fault("order-of-names", "rows in alphabetical order", "start-position", "order", simulation=_SceneOrder),
+        _fault(
+            "spin-sign",
+            "angular velocity reversed",
+            "angular-velocity",
+            "wrong sign",
+            simulation=_reporting(_spin_reversed),
+        ),
+        _fault(
+            "order-of-names", "rows in alphabetical order", "order-of-names", "order asked for", simulation=_SceneOrder
+        ),
         _fault("nan-mass", "mass of a body NaN", "finite", "mass", simulation=_NaNMass),
         _fault("step-short", "one step less in each call", "time", "count steps", simulation=_OneStepShort),
         _fault("step-per-call", "1/180 s in each call", "time", "one step for each call", simulation=_OneStepPerCall),
@@ -1060,7 +1089,7 @@ FAULTS: dict[str, Fault] = dict(
             simulation=_ReadsFirst,
         ),
         _fault("steps-at-build", "build makes a step", "start-position", "step", simulation=_StepsAtBuild),
-        _fault("teleport", "driven bodies without velocity", "", "velocity", simulation=_Teleport),
+        _fault("teleport", "driven bodies without velocity", "driven-velocity", "no velocity", simulation=_Teleport),
         _fault(
             "drive-acceleration",
             "acceleration of driven bodies ignored",
@@ -1090,7 +1119,7 @@ FAULTS: dict[str, Fault] = dict(
         _fault(
             "restore-warm-start",
             "restore forgets warm starts",
-            "restore",
+            "restore-impact",
             "warm starts",
             simulation=_RestoreForgetsWarmStart,
             engine="mujoco",
@@ -1113,7 +1142,7 @@ FAULTS: dict[str, Fault] = dict(
         ),
         _fault("random", "random numbers without a seed", "determinism", "random numbers", scene=_random_friction),
         _fault("torque-ignored", "torque ignored", "inertia-box", "torque", simulation=_TorqueIgnored),
-        _fault("wrench-body", "wrench in the body frame", "wrench-force", "world frame", simulation=_WrenchInBody),
+        _fault("wrench-body", "wrench in the body frame", "wrench-frame", "world frame", simulation=_WrenchInBody),
         _fault(
             "wrench-once", "wrench acts for one interval", "wrench-force", "first interval only", simulation=_WrenchOnce
         ),
@@ -1141,8 +1170,8 @@ FAULTS: dict[str, Fault] = dict(
         _fault(
             "hinge-damping",
             "damped joints and bodies",
-            "pendulum-energy",
-            "damped",
+            "pendulum-period",
+            "damping",
             simulation=_model(_damped),
             engine="mujoco",
         ),
@@ -1175,19 +1204,38 @@ FAULTS: dict[str, Fault] = dict(
             "shorter than its length_m",
             scene=_joints(Tether, lambda one: replace(one, length_m=0.7 * one.length_m)),
         ),
-        _fault("no-contacts", "no contacts", "", "", scene=lambda scene: replace(scene, contacts=())),
-        _fault("first-contact", "first contact of a scene only", "slide-of-pair", "", scene=_first_contact_only),
-        _fault("all-collide", "all bodies collide", "", "", scene=_all_collide),
-        _fault("nothing-fixed", "fixed bodies move", "", "", scene=_nothing_fixed),
+        _fault(
+            "no-contacts",
+            "no contacts",
+            "contact-listed",
+            "does not collide",
+            scene=lambda scene: replace(scene, contacts=()),
+        ),
+        _fault(
+            "first-contact",
+            "first contact of a scene only",
+            "slide-of-pair",
+            "friction were",
+            scene=_first_contact_only,
+        ),
+        _fault("all-collide", "all bodies collide", "contact-unlisted", "collision filter", scene=_all_collide),
+        _fault("nothing-fixed", "fixed bodies move", "slide-straight", "fixed", scene=_nothing_fixed),
         _fault(
             "soft-contacts",
             "contacts ten times too slow",
-            "",
-            "",
+            "contact-listed",
+            "so soft",
             settings={"sustained_solref": (0.2, 1.0)},
             engine="mujoco",
         ),
-        _fault("gains-energy", "2 % more speed in each interval", "", "", simulation=_GainsEnergy, engine="mujoco"),
+        _fault(
+            "gains-energy",
+            "2 % more speed in each interval",
+            "time",
+            "each call changes its speed",
+            simulation=_GainsEnergy,
+            engine="mujoco",
+        ),
         _fault(
             "cloth-stretch",
             "stretch stiffness of cloth times 1.3",
@@ -1231,15 +1279,29 @@ FAULTS: dict[str, Fault] = dict(
             "friction were 0.24",
             scene=lambda scene: _contacts(friction=lambda mu: 0.8 * mu)(scene) if scene.deformables else scene,
         ),
-        _fault("cloth-height", "cloth 3 mm too high", "cloth-start", "", scene=_thick),
+        _fault("cloth-height", "cloth 3 mm too high", "cloth-start", "centred on its pose", scene=_thick),
         _fault("cloth-random", "random fabric", "cloth-determinism", "random numbers", scene=_random_fabric),
-        _fault("no-attachments", "attachments missing", "", "", scene=lambda scene: replace(scene, attachments=())),
-        _fault("attachment-depth", "attachments at the edge only", "", "", scene=_edge_only),
-        _fault("nodes-lag", "nodes one interval late", "", "late", simulation=_NodesLag),
+        _fault(
+            "no-attachments",
+            "attachments missing",
+            "cloth-pinned-edge",
+            "attachment is missing",
+            scene=lambda scene: replace(scene, attachments=()),
+        ),
+        _fault(
+            "attachment-depth", "attachments at the edge only", "cloth-bending", "a clamp of 50 mm", scene=_edge_only
+        ),
+        _fault("nodes-lag", "nodes one interval late", "cloth-pinned-edge", "late", simulation=_NodesLag),
         _fault(
             "nodes-shuffled", "nodes of a rope in another order", "rope-nodes", "in order", simulation=_NodesShuffled
         ),
-        _fault("nodes-reversed", "nodes change their order", "", "", simulation=_NodesReversed),
+        _fault(
+            "nodes-reversed",
+            "nodes change their order",
+            "cloth-pinned-edge",
+            "order changes",
+            simulation=_NodesReversed,
+        ),
         _fault("nodes-millimetres", "nodes in mm", "cloth-start", "in mm", simulation=_NodesInMillimetres),
         _fault(
             "foam-young",
@@ -1275,7 +1337,13 @@ FAULTS: dict[str, Fault] = dict(
         _fault(
             "rod-radius", "radius of a rod 10 % high", "rod-bending", "radius", scene=_deformables(Rod, radius_m=1.1)
         ),
-        _fault("rod-mass", "mass of a rod times 1.3", "rod-bending", "mass", scene=_deformables(Rod, mass_kg=1.3)),
+        _fault(
+            "rod-mass",
+            "mass of a rod times 1.3",
+            "rod-bending",
+            "mass of the nodes",
+            scene=_deformables(Rod, mass_kg=1.3),
+        ),
     )
 )
-"""Faults by id: the survivors of an earlier version of the checks first, then other rigid ones, then deformable ones."""
+"""Faults by id: rigid ones first, then deformable ones."""
