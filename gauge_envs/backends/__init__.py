@@ -2,11 +2,13 @@
 
 from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Simulation, Support, World, Worlds
 from gauge_envs.backends.registry import backend, backend_for, backend_names, backend_of_suffix
+from gauge_envs.backends.shared.replay import ReplayedSimulation
 
 __all__ = [
     "Backend",
     "FileBackend",
     "ModelFile",
+    "ReplayedSimulation",
     "Simulation",
     "Support",
     "World",

@@ -8,14 +8,31 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from gauge_envs.checks.conformance.model import CheckResult, Status
-from gauge_envs.report.table import Column, Table, as_markdown, as_rich
+from gauge_envs.checks.conformance.model import Check, CheckResult, Status
+from gauge_envs.report.table import Column, Place, Table, as_markdown, as_rich
 from gauge_envs.report.text import pairs_text
 
-__all__ = ["findings_markdown", "findings_view"]
+__all__ = ["checks_table", "findings_markdown", "findings_view"]
 
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim", Status.ERROR: "bold red"}
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
+
+
+def checks_table(checks: Sequence[Check]) -> Table:
+    """Return the checks with their scenes, measured quantities, laws and tolerances."""
+    return Table(
+        columns=(
+            Column("id", "check"),
+            Column("law", "law"),
+            Column("unit", "unit", wide_only=True),
+            Column("scene", "scene", place=Place.BELOW),
+            Column("measures", "measures", place=Place.BELOW),
+        ),
+        rows=[
+            {key: getattr(one, key) for key in ("id", "title", "scene", "measures", "law", "source", "unit")}
+            for one in checks
+        ],
+    )
 
 
 def findings_view(findings: Sequence[CheckResult], *, wide: bool = False) -> Group:

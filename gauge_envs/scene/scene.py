@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import (
     Attachment,
     Contact,
@@ -50,6 +51,9 @@ class Scene:
         drivers: Prescribed motions of kinematic bodies.
         markers: Markers on deformable bodies, if any.
         gravity_m_per_s2: Downward acceleration [m/s^2].
+
+    Raises:
+        ParameterError: Two contacts list the same pair.
     """
 
     bodies: tuple[RigidBody, ...]
@@ -65,6 +69,20 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
+        self._check_pairs()
+
+    def _check_pairs(self) -> None:
+        """Raise an error if two contacts list the same pair."""
+        seen: set[frozenset[str]] = set()
+        for contact in self.contacts:
+            for first, second in self.colliding_pairs(contact):
+                pair = frozenset((first, second))
+                if pair in seen:
+                    raise ParameterError(
+                        f"scene: two contacts list the pair {first!r} and {second!r}. A pair has one friction, "
+                        "restitution and mode: remove it from one of the contacts"
+                    )
+                seen.add(pair)
 
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""
