@@ -25,9 +25,10 @@ Add it to the module of its kind. The decorator registers it for the command, th
 """
 
 # The order of the checks is that of these imports.
-from gauge_envs.checks.conformance import contract, continuation, rigid, forces, pairs, shapes, spin  # noqa: F401  # isort: skip
-from gauge_envs.checks.conformance import contacts, driven, collisions  # noqa: F401  # isort: skip
-from gauge_envs.checks.conformance import cloth, soft, lines, benchmark  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import contract, continuation, rigid, spin, forces  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import pairs, contacts, shapes, slopes, momentum  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import driven, collisions, cloth, soft, lines  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import benchmark  # noqa: F401  # isort: skip
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.model import Check, CheckResult, Measurement, Status, Tolerance
 from gauge_envs.checks.conformance.registry import check, checks

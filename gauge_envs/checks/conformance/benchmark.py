@@ -32,9 +32,8 @@ RIGID = {
 }
 SOFT = {
     "TextileStretching-satin": 0.1,
-    "FoamTwisting-soft": 0.1,
+    "FoamTwisting-soft": 0.05,
     "RopeWinding-rubber": 0.1,
-    "CantileverBeam-soft": 0.05,
 }
 """Experiments and the time at which the state is saved [s]."""
 

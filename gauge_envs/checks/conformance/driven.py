@@ -96,7 +96,7 @@ def _driven_velocity(lab: Lab) -> Measurement:
 CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")
 CARRY_DIAGNOSIS = (
     "the driven body must have a velocity in every step, so that friction carries the cube; a piecewise constant speed "
-    "jolts the cube at each change"
+    "jolts the cube at each change, as when the acceleration that drive() gives is ignored"
 )
 
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -332,13 +333,12 @@ def _one_friction(scene: Scene) -> Scene:
 
 
 def _one_restitution(scene: Scene) -> Scene:
-    largest = max((one.restitution for one in scene.contacts), default=0.0)
-    if largest == 0.0:
-        return scene
-    return replace(
-        scene,
-        contacts=tuple(replace(one, restitution=largest, mode=ContactMode.IMPACT) for one in scene.contacts),
-    )
+    largest = max((one.restitution for one in scene.contacts if one.mode is ContactMode.IMPACT), default=0.0)
+    return _contacts(restitution=lambda e: largest)(scene)
+
+
+def _always_impact(scene: Scene) -> Scene:
+    return replace(scene, contacts=tuple(replace(one, mode=ContactMode.IMPACT) for one in scene.contacts))
 
 
 def _random_friction(scene: Scene) -> Scene:
@@ -773,6 +773,8 @@ def _model(change: Callable[[Any, Scene], None]) -> type[Passed]:
         def __init__(self, inner: Simulation, scene: Scene) -> None:
             super().__init__(inner, scene)
             change(self.inner.model, scene)
+            # MuJoCo keeps the mass matrix of simple bodies as a constant.
+            mujoco.mj_setConst(self.inner.model, self.inner.data)
 
     return Changed
 
@@ -852,7 +854,7 @@ def _fault(id: str, what: str, caught_by: str, says: str, **how: Any) -> tuple[s
 
 FAULTS: dict[str, Fault] = dict(
     (
-        _fault("margin", "collision margin of 1 mm left in", "rest-box", "margin", scene=_bodies(_margin)),
+        _fault("margin", "collision margin of 1 mm left in", "contact-listed", "margin", scene=_bodies(_margin)),
         _fault(
             "cylinder-length",
             "cylinder with half the length",
@@ -970,7 +972,18 @@ FAULTS: dict[str, Fault] = dict(
             scene=_contacts(restitution=lambda e: e + 0.02 if e else 0.0),
         ),
         _fault(
-            "restitution-shared", "largest restitution for all pairs", "pushed-ball", "rebounds", scene=_one_restitution
+            "restitution-shared",
+            "largest restitution for all pairs",
+            "rebound-of-pair",
+            "its own restitution",
+            scene=_one_restitution,
+        ),
+        _fault(
+            "restitution-sustained",
+            "restitution of sustained pairs",
+            "rebound-sustained",
+            "no effect on a pair of the mode SUSTAINED",
+            scene=lambda scene: _always_impact(scene) if any(one.restitution for one in scene.contacts) else scene,
         ),
         _fault(
             "mass-high",
@@ -1093,8 +1106,8 @@ FAULTS: dict[str, Fault] = dict(
         _fault(
             "drive-acceleration",
             "acceleration of driven bodies ignored",
-            "driven-path",
-            "ignores the acceleration",
+            "carry-line",
+            "drive() gives is ignored",
             simulation=_NoAcceleration,
         ),
         _fault("drive-late", "driven bodies one interval late", "driven-path", "late", simulation=_DriveLate),
@@ -1214,12 +1227,12 @@ FAULTS: dict[str, Fault] = dict(
         _fault(
             "first-contact",
             "first contact of a scene only",
-            "slide-of-pair",
-            "friction were",
+            "slide",
+            "has no contact",
             scene=_first_contact_only,
         ),
         _fault("all-collide", "all bodies collide", "contact-unlisted", "collision filter", scene=_all_collide),
-        _fault("nothing-fixed", "fixed bodies move", "slide-straight", "fixed", scene=_nothing_fixed),
+        _fault("nothing-fixed", "fixed bodies move", "fixed-body-stays", "must be static", scene=_nothing_fixed),
         _fault(
             "soft-contacts",
             "contacts ten times too slow",

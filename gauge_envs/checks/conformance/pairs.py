@@ -63,5 +63,8 @@ def _contact_unlisted(lab: Lab) -> Measurement:
     diagnosis="the pair does not collide, or the contact is so soft that a body of 0.1 kg sinks in",
 )
 def _contact_listed(lab: Lab) -> Measurement:
-    height = lab.once(_pairs).position("listed")[-1, 2] - 0.03
-    return Measurement(measured=1e3 * float(height), expected=0.0)
+    height_mm = 1e3 * float(lab.once(_pairs).position("listed")[-1, 2] - 0.03)
+    hint = "it floats on a margin or contact offset of the engine" if height_mm > 0.0 else ""
+    if height_mm < -100.0:
+        hint = "the ball falls through the plane"
+    return Measurement(measured=height_mm, expected=0.0, hint=hint)
