@@ -57,6 +57,24 @@ def _on_the_plate(rollout: Rollout) -> NDArray[np.float64]:
 
 
 @check(
+    "driven-velocity",
+    title="driven body has its driver's velocity",
+    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
+    measures="reported speed of a plate at constant driven speed, over the prescribed speed",
+    law="v = prescribed v",
+    source="contract (Simulation.drive)",
+    unit="1",
+    tolerance=Tolerance(absolute=0.01, rationale="friction depends on this velocity; 1 % is the tolerance of a slide"),
+    diagnosis="the driven body is teleported: it has no velocity, and carries nothing",
+)
+def _driven_velocity(lab: Lab) -> Measurement:
+    rollout = lab.once(_carry)
+    cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
+    speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
+    return Measurement(measured=float(speed / cruise), expected=1.0)
+
+
+@check(
     "driven-path",
     title="driven body follows its driver",
     scene="a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
@@ -73,24 +91,6 @@ def _driven_path(lab: Lab) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
     return driver_error(rollout, rotated + rollout.position("plate")[:, None])
-
-
-@check(
-    "driven-velocity",
-    title="driven body has its driver's velocity",
-    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
-    measures="reported speed of a plate at constant driven speed, over the prescribed speed",
-    law="v = prescribed v",
-    source="contract (Simulation.drive)",
-    unit="1",
-    tolerance=Tolerance(absolute=0.01, rationale="friction depends on this velocity; 1 % is the tolerance of a slide"),
-    diagnosis="the driven body is teleported: it has no velocity, and carries nothing",
-)
-def _driven_velocity(lab: Lab) -> Measurement:
-    rollout = lab.once(_carry)
-    cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
-    speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
-    return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
 CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")
