@@ -391,6 +391,13 @@ def _thick(scene: Scene) -> Scene:
 # --- faults of what is reported --------------------------------------------------------------------------------------
 
 
+class _AsIs(Passed):
+    """Reports fixed bodies where the engine has them."""
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        return np.array(self.inner.body_states(names))
+
+
 def _reporting(change: Callable[[Array], None]) -> type[Passed]:
     """Return a simulation that reports other states than it has."""
 
@@ -1232,7 +1239,14 @@ FAULTS: dict[str, Fault] = dict(
             scene=_first_contact_only,
         ),
         _fault("all-collide", "all bodies collide", "contact-unlisted", "collision filter", scene=_all_collide),
-        _fault("nothing-fixed", "fixed bodies move", "fixed-body-stays", "must be static", scene=_nothing_fixed),
+        _fault(
+            "nothing-fixed",
+            "fixed bodies move",
+            "fixed-body-stays",
+            "must be static",
+            scene=_nothing_fixed,
+            simulation=_AsIs,
+        ),
         _fault(
             "soft-contacts",
             "contacts ten times too slow",

@@ -106,7 +106,10 @@ def when_spinning(
             turned = float(np.degrees((rotations[1:] * rotations[:-1].inv()).magnitude().sum()))
             if turned > 60.0:
                 return measure(rollout)
-            hint = f"the driven ball did not make the body spin: it rotated by {turned:.2g} degrees within 0.5 s"
+            hint = (
+                f"the driven ball did not make the body spin: it rotated by {turned:.2g} degrees within 0.5 s. "
+                "The pair does not collide, or is soft"
+            )
             return Measurement(measured=float("nan"), expected=0.0, hint=hint)
 
         return measure_spin
