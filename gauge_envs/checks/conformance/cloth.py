@@ -60,27 +60,7 @@ def _coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> 
     return float(np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0][0])
 
 
-# --- driven edge -----------------------------------------------------------------------------------------------------
-
-ROD_S = 0.5
-
-
-@check(
-    "cloth-pinned-edge",
-    title="cloth, attached edge follows its driven body",
-    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
-    measures="largest distance of an attached node from its place on the driven rod, within 0.5 s",
-    law="position in the driven body's frame = const",
-    source="contract (scene.Attachment)",
-    unit="mm",
-    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
-    diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
-)
-def _cloth_pinned_edge(lab: Lab) -> Measurement:
-    return attachment_error(lab.rollout(strip_on_rod(), ROD_S), "cloth")
-
-
-# --- stretch ---------------------------------------------------------------------------------------------------------
+# --- start ------------------------------------------------------------------------------------------------------------
 
 HANG_M, HANG_WIDTH_M = 0.3, 0.075
 HANG_DENSITY, HANG_STRETCH = 0.2, 110.0
@@ -111,6 +91,29 @@ def _cloth_start(lab: Lab) -> Measurement:
     half = 0.5 * np.array([HANG_M, HANG_WIDTH_M, 0.0])
     error = float(np.abs(np.concatenate([rest.min(axis=0) + half, rest.max(axis=0) - half])).max())
     return Measurement(measured=1e3 * error, expected=0.0, hint="positions are in mm" if error > 10.0 else "")
+
+
+# --- driven edge -----------------------------------------------------------------------------------------------------
+
+ROD_S = 0.5
+
+
+@check(
+    "cloth-pinned-edge",
+    title="cloth, attached edge follows its driven body",
+    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
+    measures="largest distance of an attached node from its place on the driven rod, within 0.5 s",
+    law="position in the driven body's frame = const",
+    source="contract (scene.Attachment)",
+    unit="mm",
+    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
+    diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
+)
+def _cloth_pinned_edge(lab: Lab) -> Measurement:
+    return attachment_error(lab.rollout(strip_on_rod(), ROD_S), "cloth")
+
+
+# --- stretch ---------------------------------------------------------------------------------------------------------
 
 
 @check(
