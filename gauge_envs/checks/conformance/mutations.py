@@ -1014,7 +1014,7 @@ FAULTS: dict[str, Fault] = dict(
             scene=_shapes(_box_twice),
         ),
         _fault(
-            "sphere-larger", "sphere 5 % larger", "inertia-sphere", "radius were 31.5", scene=_shapes(_sphere_larger)
+            "sphere-larger", "sphere 5 % larger", "contact-listed", "radius is too large", scene=_shapes(_sphere_larger)
         ),
         _fault(
             "union-hull",

@@ -64,7 +64,9 @@ def _contact_unlisted(lab: Lab) -> Measurement:
 )
 def _contact_listed(lab: Lab) -> Measurement:
     height_mm = 1e3 * float(lab.once(_pairs).position("listed")[-1, 2] - 0.03)
-    hint = "it floats on a margin or contact offset of the engine" if height_mm > 0.0 else ""
+    hint = (
+        "it floats on a margin or contact offset of the engine, or its radius is too large" if height_mm > 0.0 else ""
+    )
     if height_mm < -100.0:
         hint = "the ball falls through the plane"
     return Measurement(measured=height_mm, expected=0.0, hint=hint)

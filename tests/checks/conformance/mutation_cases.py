@@ -2,6 +2,7 @@
 
 ALSO = {
     "rest-box": "margin",
+    "inertia-sphere": "sphere-larger",
     "copy": "state-behind",
     "restore-rest": "restore-warm-start",
     "restore-edge": "restore-velocity",
