@@ -11,11 +11,13 @@ from gauge_envs.backends.registry import (
     support_of,
     versions_of,
 )
+from gauge_envs.backends.shared.replay import ReplayedSimulation
 
 __all__ = [
     "Backend",
     "FileBackend",
     "ModelFile",
+    "ReplayedSimulation",
     "Simulation",
     "Support",
     "World",

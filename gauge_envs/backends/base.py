@@ -166,13 +166,27 @@ class Simulation(World):
             row[:] = self.body_states(names)[:, :3]
         return positions
 
-    @abstractmethod
     def state(self) -> Any:
-        """Return a snapshot, from which `restore` continues bit for bit. It can be pickled."""
+        """Return a snapshot, from which `restore` continues bit for bit. It can be pickled.
 
-    @abstractmethod
+        Raises:
+            BackendError: The engine cannot continue bit for bit, and `build` returned no `ReplayedSimulation`.
+        """
+        raise BackendError(
+            f"{type(self).__name__} saves no state. Implement Simulation.state and Simulation.restore, or let build() "
+            "return a ReplayedSimulation of it"
+        )
+
     def restore(self, state: Any) -> None:
-        """Restore a snapshot of this simulation, or of another simulation of the same scene."""
+        """Restore a snapshot of this simulation, or of another simulation of the same scene.
+
+        Raises:
+            BackendError: The engine cannot continue bit for bit, and `build` returned no `ReplayedSimulation`.
+        """
+        raise BackendError(
+            f"{type(self).__name__} restores no state. Implement Simulation.state and Simulation.restore, or let "
+            "build() return a ReplayedSimulation of it"
+        )
 
     @abstractmethod
     def close(self) -> None:

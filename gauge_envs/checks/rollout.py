@@ -19,7 +19,7 @@ from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = ["DeclinedError", "DivergedError", "DriverPaths", "Rollout", "record", "states_now"]
+__all__ = ["DeclinedError", "DivergedError", "DriverPaths", "NotFiniteError", "Rollout", "record", "states_now"]
 
 
 class DeclinedError(GaugeError):
@@ -36,6 +36,10 @@ class DeclinedError(GaugeError):
 
 class DivergedError(GaugeError):
     """The engine failed, or a body is where or as fast as the scene does not allow."""
+
+
+class NotFiniteError(DivergedError):
+    """A state or a node is NaN or infinite."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +158,8 @@ def record(
         now = _read(simulation, scene, observer) if index else last
         if engine_fault := simulation.fault():
             raise DivergedError(f"after {index * interval_s:.3g} s {engine_fault}")
+        if name := _not_finite(scene, now):
+            raise NotFiniteError(f"after {index * interval_s:.3g} s {name!r} is not finite")
         if fault := _fault(scene, last, now, interval_s=interval_s, speed_limit_m_per_s=speed_limit_m_per_s):
             raise DivergedError(f"after {index * interval_s:.3g} s {fault}")
         kept = {name: nodes for name, nodes in now.nodes_m.items() if nodes_of is None or name in nodes_of}
@@ -217,15 +223,17 @@ def _advance(simulation: Simulation, paths: DriverPaths, index: int, interval_s:
         ) from error
 
 
+def _not_finite(scene: Scene, now: _Sample) -> str:
+    """Return the first body whose state or node is not finite; empty when all are."""
+    rigid = {body.name: state for body, state in zip(scene.bodies, now.states, strict=True)}
+    return next((name for name, values in (rigid | now.nodes_m).items() if not np.isfinite(values).all()), "")
+
+
 def _fault(scene: Scene, last: _Sample, now: _Sample, *, interval_s: float, speed_limit_m_per_s: float) -> str:
     """Return why a sample cannot follow another one in the scene; empty when it can.
 
     The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
     """
-    rigid = {body.name: state for body, state in zip(scene.bodies, now.states, strict=True)}
-    for name, values in (rigid | now.nodes_m).items():
-        if not np.isfinite(values).all():
-            return f"{name!r} is not finite"
     for name, speed in _speeds_m_per_s(scene, last, now, interval_s):
         if speed > speed_limit_m_per_s:
             return f"{name!r} moves at {speed:.3g} m/s; the scene allows {speed_limit_m_per_s:.3g} m/s at most"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +24,8 @@ from gauge_envs.cli.output import (
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from gauge_envs.checks.sanity import PhenomenonResult
 
 
@@ -120,11 +123,16 @@ def backend_list(json_lines: Json = False) -> None:
 
 @backend_app.command("check")
 def backend_check(
-    names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Backends; one column of the table each.")],
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="NAME...", help="Backends; one column of the table each.")
+    ] = None,
     only: Annotated[list[str] | None, typer.Option("--only", help="Id or pattern of checks; repeatable.")] = None,
     changes: Annotated[
         list[str] | None, typer.Option("--set", help="Numerical setting of the backends, as timestep_s=0.0005.")
     ] = None,
+    describe: Annotated[
+        bool, typer.Option("--list", help="List the checks with their scenes and laws, and run none.")
+    ] = False,
     json_lines: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
     wide: Wide = False,
@@ -134,19 +142,28 @@ def backend_check(
     Exit code 1 when a check failed or raised an error. A declined check is no failure.
     """
     from gauge_envs.checks.conformance import checks, run_checks
-    from gauge_envs.report.conformance import findings_markdown, findings_view
+    from gauge_envs.report.conformance import checks_table, findings_markdown, findings_view
 
+    patterns = only or []
+    if describe:
+        print_table(checks_table(checks(patterns)), json_lines=json_lines, wide=wide)
+        return
+    if not names:
+        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list")
     engines = list(dict.fromkeys(names))
-    patterns, settings = only or [], parsed_settings(changes or [])
+    settings = parsed_settings(changes or [])
     runs = [run_checks(name, settings=settings, only=patterns) for name in engines]
     findings = []
     stderr = stderr_console()
+    total = len(checks(patterns)) * len(engines)
+    lines = _ProgressLines(stderr, total)
     with progress_bar(stderr) as progress:
-        bar = progress.add_task("checks", total=len(checks(patterns)) * len(engines))
+        bar = progress.add_task("checks", total=total)
         for run in runs:
             for finding in run:
                 findings.append(finding)
                 progress.update(bar, advance=1, description=f"{finding.backend}: {finding.check}")
+                lines.update(len(findings), f"{finding.backend}: {finding.check}")
                 if json_lines:
                     print_json_lines([finding.to_dict()])
     if markdown:
@@ -157,3 +174,26 @@ def backend_check(
     stderr.print(f"{counted(len(findings), 'check')}, {bad} failed")
     if bad:
         raise typer.Exit(EXIT_FAILED)
+
+
+class _ProgressLines:
+    """Lines that report progress where there is no terminal, at most one every few seconds.
+
+    Args:
+        console: The console of messages.
+        total: Number of checks.
+    """
+
+    INTERVAL_S = 5.0
+
+    def __init__(self, console: Console, total: int) -> None:
+        self._console, self._total = console, total
+        self._last_s = time.monotonic()
+
+    def update(self, done: int, text: str) -> None:
+        """Print a line if there is no terminal and the last line is old."""
+        now_s = time.monotonic()
+        if self._console.is_terminal or now_s - self._last_s < self.INTERVAL_S:
+            return
+        self._last_s = now_s
+        self._console.print(plain_text(f"{done} of {counted(self._total, 'check')} done, {text}"), soft_wrap=True)

@@ -8,14 +8,31 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from gauge_envs.checks.conformance.model import CheckResult, Status
-from gauge_envs.report.table import Column, Table, as_markdown, as_rich
+from gauge_envs.checks.conformance.model import Check, CheckResult, Status
+from gauge_envs.report.table import Column, Place, Table, as_markdown, as_rich
 from gauge_envs.report.text import pairs_text
 
-__all__ = ["findings_markdown", "findings_view"]
+__all__ = ["checks_table", "findings_markdown", "findings_view"]
 
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim", Status.ERROR: "bold red"}
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
+
+
+def checks_table(checks: Sequence[Check]) -> Table:
+    """Return the checks with their scenes, measured quantities, laws and tolerances."""
+    return Table(
+        columns=(
+            Column("id", "check"),
+            Column("law", "law"),
+            Column("unit", "unit", wide_only=True),
+            Column("scene", "scene", place=Place.BELOW),
+            Column("measures", "measures", place=Place.BELOW),
+        ),
+        rows=[
+            {key: getattr(one, key) for key in ("id", "title", "scene", "measures", "law", "source", "unit")}
+            for one in checks
+        ],
+    )
 
 
 def findings_view(findings: Sequence[CheckResult], *, wide: bool = False) -> Group:
@@ -92,7 +109,9 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     """Yield the titles and lines below the table."""
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
-        yield "Diagnoses", [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in bad]
+        own = [one for one in bad if not one.reported_by]
+        lines = [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in own]
+        yield "Diagnoses", lines + list(_same_fault_lines(bad))
     declined: dict[str, list[str]] = {}
     for one in findings:
         if one.status is Status.DECLINED:
@@ -103,6 +122,16 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
         own = [finding for finding in findings if finding.backend == name]
         versions = ", ".join(f"{key} {value}" for key, value in own[0].versions.items())
         yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
+
+
+def _same_fault_lines(bad: Sequence[CheckResult]) -> Iterator[str]:
+    """Yield one line for the checks that fail for a reason that an earlier check reports."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for one in bad:
+        if one.reported_by:
+            groups.setdefault((one.backend, one.reported_by), []).append(one.check)
+    for (backend, first), ids in groups.items():
+        yield f"{backend}: {len(ids)} more are not finite, see {first}: {', '.join(ids)}"
 
 
 def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:

@@ -60,6 +60,7 @@ class Scene:
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
             deformable body, or does not rotate a hinged body about its hinge.
+        ParameterError: Two contacts list the same pair.
     """
 
     bodies: tuple[RigidBody, ...]
@@ -75,6 +76,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
+        self._check_pairs()
         for body in self.bodies:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
@@ -103,6 +105,19 @@ class Scene:
                         f"angular velocity along the axis {joint.axis}, and the linear velocity "
                         f"{tuple((expected + 0.0).tolist())} m/s."
                     )
+
+    def _check_pairs(self) -> None:
+        """Raise an error if two contacts list the same pair."""
+        seen: set[frozenset[str]] = set()
+        for contact in self.contacts:
+            for first, second in self.colliding_pairs(contact):
+                pair = frozenset((first, second))
+                if pair in seen:
+                    raise ParameterError(
+                        f"scene: two contacts list the pair {first!r} and {second!r}. A pair has one friction, "
+                        "restitution and mode: remove it from one of the contacts"
+                    )
+                seen.add(pair)
 
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""

@@ -8,6 +8,7 @@ benchmark runs too. A check is one function that builds a scene and measures one
     @check(
         "free-fall",
         title="free fall",
+        scene="a ball that falls from 3 m",
         measures="downward acceleration of a ball, quadratic fit over 0.5 s",
         law="a = g",
         source="Galilei",
@@ -24,7 +25,10 @@ Add it to the module of its kind. The decorator registers it for the command, th
 """
 
 # The order of the checks is that of these imports.
-from gauge_envs.checks.conformance import contract, rigid, contacts, driven, cloth, soft, lines  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import contract, continuation, rigid, pairs, spin  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import forces, contacts, shapes, slopes, momentum  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import driven, collisions, cloth, soft, lines  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import benchmark  # noqa: F401  # isort: skip
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.model import Check, CheckResult, Measurement, Status, Tolerance
 from gauge_envs.checks.conformance.registry import check, checks

@@ -60,7 +60,7 @@ def _coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> 
     return float(np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0][0])
 
 
-# --- stretch ---------------------------------------------------------------------------------------------------------
+# --- start ------------------------------------------------------------------------------------------------------------
 
 HANG_M, HANG_WIDTH_M = 0.3, 0.075
 HANG_DENSITY, HANG_STRETCH = 0.2, 110.0
@@ -77,6 +77,7 @@ def _hanging(lab: Lab) -> Rollout:
 @check(
     "cloth-start",
     title="cloth, start",
+    scene="a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge",
     measures="largest distance between the sheet's edges and the bounding box of its nodes, in its frame, at the start",
     law="Cloth.size_m, Cloth.pose",
     source="contract (Simulation.nodes)",
@@ -92,9 +93,33 @@ def _cloth_start(lab: Lab) -> Measurement:
     return Measurement(measured=1e3 * error, expected=0.0, hint="positions are in mm" if error > 10.0 else "")
 
 
+# --- driven edge -----------------------------------------------------------------------------------------------------
+
+ROD_S = 0.5
+
+
+@check(
+    "cloth-pinned-edge",
+    title="cloth, attached edge follows its driven body",
+    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
+    measures="largest distance of an attached node from its place on the driven rod, within 0.5 s",
+    law="position in the driven body's frame = const",
+    source="contract (scene.Attachment)",
+    unit="mm",
+    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
+    diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
+)
+def _cloth_pinned_edge(lab: Lab) -> Measurement:
+    return attachment_error(lab.rollout(strip_on_rod(), ROD_S), "cloth")
+
+
+# --- stretch ---------------------------------------------------------------------------------------------------------
+
+
 @check(
     "cloth-stretch",
     title="cloth, stretch stiffness K_s",
+    scene="a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge",
     measures="K_s from the mean sag of a strip under its own weight, at least one width from its clamped edge",
     law="u(s) = rho g (L s - s^2 / 2) / K_s",
     source="uniaxial tension with free transverse edges (scene.Cloth)",
@@ -138,6 +163,7 @@ def _sheared(lab: Lab) -> Rollout:
 @check(
     "cloth-shear",
     title="cloth, shear stiffness K_sh",
+    scene="an upright sheet, 0.1 m wide and 0.4 m high, clamped along both upright edges",
     measures="K_sh from the mean sag, at middle height, of an upright sheet clamped along both upright edges",
     law="w(s) = rho g (L s - s^2) / (2 K_sh)",
     source="simple shear of a wide sheet (scene.Cloth)",
@@ -185,6 +211,7 @@ def _cantilever(lab: Lab) -> Rollout:
 @check(
     "cloth-bending",
     title="cloth, bending stiffness",
+    scene="a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity",
     measures="bending stiffness per width from the mean droop of a strip clamped at one end, along the warp",
     law="D w'' = rho g (L - s)^2 / 2",
     source="heavy elastica at small slope; D = K_theta on a square grid (scene/fabrics.py)",
@@ -220,6 +247,7 @@ def _node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> ND
 @check(
     "cloth-energy",
     title="cloth gains no energy",
+    scene="a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity",
     measures="largest gain of kinetic and potential energy of the drooping strip, over the released potential energy",
     law="T + V <= initial T + V; elastic energy is not negative and starts at 0",
     source="elasticity is passive",
@@ -232,25 +260,6 @@ def _cloth_energy(lab: Lab) -> Measurement:
     local = _local(rollout)
     shares = _node_shares(local[0], (CLAMP_M + FREE_M, STRIP_WIDTH_M))
     return passive_energy_gain(local, rollout.times_s, shares, BEND_GRAVITY)
-
-
-# --- driven edge -----------------------------------------------------------------------------------------------------
-
-ROD_S = 0.5
-
-
-@check(
-    "cloth-pinned-edge",
-    title="cloth, attached edge follows its driven body",
-    measures="largest distance of an attached node from its place on the driven rod, within 0.5 s",
-    law="position in the driven body's frame = const",
-    source="contract (scene.Attachment)",
-    unit="mm",
-    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
-    diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
-)
-def _cloth_pinned_edge(lab: Lab) -> Measurement:
-    return attachment_error(lab.rollout(strip_on_rod(), ROD_S), "cloth")
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------
@@ -282,6 +291,7 @@ def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
 @check(
     "cloth-slide",
     title="cloth slides on 30 degrees",
+    scene="a sheet of cloth on a fixed slab that leans by 30 degrees; friction 0.3",
     measures="acceleration downhill of a sheet with friction 0.3, mean over its nodes, quadratic fit from 0.1 to 0.4 s",
     law="a = g (sin 30 - mu cos 30)",
     source="Coulomb",
@@ -303,6 +313,7 @@ def _cloth_slide(lab: Lab) -> Measurement:
 @check(
     "cloth-rests",
     title="cloth lies on what it touches",
+    scene="a sheet of cloth on a fixed slab that leans by 30 degrees; friction 0.3",
     measures="largest difference between a node's height over the slab and half the thickness, 0.3 to 0.4 s",
     law="height = thickness / 2",
     source="contact (scene.Contact), thickness (scene.Cloth)",

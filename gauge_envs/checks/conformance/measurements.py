@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,7 @@ __all__ = [
     "driver_error",
     "driver_poses",
     "fall_m",
+    "mean_period_s",
     "passive_energy_gain",
     "slide_acceleration",
     "stiffness",
@@ -35,6 +38,14 @@ def fall_m(rollout: Rollout, name: str) -> float:
     """Return the distance [m] by which a body has fallen at the end."""
     height = rollout.position(name)[:, 2]
     return float(height[0] - height[-1])
+
+
+def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float:
+    """Return the mean period [s] from the upward zero crossings; NaN for fewer than two."""
+    before = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))
+    share = angle[before] / (angle[before] - angle[before + 1])
+    crossings = times_s[before] + share * np.diff(times_s)[before]
+    return float(np.diff(crossings).mean()) if len(crossings) > 1 else float("nan")
 
 
 def slide_acceleration(measured: float, friction: float) -> Measurement:
@@ -115,4 +126,12 @@ def attachment_error(rollout: Rollout, name: str) -> Measurement:
     """Measure the largest distance [mm] of a hanging body's upper nodes from their places on the driven body."""
     nodes = rollout.nodes_m[name]
     attached = nodes[0, :, 2] > nodes[0, :, 2].max() - PLACE_TOLERANCE_M
-    return driver_error(rollout, nodes[:, attached])
+    found = driver_error(rollout, nodes[:, attached])
+    jump_mm = 1e3 * float(np.linalg.norm(nodes[1] - nodes[0], axis=1).max())
+    fallen_mm = 1e3 * float((nodes[0] - nodes[-1])[attached, 2].mean())
+    free_mm = 500.0 * rollout.scene.gravity_m_per_s2 * float(rollout.times_s[-1]) ** 2
+    if jump_mm > 10.0:
+        return replace(found, hint=f"nodes jump by {jump_mm:.3g} mm in the first interval: their order changes")
+    if fallen_mm > 0.5 * free_mm:
+        return replace(found, hint="the body falls: the attachment is missing")
+    return found

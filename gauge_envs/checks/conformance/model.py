@@ -69,6 +69,7 @@ class Check:
     Attributes:
         id: Stable name.
         title: Subject of the check, in a few words.
+        scene: The scene that is built: bodies, supports, and what moves them.
         measures: The measured quantity and the method.
         law: Formula of the expected value.
         source: Origin of the law.
@@ -80,6 +81,7 @@ class Check:
 
     id: str
     title: str
+    scene: str
     measures: str
     law: str
     source: str
@@ -108,6 +110,7 @@ class CheckResult:
         width: Largest admissible difference; None when nothing was measured.
         diagnosis: Likely causes of a failure, or the text of the exception; empty otherwise.
         missing: Features that the backend lacks, when it declined.
+        reported_by: Id of the check that reports the same fault first; empty for a fault of its own.
         wall_s: Time that the check took [s]; checks that share a rollout count it once.
         settings: Numerical settings in force in the last scene of the check.
         versions: Versions of the engine's packages.
@@ -127,6 +130,7 @@ class CheckResult:
     width: float | None = None
     diagnosis: str = ""
     missing: tuple[str, ...] = ()
+    reported_by: str = ""
     wall_s: float = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)

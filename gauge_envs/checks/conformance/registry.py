@@ -14,10 +14,11 @@ __all__ = ["check", "checks"]
 _CHECKS: dict[str, Check] = {}
 
 
-def check(
+def check(  # noqa: PLR0913  a check is all of these texts
     id: str,
     *,
     title: str,
+    scene: str,
     measures: str,
     law: str,
     source: str,
@@ -37,6 +38,7 @@ def check(
         _CHECKS[id] = Check(
             id=id,
             title=title,
+            scene=scene,
             measures=measures,
             law=law,
             source=source,

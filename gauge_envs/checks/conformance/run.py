@@ -12,9 +12,12 @@ from gauge_envs.backends import backend as find_backend
 from gauge_envs.checks.conformance.lab import Lab, RefusedSettingsError
 from gauge_envs.checks.conformance.model import Check, CheckResult, Status
 from gauge_envs.checks.conformance.registry import checks
-from gauge_envs.checks.rollout import DeclinedError
+from gauge_envs.checks.rollout import DeclinedError, NotFiniteError
 
 __all__ = ["run_checks"]
+
+FINITE = "finite"
+"""Id of the check that reports states that are not finite."""
 
 
 def run_checks(
@@ -38,9 +41,14 @@ def run_checks(
 
 def _results(engine: Backend, lab: Lab, chosen: Sequence[Check]) -> Iterator[CheckResult]:
     versions = engine.versions()
+    reported_by = ""
     for one in chosen:
         started = time.perf_counter()
-        outcome = _outcome(lab, one)
+        outcome, finite = _outcome(lab, one)
+        if not finite:
+            if reported_by:
+                outcome |= {"diagnosis": f"not finite: see the check {reported_by!r}", "reported_by": reported_by}
+            reported_by = reported_by or one.id
         yield CheckResult(
             check=one.id,
             backend=engine.name,
@@ -57,17 +65,18 @@ def _results(engine: Backend, lab: Lab, chosen: Sequence[Check]) -> Iterator[Che
         )
 
 
-def _outcome(lab: Lab, one: Check) -> dict[str, Any]:
-    """Return the fields of a result that depend on the run."""
+def _outcome(lab: Lab, one: Check) -> tuple[dict[str, Any], bool]:
+    """Return the fields of a result that depend on the run, and whether all states were finite."""
     try:
         measurement = one.measure(lab)
     except DeclinedError as declined:
-        return {"status": Status.DECLINED, "missing": declined.missing}
+        return {"status": Status.DECLINED, "missing": declined.missing}, True
     except RefusedSettingsError:
         raise
     # Any exception of a backend is a result, and the next check may still pass.
     except Exception as error:
-        return {"status": Status.ERROR, "diagnosis": f"{type(error).__name__}: {error}"}
+        finite = not isinstance(error, NotFiniteError)
+        return {"status": Status.ERROR, "diagnosis": f"{type(error).__name__}: {error}"}, finite
     expected, measured = float(measurement.expected), float(measurement.measured)
     width = one.tolerance.width(expected)
     passed = math.isfinite(measured) and abs(measured - expected) <= width
@@ -78,4 +87,4 @@ def _outcome(lab: Lab, one: Check) -> dict[str, Any]:
         "measured": measured,
         "width": width,
         "diagnosis": "" if passed else text,
-    }
+    }, not (math.isnan(measured) and not measurement.hint) and not (one.id == FINITE and not passed)

@@ -63,6 +63,7 @@ def _strain_rate_per_m(rest: NDArray[np.float64], displacement: NDArray[np.float
 @check(
     "foam-start",
     title="foam, start",
+    scene="a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
     measures="largest distance between the bar's faces and the bounding box of its nodes, at the start",
     law="SoftBody.shape, SoftBody.pose",
     source="contract (Simulation.nodes)",
@@ -80,6 +81,7 @@ def _foam_start(lab: Lab) -> Measurement:
 @check(
     "foam-tension",
     title="foam, Young's modulus",
+    scene="a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
     measures="E from the mean sag of a bar under its own weight, at least one width from its clamped face",
     law="u_z = rho g (z^2 + nu r^2 - L^2) / (2 E)",
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
@@ -98,6 +100,7 @@ def _foam_tension(lab: Lab) -> Measurement:
 @check(
     "foam-poisson",
     title="foam, Poisson contraction",
+    scene="a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
     measures="mean transverse contraction over mean stretch of the bar, at least one width from its clamped face",
     law="u_x = -nu rho g z x / E",
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
@@ -120,6 +123,7 @@ def _foam_poisson(lab: Lab) -> Measurement:
 @check(
     "foam-pinned-face",
     title="foam, attached face follows its driven body",
+    scene="the same bar attached to a plate that turns by 0.5 rad",
     measures="largest distance of an attached node from its place on a rotating driven plate, within 0.25 s",
     law="position in the driven body's frame = const",
     source="contract (scene.Attachment)",

@@ -66,6 +66,7 @@ def _largest_mm(apart_m: NDArray[np.float64]) -> float:
 @check(
     "start-velocity",
     title="thrown ball flies straight",
+    scene="a ball thrown with rotation, without gravity and contacts",
     measures="largest distance of a thrown, spinning ball from its straight line within 0.5 s, without gravity",
     law="r = r0 + v0 t",
     source="Newton; RigidBody.linear_velocity_m_per_s (scene.py)",
@@ -93,6 +94,7 @@ def _start_velocity(lab: Lab) -> Measurement:
 @check(
     "start-spin",
     title="spinning brick rotates freely",
+    scene="a leaning brick of 0.4 kg thrown with rotation, without gravity and contacts",
     measures="angle between a thrown, spinning brick after 0.5 s and Euler's equations from the scene's start",
     law="I domega/dt + omega x I omega = 0",
     source="Euler, integrated by scipy's DOP853; RigidBody.angular_velocity_rad_per_s (scene.py)",
@@ -129,6 +131,7 @@ def _start_spin(lab: Lab) -> Measurement:
 @check(
     "start-velocity-of-origin",
     title="start velocity is that of the body's origin",
+    scene="the same brick as a convex solid whose origin is one of its corners",
     measures="largest distance of the centre of mass of a thrown, spinning solid, whose origin is one of its corners, "
     "from its straight line within 0.5 s",
     law="r_c = r_c0 + (v0 + omega0 x R c) t",
@@ -154,6 +157,7 @@ def _start_velocity_of_origin(lab: Lab) -> Measurement:
 @check(
     "start-velocity-reset",
     title="reset restores the start velocity",
+    scene="a ball thrown with rotation, reset after 0.1 s",
     measures="largest difference of the reported velocities of a thrown, spinning ball from the scene's, right after a "
     "reset that follows 0.1 s of flight",
     law="v = v0, omega = omega0",

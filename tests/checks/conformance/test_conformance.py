@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mutation_cases import ALSO
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.backends import Backend, Simulation, Support, backend, registry
-from gauge_envs.checks.conformance import CheckResult, Status, checks, run_checks
+from gauge_envs.checks.conformance import CheckResult, Status, checks, mutations, run_checks
 from gauge_envs.checks.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError
@@ -328,7 +329,7 @@ def random_fabric(scene: Scene) -> Scene:
 
 def all_collide(scene: Scene) -> Scene:
     names = tuple(one.name for one in scene.bodies)
-    return replace(scene, contacts=(*scene.contacts, Contact(first=names, second=names, friction=0.5, restitution=0.0)))
+    return replace(scene, contacts=(Contact(first=names, second=names, friction=0.5, restitution=0.0),))
 
 
 def random_friction(scene: Scene) -> Scene:
@@ -505,7 +506,8 @@ def test_a_planted_fault_is_named(fault: str) -> None:
 
 
 def test_every_check_can_fail() -> None:
-    assert {name for _, name, _ in FAULTS.values()} == {check.id for check in checks()}
+    planted = {name for _, name, _ in FAULTS.values()} | {fault.caught_by for fault in mutations.FAULTS.values()}
+    assert planted | set(ALSO) == {check.id for check in checks()}
 
 
 def test_deformable_laws_read_the_same_at_any_damping() -> None:
@@ -608,7 +610,7 @@ def test_unknown_names_are_refused_before_anything_runs() -> None:
 
 def test_every_check_says_what_it_is() -> None:
     for check in checks():
-        for text in (check.title, check.measures, check.law, check.source, check.unit, check.diagnosis):
+        for text in (check.title, check.scene, check.measures, check.law, check.source, check.unit, check.diagnosis):
             assert text
         assert check.tolerance.rationale
         assert check.id == check.id.lower().replace(" ", "-").replace("_", "-")
@@ -619,9 +621,17 @@ def test_an_id_is_used_once() -> None:
     from gauge_envs.checks.conformance import check
 
     with pytest.raises(ParameterError, match=first.id):
-        check(first.id, title="", measures="", law="", source="", unit="", tolerance=first.tolerance, diagnosis="")(
-            first.measure
-        )
+        check(
+            first.id,
+            title="",
+            scene="",
+            measures="",
+            law="",
+            source="",
+            unit="",
+            tolerance=first.tolerance,
+            diagnosis="",
+        )(first.measure)
 
 
 # --- the command ---
@@ -682,6 +692,39 @@ def test_command_refuses_unknown_names(gauge: Callable[..., Any], arguments: tup
     result = gauge(*arguments)
     assert result.exit_code == 2
     assert "unknown" in result.stderr
+
+
+def test_command_lists_checks_with_their_scenes(gauge: Callable[..., Any]) -> None:
+    result = gauge("--list", "--only", "rest-*")
+    assert result.exit_code == 0
+    assert "rest-lying-cylinder" in result.stdout
+    assert "fixed plane, box, sphere, cylinder" in " ".join(result.stdout.split())
+    rows = [json.loads(line) for line in gauge("--list", "--json").stdout.splitlines()]
+    assert [row["id"] for row in rows] == [check.id for check in checks()]
+    assert all(row["scene"] and row["measures"] and row["law"] for row in rows)
+
+
+def test_command_needs_a_backend_or_the_list(gauge: Callable[..., Any]) -> None:
+    result = gauge("--only", "free-fall")
+    assert result.exit_code == 2
+    assert "gauge backend check mujoco" in result.stderr
+
+
+def test_command_reports_progress_without_a_terminal(
+    gauge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gauge_envs.cli.checks._ProgressLines.INTERVAL_S", 0.0)
+    result = gauge("mujoco", "--only", "free-fall", "--only", "hold")
+    assert "1 of 2 checks done, mujoco: free-fall" in result.stderr
+    assert "2 of 2 checks done, mujoco: hold" in result.stderr
+
+
+def test_checks_that_fail_for_the_same_reason_have_one_line() -> None:
+    broken = mutations.Mutant(MUJOCO, mutations.FAULTS["nan-mass"])
+    results = list(run_checks(broken, only=["finite", "free-fall*", "slide*"]))
+    text = findings_markdown(results)
+    assert "see the check" not in text
+    assert "more are not finite, see finite: free-fall" in text
 
 
 def test_bars_in_laws_do_not_break_the_markdown_table() -> None:

@@ -165,6 +165,18 @@ def deformables(draw: st.DrawFn, name: str) -> Cloth | SoftBody | Rope | Rod:
     )
 
 
+def _of_different_pairs(contacts: list[Contact]) -> tuple[Contact, ...]:
+    """Return the contacts that list no pair of an earlier one."""
+    seen: set[frozenset[str]] = set()
+    kept = []
+    for contact in contacts:
+        pairs = {frozenset((first, second)) for first in contact.first for second in contact.second}
+        if not pairs & seen:
+            kept.append(contact)
+        seen |= pairs
+    return tuple(kept)
+
+
 @st.composite
 def scenes(draw: st.DrawFn) -> Scene:
     names = draw(st.permutations(NAMES))
@@ -227,7 +239,7 @@ def scenes(draw: st.DrawFn) -> Scene:
         deformables=tuple(soft),
         joints=tuple(draw(st.permutations(joints))),
         attachments=tuple(attachments),
-        contacts=tuple(draw(st.lists(contact, max_size=4))),
+        contacts=_of_different_pairs(draw(st.lists(contact, max_size=4))),
         drivers=tuple(draw(st.permutations(drivers))),
         markers=markers,
         duration_s=draw(st.floats(0.1, 3.0)),

@@ -1,0 +1,64 @@
+"""Which check catches each planted fault first, and what its diagnosis says, as a Markdown table.
+
+    python benchmarks/mutations.py
+    python benchmarks/mutations.py --backend newton --only "rope-*" --only margin
+
+Exit code 1 when a fault survives all checks. Faults of MuJoCo's model are left out on another backend.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from fnmatch import fnmatchcase
+
+from gauge_envs.backends import backend
+from gauge_envs.checks.conformance import checks
+from gauge_envs.checks.conformance.mutations import FAULTS, Mutant, first_failure
+from gauge_envs.report.text import markdown_row
+
+LONGEST_DIAGNOSIS = 160
+
+
+def _shortened(text: str) -> str:
+    """Return the beginning of a diagnosis, up to a whole word."""
+    if len(text) <= LONGEST_DIAGNOSIS:
+        return text
+    return text[:LONGEST_DIAGNOSIS].rsplit(" ", 1)[0] + " ..."
+
+
+def main() -> int:
+    """Print the table and the numbers of faults that are caught and named."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--backend", default="mujoco")
+    parser.add_argument("--only", action="append", default=[], help="id or pattern of faults; repeatable")
+    arguments = parser.parse_args()
+    engine = backend(arguments.backend)
+    chosen = {
+        name: fault
+        for name, fault in FAULTS.items()
+        if fault.engine in ("", arguments.backend)
+        and (not arguments.only or any(fnmatchcase(name, pattern) for pattern in arguments.only))
+    }
+    print(markdown_row(["fault", "caught by", "diagnosis", "named"]))
+    print(markdown_row(["---"] * 4))
+    survivors, named = [], 0
+    for name, fault in chosen.items():
+        result = first_failure(Mutant(engine, fault))
+        if result is None:
+            survivors.append(name)
+            print(markdown_row([fault.what, "none", "", "no"]), flush=True)
+            continue
+        is_named = fault.says in result.diagnosis
+        named += is_named
+        row = [fault.what, f"`{result.check}`", _shortened(result.diagnosis), "yes" if is_named else "no"]
+        print(markdown_row(row), flush=True)
+    print(
+        f"\n{len(chosen)} faults on {engine.name}, {len(checks())} checks: {len(chosen) - len(survivors)} caught, "
+        f"{named} named by the first diagnosis. Survivors: {', '.join(survivors) or 'none'}."
+    )
+    return 1 if survivors else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""Which pairs of bodies collide."""
+
+from __future__ import annotations
+
+from gauge_envs.checks.conformance.lab import Lab
+from gauge_envs.checks.conformance.measurements import (
+    fall_m,
+)
+from gauge_envs.checks.conformance.model import Measurement, Tolerance
+from gauge_envs.checks.conformance.registry import check
+from gauge_envs.checks.conformance.scene_parts import ball, ground
+from gauge_envs.checks.rollout import Rollout
+from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Scene
+
+__all__: list[str] = []
+
+G = GRAVITY_M_PER_S2
+
+
+def _pairs(lab: Lab) -> Rollout:
+    """Record three balls over a plane: one has a contact with the plane, the other two have none."""
+    scene = Scene(
+        bodies=(
+            ball("listed", (-0.1, 0.0, 0.03)),
+            ball("unlisted", (0.1, 0.0, 0.03)),
+            ball("upper", (-0.1, 0.0, 0.2)),
+            ground(),
+        ),
+        contacts=(Contact(first=("listed",), second=("ground",), friction=0.5, restitution=0.0),),
+        duration_s=0.5,
+    )
+    return lab.rollout(scene, 0.5)
+
+
+@check(
+    "contact-unlisted",
+    title="bodies without a listed contact pass through each other",
+    scene="three balls of radius 30 mm over a plane; only one of them has a contact with it",
+    measures="smaller fall within 0.5 s of two balls through bodies with which they have no contact",
+    law="g t^2 / 2",
+    source="contract (scene.Contact)",
+    unit="m",
+    tolerance=Tolerance(relative=0.01, rationale="it is a free fall; any contact force is visible"),
+    diagnosis="the collision filter of the engine lets bodies collide that have no contact in the scene",
+)
+def _contact_unlisted(lab: Lab) -> Measurement:
+    rollout = lab.once(_pairs)
+    fallen = {name: fall_m(rollout, name) for name in ("unlisted", "upper")}
+    slow = min(fallen, key=lambda name: fallen[name])
+    what = {"unlisted": "the plane", "upper": "the plane or the other ball"}[slow]
+    return Measurement(measured=fallen[slow], expected=0.5 * G * 0.5**2, hint=f"ball {slow!r} is held by {what}")
+
+
+@check(
+    "contact-listed",
+    title="bodies with a listed contact hold each other",
+    scene="three balls of radius 30 mm over a plane; only one of them has a contact with it",
+    measures="height of a ball's lowest point above the plane, 0.5 s after it was placed there",
+    law="height = 0",
+    source="contract (scene.Contact)",
+    unit="mm",
+    tolerance=Tolerance(absolute=0.5, rationale="the real trials' scatter is about 1 mm"),
+    diagnosis="the pair does not collide, or the contact is so soft that a body of 0.1 kg sinks in",
+)
+def _contact_listed(lab: Lab) -> Measurement:
+    height_mm = 1e3 * float(lab.once(_pairs).position("listed")[-1, 2] - 0.03)
+    hint = (
+        "it floats on a margin or contact offset of the engine, or its radius is too large" if height_mm > 0.0 else ""
+    )
+    if height_mm < -100.0:
+        hint = "the ball falls through the plane"
+    return Measurement(measured=height_mm, expected=0.0, hint=hint)

@@ -1,0 +1,182 @@
+"""What the package provides to authors of backends: replayed states, constants of bodies, driven motion."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gauge_envs import load_experiment
+from gauge_envs.backends import Backend, ReplayedSimulation, Simulation, Support, backend
+from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
+from gauge_envs.checks.conformance import Status, run_checks
+from gauge_envs.checks.conformance.mutations import Passed
+from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
+from gauge_envs.scene import Contact, Pose, Scene
+
+MUJOCO = backend("mujoco")
+
+# --- states ---
+
+
+class NoState(Passed):
+    """An engine that can save no state."""
+
+    def state(self) -> Any:
+        return Simulation.state(self)
+
+    def restore(self, state: Any) -> None:
+        Simulation.restore(self, state)
+
+
+class Stateless(Backend):
+    """MuJoCo without states, replayed or not."""
+
+    name = "stateless"
+
+    def __init__(self, *, replayed: bool) -> None:
+        self.replayed = replayed
+
+    def versions(self) -> dict[str, str]:
+        return {}
+
+    def supports(self, scene: Scene) -> Support:
+        return MUJOCO.supports(scene)
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        simulation = NoState(MUJOCO.build(scene, settings), scene)
+        return ReplayedSimulation(simulation) if self.replayed else simulation
+
+
+STATE_CHECKS = ["restore", "restore-*-rigid", "restore-wrench", "restore-rest", "copy", "cloth-restore", "cloth-copy"]
+
+
+def test_a_replayed_simulation_continues_bit_for_bit() -> None:
+    results = list(run_checks(Stateless(replayed=True), only=[*STATE_CHECKS, "sample-positions", "reset-*"]))
+    assert {one.status for one in results} == {Status.PASS}
+
+
+def test_without_it_the_error_says_what_to_do() -> None:
+    (result,) = run_checks(Stateless(replayed=False), only=["restore"])
+    assert result.status is Status.ERROR
+    assert "ReplayedSimulation" in result.diagnosis
+
+
+def test_a_replayed_state_is_taken_before_any_reset() -> None:
+    scene = load_experiment("BouncingBall-rubber").scene
+    first, other = (Stateless(replayed=True).build(scene) for _ in range(2))
+    saved = pickle.loads(pickle.dumps(first.state()))
+    first.advance(0.1)
+    other.restore(saved)
+    other.advance(0.1)
+    assert (first.body_states(["ball"]) == other.body_states(["ball"])).all()
+
+
+def test_the_base_class_saves_no_state() -> None:
+    simulation = NoState(MUJOCO.build(load_experiment("BouncingBall-rubber").scene), Scene(bodies=(), duration_s=1.0))
+    for call in (simulation.state, lambda: simulation.restore(None)):
+        with pytest.raises(BackendError, match="ReplayedSimulation"):
+            call()
+
+
+# --- constants of bodies ---
+
+TRIANGLE = {("a", "b"): 0.2, ("b", "c"): 0.3, ("a", "c"): 0.6}
+
+
+def combined(values: Mapping[str, float], pair: tuple[str, str], rule: Combination) -> float:
+    one, other = values[pair[0]], values[pair[1]]
+    return {
+        Combination.PRODUCT: one * other,
+        Combination.MAX: max(one, other),
+        Combination.MEAN: 0.5 * (one + other),
+        Combination.GEOMETRIC: float(np.sqrt(one * other)),
+    }[rule]
+
+
+@pytest.mark.parametrize(
+    ("rule", "pairs"),
+    [
+        (Combination.PRODUCT, TRIANGLE),
+        (Combination.GEOMETRIC, TRIANGLE),
+        (Combination.MEAN, {("a", "b"): 0.2, ("b", "c"): 0.3, ("a", "c"): 0.3}),
+        (Combination.MEAN, {("a", "b"): 0.5, ("b", "c"): 0.1}),
+        (Combination.MAX, {("a", "b"): 0.2, ("b", "c"): 0.6, ("a", "c"): 0.6}),
+        (Combination.PRODUCT, {("a", "b"): 0.0, ("b", "c"): 0.3}),
+        (Combination.PRODUCT, {}),
+    ],
+)
+def test_values_of_bodies_give_those_of_pairs(rule: Combination, pairs: dict[tuple[str, str], float]) -> None:
+    values = body_values(pairs, rule)
+    assert all(value >= 0.0 for value in values.values())
+    for pair, value in pairs.items():
+        assert combined(values, pair, rule) == pytest.approx(value, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rule", "pairs", "named"),
+    [
+        ("product", {("a", "b"): 0.0, ("b", "c"): 0.3, ("a", "c"): 0.3}, "'a' and 'b'"),
+        ("max", {("a", "b"): 0.9, ("b", "c"): 0.3, ("a", "c"): 0.3}, "'a' and 'b'"),
+        ("mean", {("a", "b"): 0.9, ("b", "c"): 0.1, ("a", "c"): 0.1}, "pair '"),
+        (
+            "geometric",
+            {("a", "b"): 0.2, ("b", "c"): 0.3, ("c", "d"): 0.4, ("d", "a"): 0.5},
+            "pair '",
+        ),
+    ],
+)
+def test_no_solution_names_a_pair(rule: str, pairs: dict[tuple[str, str], float], named: str) -> None:
+    with pytest.raises(UnsupportedSceneError, match=named):
+        body_values(pairs, rule)
+
+
+def test_pairs_of_a_scene() -> None:
+    scene = load_experiment("SlopeSlider-2-wood").scene
+    pairs = pair_values(scene, "friction")
+    assert pairs["cube", "board"] == scene.contacts[0].friction
+    assert set(body_values(pairs, "product")) == {"cube", "board", "ground"}
+
+
+# --- pairs in two contacts ---
+
+
+def test_a_pair_in_two_contacts_is_an_error() -> None:
+    scene = load_experiment("SlopeSlider-2-wood").scene
+    again = Contact(first=("board",), second=("cube",), friction=0.9, restitution=0.0)
+    with pytest.raises(ParameterError, match="two contacts list the pair 'board' and 'cube'"):
+        replace(scene, contacts=(*scene.contacts, again))
+
+
+def test_a_group_with_itself_lists_a_pair_once() -> None:
+    scene = load_experiment("NewtonsCradle-metal").scene
+    names = tuple(one.name for one in scene.dynamic_bodies)
+    inner = Contact(first=names, second=names, friction=0.1, restitution=0.5)
+    assert len(list(replace(scene, contacts=(inner,)).colliding_pairs(inner))) == 10
+
+
+# --- driven motion ---
+
+
+def test_mean_velocities_follow_the_motion_exactly() -> None:
+    start = Pose.from_euler_deg((0.1, 0.2, 0.3), (20.0, -30.0, 40.0))
+    motion = DrivenMotion(
+        start, np.array([0.3, -0.1, 0.2, 1.0, 2.0, -1.5]), np.array([2.0, 1.0, -3.0, 40.0, -10.0, 20.0])
+    )
+    steps = np.linspace(0.0, 1 / 180, 5)
+    position, rotation = np.asarray(start.position_m), start.rotation
+    for before, after in pairwise(steps):
+        velocity = motion.mean_velocity(float(before), float(after))
+        position = position + velocity[:3] * (after - before)
+        rotation = Rotation.from_rotvec(velocity[3:] * (after - before)) * rotation
+    end = motion.pose(1 / 180)
+    assert position == pytest.approx(end.position_m, abs=1e-15)
+    assert (rotation * end.rotation.inv()).magnitude() < 1e-14
+    assert motion.velocity_at(1 / 180) == pytest.approx(motion.velocity + motion.acceleration / 180)
