@@ -45,7 +45,7 @@ def findings_view(findings: Sequence[CheckResult], *, wide: bool = False) -> Gro
 
 def findings_markdown(findings: Sequence[CheckResult]) -> str:
     """Return the same table in Markdown, for a README, with the notes below it as lists."""
-    lines = [as_markdown(_findings_table(findings, lambda one: f"{one.title} (`{one.check}`)")).rstrip()]
+    lines = [as_markdown(_findings_table(findings, lambda one: f"{one.title} ({one.check})")).rstrip()]
     for title, notes in _notes(findings):
         lines += ["", f"{title}:", "", *(f"- {note}" for note in notes)]
     return "\n".join(lines)

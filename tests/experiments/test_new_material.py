@@ -37,7 +37,7 @@ def tasks_with_glass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
     text, count = re.subn(starts, r"\g<0>\n[subtasks.\1.initial.glass]\n\2", text)
     assert count == 3
     file.write_text(text, encoding="utf-8")
-    caches = (variants._headers, variants.variants, task_files.task_spec, task_files.task_sha256)
+    caches = (variants._read_files, variants.variants, task_files.task_spec, task_files.task_sha256)
     monkeypatch.setattr(variants, "data_folder", lambda name: tmp_path / name)
     for cache in caches:
         cache.cache_clear()

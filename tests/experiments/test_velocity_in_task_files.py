@@ -42,9 +42,8 @@ def test_a_task_file_states_a_velocity(tmp_path: Path) -> None:
 
 def test_a_task_file_whose_fixed_body_moves_is_refused(tmp_path: Path) -> None:
     start = "ground = { position_m"
-    builder = built(tmp_path, "BouncingBall-rubber", (start, "ground = { velocity_m_per_s = [1, 0, 0], position_m"))
     with pytest.raises(TaskFileError, match="'ground' is fixed and has a start velocity"):
-        builder.build()
+        built(tmp_path, "BouncingBall-rubber", (start, "ground = { velocity_m_per_s = [1, 0, 0], position_m"))
 
 
 def test_an_override_states_a_velocity() -> None:

@@ -684,7 +684,7 @@ def test_command_writes_markdown(gauge: Callable[..., Any]) -> None:
     result = gauge("mujoco", "--markdown", "--only", "free-fall")
     assert result.exit_code == 0
     assert result.stdout.splitlines()[0] == "| check | law | expected | mujoco |"
-    assert result.stdout.splitlines()[2].startswith("| free fall (`free-fall`) | a = g | 9.807 +- 0.0098 m/s^2 |")
+    assert result.stdout.splitlines()[2].startswith("| free fall (free-fall) | a = g | 9.807 +- 0.0098 m/s^2 |")
 
 
 @pytest.mark.parametrize("arguments", [("nope",), ("mujoco", "--only", "nope")])
