@@ -25,7 +25,7 @@ from lowest_versions import PYPROJECT, constraints
 ROOT = PYPROJECT.parent
 EXTRAS = ("plot",)
 TEST_TOOLS = ("hypothesis", "pytest", "pytest-xdist")
-COPIED = ("docs", "examples", "scoring", "scripts", "tests", "README.md", "pyproject.toml")
+COPIED = ("benchmarks", "docs", "examples", "scoring", "scripts", "tests", "README.md", "pyproject.toml")
 RESOLUTIONS = ("newest", "lowest")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -36,6 +37,11 @@ CORNERED = ConvexUnion(
     pieces_m=(tuple((x, y, z) for x, y, z in np.add(BRICK.corners_m, (0.05, 0.03, 0.015)).tolist()),)
 )
 LINEAR, ANGULAR = (1.2, -0.8, 0.5), (2.0, 5.0, -3.0)
+
+ENGINES = [
+    "mujoco",
+    pytest.param("newton", marks=pytest.mark.skipif(find_spec("newton") is None, reason="extra 'newton' is absent")),
+]
 
 LIMITS_AT_REST = (8.24598124091428, 0.3507884532818548, 6.499120753303273)
 """Speed [m/s], kinetic energy [J] and distance limit [m] of SlopeSlider-2-wood before scenes had start velocities."""
@@ -210,7 +216,7 @@ def test_a_result_records_velocities_only_if_they_were_drawn() -> None:
 # --- engines ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "newton"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_an_engine_starts_and_restarts_with_the_velocities(engine: str) -> None:
     bob = thrown(
         Sphere(radius_m=0.03),
@@ -228,7 +234,7 @@ def test_an_engine_starts_and_restarts_with_the_velocities(engine: str) -> None:
         simulation.reset(0)
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "newton"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_worlds_differ_in_their_start_velocities(engine: str) -> None:
     scenes = [flight(thrown(linear_velocity_m_per_s=(speed, 0.0, 0.0))) for speed in (0.5, -2.0)]
     worlds = backend(engine).build_worlds(scenes)
@@ -239,7 +245,7 @@ def test_worlds_differ_in_their_start_velocities(engine: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["TextileBending-rayon", "CantileverBeam-soft", "RopeWinding-rubber"])
-@pytest.mark.parametrize("engine", ["mujoco", "newton"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_thrown_ball_flies_beside_deformable_bodies(engine: str, name: str) -> None:
     """Deformable bodies have solvers of their own, which take the start velocities too."""
     scene = load_experiment(name).scene
