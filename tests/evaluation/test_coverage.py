@@ -68,7 +68,10 @@ WORLDS = {
 
 
 RESOLVED = [("released late", False), ("both", False), ("wrong friction", True), ("both", True)]
-"""Worlds, and whether scores are aligned, whose true score is above its errors."""
+"""Worlds, and whether scores are aligned, whose true score is above its errors.
+
+The method of the interval was chosen with these worlds and the default seed. Other seeds gave 92 to 93 % in them.
+"""
 
 BELOW = [("wrong friction", False), ("released late", True)]
 """Those whose true score is below its errors: late release cancels excess friction, or nothing is left to align."""
