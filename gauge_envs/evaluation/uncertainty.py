@@ -17,8 +17,8 @@ gives the observed distance is the root of a quadratic; u is drawn too, as the d
 The 95 % interval is between percentiles of these roots. This inverts the test of each L (Neyman), so it does not count
 the error of the mean twice, as adding e to d would. The upper percentile is divided by the share of draws that have a
 root (CLs), so that a distance below its own errors gives no empty interval. The mean of a law is not observed; there e
-is added to d. `tests/evaluation/test_coverage.py` measures the coverage. Over several worlds and seeds, 500 repeats each,
-it was 92 to 97 % for a distance above its errors, 94 % pooled, and 98 to 99 % for one below.
+is added to d. `tests/evaluation/test_coverage.py` measures the coverage. Over several worlds and seeds, 500 repeats
+each, it was 92 to 97 % for a distance above its errors, 94 % pooled, and 98 to 99 % for one below.
 """
 
 from __future__ import annotations
