@@ -1,0 +1,248 @@
+"""Conversion of a scene to a PhysX scene: bodies, shapes and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
+from gauge_envs.backends.physx.engine import EngineLease, new_system, physx, pysapien
+from gauge_envs.backends.physx.settings import SettingsPhysX
+from gauge_envs.scene import (
+    Box,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+    Tether,
+)
+from gauge_envs.scene.meshes import mass_properties, prism
+
+__all__ = ["Model", "Part", "build_model", "physx_pose"]
+
+ROOT_MASS_KG = 1.0
+"""Mass of the fixed base of a hinge, which has no effect."""
+
+PLANE_TURN = Rotation.from_euler("y", -90, degrees=True)
+"""Rotation of the z axis of this package's planes onto the x axis of PhysX's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A body in PhysX.
+
+    Attributes:
+        component: SAPIEN's component; its pose is that of the body frame.
+        centre_m: Centre of mass in the body frame [m], shape [3].
+    """
+
+    component: physx.PhysxRigidBaseComponent
+    centre_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A scene in PhysX.
+
+    Attributes:
+        lease: Claim on the engine.
+        system: PhysX's scene.
+        world: SAPIEN's scene, which keeps all bodies alive.
+        parts: Bodies by name.
+    """
+
+    lease: EngineLease
+    system: physx.PhysxCpuSystem
+    world: pysapien.Scene
+    parts: dict[str, Part]
+
+
+def physx_pose(pose: Pose) -> pysapien.Pose:
+    """Return a pose in SAPIEN's type, in single precision."""
+    return pysapien.Pose(pose.position_m, pose.quaternion)
+
+
+def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
+    """Build a scene at its start."""
+    lease = EngineLease(settings)
+    system = new_system(settings, scene.gravity_m_per_s2)
+    world = pysapien.Scene([system])
+    groups = groups_of_bodies(scene, sustained_restitution=settings.sustained_restitution)
+    materials = {c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each}
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    parts = {}
+    for body in scene.bodies:
+        hinge = hinges.get(body.name)
+        component = _component(world, body, hinge if settings.hinges == "articulation" else None)
+        for shape in _shapes(body.shape, groups.get(body.name, {}), materials):
+            shape.contact_offset, shape.rest_offset = settings.contact_offset_m, settings.rest_offset_m
+            shape.patch_radius, shape.min_patch_radius = settings.patch_radius_m, settings.min_patch_radius_m
+            component.attach(shape)
+        centre_m, inertia = mass_properties(body.shape, body.mass_kg)
+        parts[body.name] = Part(component, centre_m)
+        if body.motion is not Motion.FIXED:
+            _set_mass(component, body, centre_m, inertia)
+            _set_limits(component, settings)
+        _add(world, component, body.pose if body.shape.kind != "plane" else _turned(body.pose))
+        if isinstance(component, physx.PhysxArticulationLinkComponent):
+            _finish_link(component, settings)
+        elif hinge is not None:
+            _add_hinge(component, body, hinge)
+        if body.motion is Motion.DYNAMIC and not body.starts_at_rest:
+            _set_velocity(component, body, centre_m, hinge)
+    for joint in scene.joints:
+        if isinstance(joint, Tether):
+            _add_tether(parts[joint.body].component, joint)
+    return Model(lease, system, world, parts)
+
+
+def _turned(pose: Pose) -> Pose:
+    return Pose.from_rotation(pose.position_m, pose.rotation * PLANE_TURN)
+
+
+def _add(world: pysapien.Scene, component: physx.PhysxRigidBaseComponent, pose: Pose) -> None:
+    entity = pysapien.Entity()
+    entity.add_component(component)
+    entity.set_pose(physx_pose(pose))
+    world.add_entity(entity)
+
+
+def _component(world: pysapien.Scene, body: RigidBody, hinge: Hinge | None) -> physx.PhysxRigidBaseComponent:
+    """Return a body without shapes: static, dynamic, driven, or a link that a hinge connects to a fixed base."""
+    if body.motion is Motion.FIXED:
+        return physx.PhysxRigidStaticComponent()
+    if hinge is None:
+        component = physx.PhysxRigidDynamicComponent()
+        component.kinematic = body.motion is Motion.KINEMATIC
+        return component
+    base = physx.PhysxArticulationLinkComponent()
+    base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
+    frame = Pose.from_rotation(hinge.anchor_m, _axis_frame(hinge))
+    _add(world, base, frame)
+    link = physx.PhysxArticulationLinkComponent(base)
+    base.joint.type = "fixed"
+    link.joint.type = "revolute_unwrapped"
+    link.joint.pose_in_parent = pysapien.Pose()
+    link.joint.pose_in_child = physx_pose(_seen_from(body.pose, frame))
+    link.joint.limit = np.array([[-np.inf, np.inf]])
+    link.joint.friction = 0.0
+    link.joint.set_drive_properties(0.0, 0.0)
+    return link
+
+
+def _axis_frame(hinge: Hinge) -> Rotation:
+    """Return a rotation that takes the x axis, about which PhysX's hinges rotate, to the axis of a hinge."""
+    return Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
+
+
+def _seen_from(pose: Pose, other: Pose) -> Pose:
+    """Return a pose in the frame of another one."""
+    x, y, z = pose.to_body(np.asarray(other.position_m)).tolist()
+    return Pose.from_rotation((x, y, z), pose.rotation.inv() * other.rotation)
+
+
+def _shapes(
+    shape: Shape, groups: dict[Constants, Groups], materials: dict[Constants, physx.PhysxMaterial]
+) -> Iterator[physx.PhysxCollisionShape]:
+    """Yield the copies of a shape, one for each pair of contact constants."""
+    for constants, group in groups.items():
+        for copy in _solids(shape, materials[constants]):
+            copy.set_collision_groups(group.words)
+            yield copy
+
+
+def _solids(shape: Shape, material: physx.PhysxMaterial) -> Iterator[physx.PhysxCollisionShape]:
+    if isinstance(shape, Box):
+        yield physx.PhysxCollisionShapeBox(half_size=0.5 * np.asarray(shape.size_m), material=material)
+    elif isinstance(shape, Sphere):
+        yield physx.PhysxCollisionShapeSphere(radius=shape.radius_m, material=material)
+    elif isinstance(shape, Plane):
+        yield physx.PhysxCollisionShapePlane(material=material)
+    elif isinstance(shape, Cylinder | ConvexUnion):
+        solid = prism(shape) if isinstance(shape, Cylinder) else shape
+        for piece in solid.pieces_m:
+            vertices = np.asarray(piece, dtype=np.float32)
+            yield physx.PhysxCollisionShapeConvexMesh(vertices=vertices, scale=np.ones(3), material=material)
+
+
+def _set_mass(
+    component: physx.PhysxRigidBodyComponent,
+    body: RigidBody,
+    centre_m: NDArray[np.float64],
+    inertia_kg_m2: NDArray[np.float64],
+) -> None:
+    """Write mass, centre of mass and inertia, which PhysX takes along principal axes."""
+    moments, axes = np.linalg.eigh(inertia_kg_m2)
+    if np.count_nonzero(inertia_kg_m2 - np.diag(np.diagonal(inertia_kg_m2))) == 0:
+        moments, axes = np.diagonal(inertia_kg_m2), np.eye(3)
+    elif np.linalg.det(axes) < 0.0:
+        axes[:, 2] *= -1.0
+    x, y, z, w = Rotation.from_matrix(axes).as_quat()
+    component.mass = body.mass_kg
+    component.inertia = moments
+    component.cmass_local_pose = pysapien.Pose(centre_m, [w, x, y, z])
+
+
+def _set_limits(component: physx.PhysxRigidBodyComponent, settings: SettingsPhysX) -> None:
+    component.linear_damping = settings.linear_damping_per_s
+    component.angular_damping = settings.angular_damping_per_s
+    component.max_linear_velocity = settings.max_linear_velocity_m_per_s
+    component.max_angular_velocity = settings.max_angular_velocity_rad_per_s
+    component.max_depenetration_velocity = settings.max_depenetration_velocity_m_per_s
+    if isinstance(component, physx.PhysxRigidDynamicComponent):
+        _set_solver(component, settings)
+
+
+def _set_solver(
+    place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation, settings: SettingsPhysX
+) -> None:
+    place.solver_position_iterations = settings.position_iterations
+    place.solver_velocity_iterations = settings.velocity_iterations
+    place.sleep_threshold = settings.sleep_threshold_m2_per_s2
+
+
+def _finish_link(link: physx.PhysxArticulationLinkComponent, settings: SettingsPhysX) -> None:
+    _set_solver(link.articulation, settings)
+
+
+def _add_hinge(component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge) -> None:
+    """Connect a body to the world with a constraint that leaves one rotation free."""
+    frame = Pose.from_rotation(hinge.anchor_m, _axis_frame(hinge))
+    joint = physx.PhysxDriveComponent(component)
+    joint.pose_in_parent = physx_pose(frame)
+    joint.pose_in_child = physx_pose(_seen_from(body.pose, frame))
+    joint.set_limit_x(0.0, 0.0)
+    joint.set_limit_y(0.0, 0.0)
+    joint.set_limit_z(0.0, 0.0)
+    joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
+    component.entity.add_component(joint)
+
+
+def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> None:
+    joint = physx.PhysxDistanceJointComponent(component)
+    joint.pose_in_parent = pysapien.Pose(tether.anchor_m)
+    joint.pose_in_child = pysapien.Pose()
+    joint.set_limit(0.0, tether.length_m)
+    component.entity.add_component(joint)
+
+
+def _set_velocity(
+    component: physx.PhysxRigidBodyComponent, body: RigidBody, centre_m: ArrayLike, hinge: Hinge | None
+) -> None:
+    """Write the start velocity; PhysX's linear velocity is that of the centre of mass."""
+    angular = np.array(body.angular_velocity_rad_per_s)
+    if isinstance(component, physx.PhysxArticulationLinkComponent) and hinge is not None:
+        component.articulation.set_qvel(np.array([angular @ np.asarray(hinge.axis)]))
+        return
+    component.angular_velocity = angular
+    component.linear_velocity = body.linear_velocity_m_per_s + np.cross(angular, body.pose.rotation.apply(centre_m))

@@ -1,0 +1,115 @@
+"""A PhysX simulation: driving, stepping and reading of its state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.physx.model import Model, build_model, physx_pose
+from gauge_envs.backends.physx.settings import SettingsPhysX
+from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.errors import BackendError
+from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import pose_distance
+
+__all__ = ["SimulationPhysX"]
+
+SAME_POSE = 1e-5
+"""Distance [m, rad] within which a driven body is where its interval starts. PhysX's own pose is in single precision."""
+
+
+class SimulationPhysX(Simulation):
+    """A scene in PhysX. A reset builds it anew, since PhysX cannot forget its contacts.
+
+    Args:
+        scene: The scene.
+        settings: Numerical settings.
+    """
+
+    def __init__(self, scene: Scene, settings: SettingsPhysX) -> None:
+        self.settings = settings.model_dump(mode="json")
+        self._scene = scene
+        self._chosen = settings
+        self._start()
+
+    def _start(self) -> None:
+        self._model: Model | None = None
+        self._model = build_model(self._scene, self._chosen)
+        self._is_new = True
+        self._wrenches: dict[str, NDArray[np.float64]] = {}
+        self._driven: dict[str, DrivenMotion] = {}
+        self._given = {
+            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
+            for body in self._scene.bodies
+            if body.motion is not Motion.DYNAMIC
+        }
+
+    def _open(self) -> Model:
+        if self._model is None:
+            raise BackendError("the PhysX simulation is closed: build another one")
+        return self._model
+
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start. PhysX draws no random numbers, so the seed has no effect."""
+        self._open()
+        if not self._is_new:
+            self._start()
+
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
+        component = self._open().parts[body].component
+        self._is_new = False
+        before = self._given[body]
+        known = Pose(position_m=tuple(before[:3]), quaternion=tuple(before[3:7]))
+        if pose_distance(known, pose) > SAME_POSE:
+            component.entity.set_pose(physx_pose(pose))
+        self._driven[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
+        self._given[body] = np.array([*pose.position_m, *pose.quaternion, *velocity])
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
+        self._open()
+        self._is_new = False
+        self._wrenches[body] = np.array(wrench)
+
+    def advance(self, seconds: float) -> None:
+        """Step the scene."""
+        model = self._open()
+        self._is_new = False
+        step_s = self._chosen.timestep_s
+        for step in range(1, round(seconds / step_s) + 1):
+            for name, motion in self._driven.items():
+                model.parts[name].component.set_kinematic_target(physx_pose(motion.pose(step * step_s)))
+            for name, wrench in self._wrenches.items():
+                model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
+            model.system.step()
+        for name, motion in self._driven.items():
+            end = motion.pose(seconds)
+            self._given[name] = np.array([*end.position_m, *end.quaternion, *motion.velocity_at(seconds)])
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities, in single precision for dynamic bodies; see `World.body_states`."""
+        model = self._open()
+        states = np.empty((len(names), 13))
+        for row, name in zip(states, names, strict=True):
+            if name in self._given:
+                row[:] = self._given[name]
+                continue
+            part = model.parts[name]
+            pose = part.component.entity_pose
+            row[:3], row[3:7] = pose.p, pose.q
+            row[3:7] /= np.linalg.norm(row[3:7])
+            row[7:10], row[10:] = part.component.linear_velocity, part.component.angular_velocity
+            if part.centre_m.any():
+                # PhysX's linear velocity is that of the centre of mass.
+                arm = Rotation.from_quat(row[3:7], scalar_first=True).apply(part.centre_m)
+                row[7:10] -= np.cross(row[10:], arm)
+        return states
+
+    def close(self) -> None:
+        """Free the scene."""
+        self._model = None
