@@ -36,10 +36,10 @@ class EngineLease:
         for lease in _LEASES:
             if lease.tolerances != self.tolerances:
                 raise BackendError(
-                    f"PhysX cannot use tolerances of {self.tolerances} m and m/s in a process in which a simulation with "
-                    f"{lease.tolerances} exists, because all its simulations share one engine. Close the other "
-                    "simulation first, set tolerance_length_m and tolerance_speed_m_per_s to the same values, or use "
-                    "another process."
+                    "PhysX has one engine per process, and a simulation with tolerances of "
+                    f"{lease.tolerances} (m, m/s) exists. A simulation with {self.tolerances} cannot start beside it. "
+                    "Close the other one first, set tolerance_length_m and tolerance_speed_m_per_s to the same values, "
+                    "or use another process."
                 )
         self._engine = physx.PhysxEngine(*self.tolerances)
         _LEASES.add(self)

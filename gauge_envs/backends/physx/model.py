@@ -89,7 +89,9 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     system = new_system(settings, scene.gravity_m_per_s2)
     world = pysapien.Scene([system])
     groups = groups_of_bodies(scene, sustained_restitution=settings.sustained_restitution)
-    materials = {c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each}
+    materials = {
+        c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each
+    }
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     parts = {}
     for body in scene.bodies:
@@ -240,9 +242,7 @@ def _set_limits(component: physx.PhysxRigidBodyComponent, settings: SettingsPhys
         _set_solver(component, settings)
 
 
-def _set_solver(
-    place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation, settings: SettingsPhysX
-) -> None:
+def _set_solver(place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation, settings: SettingsPhysX) -> None:
     place.solver_position_iterations = settings.position_iterations
     place.solver_velocity_iterations = settings.velocity_iterations
     place.sleep_threshold = settings.sleep_threshold_m2_per_s2

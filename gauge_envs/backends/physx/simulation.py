@@ -19,7 +19,7 @@ from gauge_envs.scene.geometry import pose_distance
 __all__ = ["SimulationPhysX"]
 
 SAME_POSE = 1e-5
-"""Distance [m, rad] within which a driven body is where its interval starts. PhysX's own pose is in single precision."""
+"""Distance [m, rad] within which a driven body already is where its interval starts."""
 
 
 class SimulationPhysX(Simulation):

@@ -17,8 +17,8 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
         others = len(scene.deformables) - 1
         more = f" (and {others} more)" if others else ""
         yield (
-            f"{scene.deformables[0].name!r}{more} is deformable: PhysX simulates cloth and soft bodies on a GPU only, and "
-            "SAPIEN contains its rigid bodies only"
+            f"{scene.deformables[0].name!r}{more} is deformable: SAPIEN contains PhysX's rigid bodies only; its "
+            "cloth and soft bodies need a GPU and Isaac Sim"
         )
     hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
     for name, count in hinges.items():
