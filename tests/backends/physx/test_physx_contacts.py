@@ -1,0 +1,104 @@
+"""Contact constants of pairs as materials and collision groups of shapes. Needs no engine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gauge_envs import load_experiment
+from gauge_envs.backends import backend
+from gauge_envs.backends.physx.contacts import Constants, constants_of, groups_of_bodies
+from gauge_envs.backends.physx.support import unsupported_features
+from gauge_envs.errors import MissingExtraError
+from gauge_envs.scene import Contact, ContactMode, Hinge, Motion, Pose, RigidBody, Scene, Sphere
+
+NAMES = "abcde"
+GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(lambda names: tuple(sorted(names)))
+
+
+def ball(name: str) -> RigidBody:
+    return RigidBody(
+        name=name, shape=Sphere(radius_m=0.1), motion=Motion.DYNAMIC, pose=Pose(position_m=(0, 0, 1)), mass_kg=1
+    )
+
+
+def scene_of(*contacts: Contact, bodies: str = NAMES, **parts: object) -> Scene:
+    return Scene(bodies=tuple(ball(name) for name in bodies), contacts=contacts, duration_s=1.0, **parts)
+
+
+def materials_that_touch(groups: dict, one: str, other: str) -> set[Constants]:
+    """Materials of the copies of two bodies that SAPIEN lets collide: its documented rule, in Python."""
+    found = set()
+    for constants, a in groups.get(one, {}).items():
+        for others, b in groups.get(other, {}).items():
+            if a.layer == b.layer and (a.first & b.second or b.first & a.second):
+                assert constants == others  # The mean of equal values is exact.
+                found.add(constants)
+    return found
+
+
+@given(st.lists(st.tuples(GROUPS, GROUPS, st.sampled_from([0.0, 0.2, 0.7]), st.sampled_from([0.0, 0.5])), max_size=6))
+def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(rows: list) -> None:
+    contacts, seen = [], set()
+    for first, second, friction, restitution in rows:
+        contact = Contact(
+            first=first, second=second, friction=friction, restitution=restitution, mode=ContactMode.IMPACT
+        )
+        pairs = {frozenset(pair) for pair in scene_of(contact).colliding_pairs(contact)}
+        if not pairs & seen:
+            contacts.append(contact)
+            seen |= pairs
+    scene = scene_of(*contacts)
+    expected = {
+        frozenset(pair): {Constants(contact.friction, contact.restitution)}
+        for contact in contacts
+        for pair in scene.colliding_pairs(contact)
+    }
+    groups = groups_of_bodies(scene, sustained_restitution=False)
+    touching = {frozenset(pair): materials_that_touch(groups, *pair) for pair in combinations(NAMES, 2)}
+    assert {pair: found for pair, found in touching.items() if found} == expected
+
+
+def test_a_sustained_contact_has_no_restitution_unless_the_setting_keeps_it() -> None:
+    contact = Contact(first=("a",), second=("b",), friction=0.3, restitution=0.6)
+    assert constants_of(contact, sustained_restitution=False) == Constants(0.3, 0.0)
+    assert constants_of(contact, sustained_restitution=True) == Constants(0.3, 0.6)
+    impact = replace(contact, mode=ContactMode.IMPACT)
+    assert constants_of(impact, sustained_restitution=False) == Constants(0.3, 0.6)
+
+
+def test_what_physx_cannot_do_is_declined_with_the_part_of_the_scene() -> None:
+    names = [f"ball-{number}" for number in range(34)]
+    many = Scene(
+        bodies=tuple(ball(name) for name in names),
+        contacts=tuple(Contact(first=(names[0],), second=(name,), friction=0.1, restitution=0.0) for name in names[1:]),
+        duration_s=1.0,
+    )
+    (crowded,) = unsupported_features(many)
+    assert crowded.startswith("33 contacts have the same friction and restitution") and "32" in crowded
+    bouncy = scene_of(Contact(first=("a",), second=("b",), friction=0.1, restitution=1.2))
+    assert [*unsupported_features(bouncy)] == ["'a' and 'b' rebound with a restitution of 1.2: PhysX takes at most 1"]
+    hinges = tuple(Hinge(body="a", anchor_m=(0, 0, 2), axis=axis) for axis in ((1, 0, 0), (0, 1, 0)))
+    assert [*unsupported_features(scene_of(joints=hinges))] == [
+        "'a' hangs on 2 hinges: this backend builds one hinge per body"
+    ]
+    (soft,) = unsupported_features(load_experiment("TextileFlinging-satin").scene)
+    assert "is deformable" in soft and "GPU" in soft
+
+
+def test_every_rigid_scene_is_supported() -> None:
+    for name in ("WallBreaking-wood", "NewtonsCradle-metal", "Turntable-3-metal", "NonsmoothContact-3-wood"):
+        assert [*unsupported_features(load_experiment(name).scene)] == []
+
+
+def test_the_message_without_sapien_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gauge_envs.backends.physx.backend.find_spec", lambda name: None)
+    from gauge_envs.backends.physx import BackendPhysX
+
+    with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[physx\]'"):
+        BackendPhysX()
+    backend.cache_clear()

@@ -1,0 +1,197 @@
+"""Laws and contract of the PhysX backend, against closed forms."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("sapien")
+
+from gauge_envs import load_experiment
+from gauge_envs.backends import backend
+from gauge_envs.backends.shared.pair_values import body_values, pair_values
+from gauge_envs.checks.conformance import Status, run_checks
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.evaluation.metrics import fitted_acceleration
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Box,
+    Contact,
+    ContactMode,
+    Cylinder,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+)
+from gauge_envs.scene.geometry import vector
+
+PHYSX = backend("physx")
+SLOPE = Rotation.from_euler("y", 30, degrees=True)
+
+
+def fixed(name: str, shape: Shape, pose: Pose) -> RigidBody:
+    return RigidBody(
+        name=name, shape=shape, motion=Motion.FIXED, pose=pose, mass_kg=0.0 if shape.kind == "plane" else 1
+    )
+
+
+def states(scene: Scene, names: list[str], seconds: float, **settings: object) -> np.ndarray:
+    """States at 180 Hz, shape [sample_count, len(names), 13]."""
+    simulation = PHYSX.build(scene, settings)
+    rows = [simulation.body_states(names)]
+    for _ in range(round(180 * seconds)):
+        simulation.advance(1 / 180)
+        rows.append(simulation.body_states(names))
+    simulation.close()
+    return np.array(rows)
+
+
+def test_every_check_passes_or_is_declined_for_a_deformable_body() -> None:
+    findings = list(run_checks("physx"))
+    assert [f"{one.check}: {one.measured}" for one in findings if one.status is Status.FAIL] == []
+    declined = {one.check for one in findings if one.status is Status.DECLINED}
+    kinds = ("cloth", "foam", "rope", "rod", "restore-benchmark-soft")
+    assert {check for check in declined if not check.startswith(kinds)} == set()
+    assert sum(one.status is Status.PASS for one in findings) > 80
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+@pytest.mark.parametrize("preset", ["default", "out_of_box", "paper"])
+def test_slide_has_coulombs_acceleration(material: str, preset: str) -> None:
+    result = run_episode(RunRequest(f"SlopeSlider-2-{material}", backend="physx", settings={"preset": preset}))
+    times, samples = result.trajectory.arrays()
+    friction = load_experiment(result.id).scene.contacts[0].friction
+    downhill = 1e-3 * (samples[:60] - samples[0]) @ [np.cos(np.pi / 6), 0.0, -0.5]
+    expected = GRAVITY_M_PER_S2 * (0.5 - friction * np.cos(np.pi / 6))
+    # A semi-implicit step is half a step early: at 1/180 s the distance is 1 % too long, and the acceleration is right.
+    assert 2.0 * np.polyfit(times[:60], downhill, 2)[0] == pytest.approx(expected, rel=1e-4)
+    if preset == "default":
+        assert fitted_acceleration(times[:60], downhill) == pytest.approx(expected, rel=0.002)
+
+
+@pytest.mark.parametrize("restitution", [0.3, 0.577, 0.9])
+def test_rebounds_have_the_restitution_and_the_bias_of_a_step(restitution: float) -> None:
+    """PhysX adds the speed g h of one more step of gravity to the speed of approach."""
+    pose = Pose(position_m=(0, 0, 0.33))
+    ball = RigidBody(name="ball", shape=Sphere(radius_m=0.03), motion=Motion.DYNAMIC, pose=pose, mass_kg=0.1)
+    contact = Contact(
+        first=("ball",), second=("ground",), friction=0.8, restitution=restitution, mode=ContactMode.IMPACT
+    )
+    ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
+    rows = states(Scene(bodies=(ball, ground), contacts=(contact,), duration_s=2.0), ["ball"], 2.0)[:, 0]
+    energy = 0.5 * rows[:, 9] ** 2 + GRAVITY_M_PER_S2 * (rows[:, 2] - 0.03)
+    tops = np.flatnonzero((rows[:-1, 9] > 0) & (rows[1:, 9] <= 0))
+    speeds = np.sqrt(2.0 * np.array([GRAVITY_M_PER_S2 * 0.3, *energy[tops]][:4]))
+    assert len(speeds) == 4
+    assert speeds[1] / speeds[0] == pytest.approx(restitution, rel=0.01)
+    biased = restitution * (speeds[:-1] + GRAVITY_M_PER_S2 / 1800)
+    assert speeds[1:] == pytest.approx(biased, rel=0.01)
+
+
+FRICTIONS = {("one", "low"): 0.1, ("one", "high"): 0.5, ("two", "low"): 0.5, ("two", "high"): 0.1}
+"""Friction of each cube on each board: no coefficients of the four bodies have these means."""
+
+
+def crossed_slides(boards: dict[str, str]) -> Scene:
+    """Two cubes that may touch both of two leaning boards, each on the board that is named."""
+    normal = SLOPE.apply([0.0, 0.0, 1.0])
+    bodies = [
+        fixed(name, Box(size_m=(2.0, 0.4, 0.02)), Pose.from_rotation((0.0, 3.0 * place, 1.0), SLOPE))
+        for place, name in enumerate(("low", "high"))
+    ]
+    for cube, board in boards.items():
+        place = np.array([0.0, 3.0 * ("low", "high").index(board), 1.0]) + 0.035 * normal
+        pose = Pose.from_rotation(vector(place), SLOPE)
+        bodies.append(
+            RigidBody(name=cube, shape=Box(size_m=(0.05,) * 3), motion=Motion.DYNAMIC, pose=pose, mass_kg=0.1)
+        )
+    contacts = tuple(
+        Contact(first=(cube,), second=(board,), friction=friction, restitution=0.0)
+        for (cube, board), friction in FRICTIONS.items()
+    )
+    return Scene(bodies=tuple(bodies), contacts=contacts, duration_s=0.5)
+
+
+@pytest.mark.parametrize("boards", [{"one": "low", "two": "high"}, {"one": "high", "two": "low"}], ids=str)
+def test_pairs_have_their_friction_where_no_coefficients_of_bodies_give_it(boards: dict[str, str]) -> None:
+    scene = crossed_slides(boards)
+    with pytest.raises(UnsupportedSceneError, match="no values of bodies"):
+        body_values(pair_values(scene, "friction"), "mean")
+    rows = states(scene, [*boards], 0.5)
+    down = (rows[:, :, :3] - rows[0, :, :3]) @ SLOPE.apply([1.0, 0.0, 0.0])
+    measured = [fitted_acceleration(np.arange(len(down)) / 180, column) for column in down.T]
+    expected = [GRAVITY_M_PER_S2 * (0.5 - FRICTIONS[pair] * np.cos(np.pi / 6)) for pair in boards.items()]
+    assert measured == pytest.approx(expected, rel=2e-3)
+
+
+def rolling_share(length_m: float) -> float:
+    """Acceleration of a cylinder of 30 mm radius that rolls down 20 degrees, over that of the law."""
+    lean = Rotation.from_euler("y", 20, degrees=True)
+    place = tuple((0.03 * lean.apply([0, 0, 1.0])).tolist())
+    pose = Pose.from_rotation(place, lean * Rotation.from_euler("x", 90, degrees=True))
+    shape = Cylinder(radius_m=0.03, length_m=length_m)
+    body = RigidBody(name="roller", shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=0.2)
+    plane = fixed("plane", Plane(), Pose.from_rotation((0, 0, 0), lean))
+    contact = Contact(first=("roller",), second=("plane",), friction=0.5, restitution=0.0)
+    rows = states(Scene(bodies=(body, plane), contacts=(contact,), duration_s=0.6), ["roller"], 0.6)[:, 0]
+    along = rows[:, :3] @ lean.apply([1.0, 0.0, 0.0])
+    law = 2.0 / 3.0 * GRAVITY_M_PER_S2 * np.sin(np.radians(20))
+    return float(fitted_acceleration(np.arange(len(along)) / 180, along - along[0]) / law)
+
+
+def test_long_cylinders_roll_and_short_ones_are_prisms() -> None:
+    """docs/engines/physx.md states what a cylinder that is shorter than its diameter loses."""
+    assert rolling_share(0.08) == pytest.approx(1.0, abs=0.001)
+    assert rolling_share(0.06) == pytest.approx(1.0, abs=0.005)
+    assert rolling_share(0.04) == pytest.approx(0.755, abs=0.01)
+
+
+@pytest.mark.parametrize(("hinges", "tolerance"), [("articulation", 1e-4), ("joint", 2e-4)])
+def test_both_kinds_of_hinge_swing_with_the_period_of_the_pendulum(hinges: str, tolerance: float) -> None:
+    ball = RigidBody(
+        name="bob",
+        shape=Sphere(radius_m=0.02),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=(0.02, 0, 0.8)),
+        mass_kg=0.3,
+    )
+    length = float(np.hypot(0.02, 0.2))
+    scene = Scene(bodies=(ball,), joints=(Hinge(body="bob", anchor_m=(0, 0, 1), axis=(0, 1, 0)),), duration_s=8)
+    rows = states(scene, ["bob"], 8.0, hinges=hinges)[:, 0]
+    assert np.hypot(rows[:, 0], rows[:, 2] - 1.0) == pytest.approx(length, abs=2e-6)
+    up = np.flatnonzero((rows[:-1, 0] < 0) & (rows[1:, 0] >= 0))
+    crossings = (up - rows[up, 0] / (rows[up + 1, 0] - rows[up, 0])) / 180
+    amplitude = np.arctan2(0.02, 0.2)
+    law = 2 * np.pi * np.sqrt((length**2 + 0.4 * 0.02**2) / (GRAVITY_M_PER_S2 * length)) * (1 + amplitude**2 / 16)
+    assert np.diff(crossings).mean() == pytest.approx(law, rel=tolerance)
+
+
+def test_another_process_gives_the_same_bits_and_prints_nothing() -> None:
+    code = (
+        "import sys, gauge_envs\n"
+        "from gauge_envs import load_experiment\n"
+        "from gauge_envs.backends import backend\n"
+        "scene = load_experiment('NonsmoothContact-3-plastic').scene\n"
+        "simulation = backend('physx').build(scene)\n"
+        "simulation.advance(0.4)\n"
+        "sys.stderr.write(simulation.body_states(['wedge']).tobytes().hex())\n"
+    )
+    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True) for _ in range(2)]
+    scene = load_experiment("NonsmoothContact-3-plastic").scene
+    other = PHYSX.build(load_experiment("WallBreaking-wood").scene)
+    simulation = PHYSX.build(scene)
+    simulation.advance(0.4)
+    expected = simulation.body_states(["wedge"]).tobytes().hex()
+    other.close()
+    assert [(run.stdout, run.stderr) for run in runs] == [("", expected)] * 2

@@ -1,0 +1,187 @@
+"""Settings and presets of the PhysX backend, and the one engine of a process."""
+
+from __future__ import annotations
+
+import re
+import resource
+
+import numpy as np
+import pytest
+from places import ROOT
+
+pytest.importorskip("sapien")
+
+from gauge_envs import load_experiment
+from gauge_envs.backends import backend
+from gauge_envs.backends.physx.engine import physx
+from gauge_envs.backends.physx.settings import PRESETS
+from gauge_envs.errors import BackendError, ParameterError
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Outcome
+from gauge_envs.scene import GRAVITY_M_PER_S2
+
+PHYSX = backend("physx")
+BALL = load_experiment("BouncingBall-rubber").scene
+
+
+def test_versions_name_sapien_and_its_physx() -> None:
+    versions = PHYSX.versions()
+    assert versions["sapien"].startswith("3.0.")
+    assert "physx-5." in versions["physx"]
+
+
+def test_out_of_box_has_sapiens_own_values() -> None:
+    ours = PRESETS["out_of_box"]
+    scene, shape, body = physx.get_scene_config(), physx.get_shape_config(), physx.PhysxRigidDynamicComponent()
+    pairs = {
+        "solver": (ours.solver, "TGS" if scene.enable_tgs else "PGS"),
+        "bounce": (ours.bounce_threshold_m_per_s, scene.bounce_threshold),
+        "friction": (ours.friction_every_iteration, scene.enable_friction_every_iteration),
+        "manifolds": (ours.persistent_manifolds, scene.enable_pcm),
+        "determinism": (ours.enhanced_determinism, scene.enable_enhanced_determinism),
+        "ccd": (ours.continuous_detection, scene.enable_ccd),
+        "contact offset": (ours.contact_offset_m, shape.contact_offset),
+        "rest offset": (ours.rest_offset_m, shape.rest_offset),
+        "position iterations": (ours.position_iterations, body.solver_position_iterations),
+        "velocity iterations": (ours.velocity_iterations, body.solver_velocity_iterations),
+        "sleep": (ours.sleep_threshold_m2_per_s2, body.sleep_threshold),
+        "linear damping": (ours.linear_damping_per_s, body.linear_damping),
+        "angular damping": (ours.angular_damping_per_s, body.angular_damping),
+        "linear speed": (ours.max_linear_velocity_m_per_s, body.max_linear_velocity),
+        "angular speed": (ours.max_angular_velocity_rad_per_s, body.max_angular_velocity),
+        "depenetration": (ours.max_depenetration_velocity_m_per_s, body.max_depenetration_velocity),
+    }
+    wrong = {
+        name: (one, other)
+        for name, (one, other) in pairs.items()
+        if one != (other if isinstance(other, bool | str) else pytest.approx(other, rel=1e-6))
+    }
+    assert wrong == {}
+
+
+def test_the_page_lists_every_preset_and_isaac_labs_values() -> None:
+    page = (ROOT / "docs" / "engines" / "physx.md").read_text(encoding="utf-8")
+    table = page.partition("\n## Presets\n")[2].partition("\n## ")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == set(PRESETS)
+    sources = page.partition("\n## Sources of `isaac`\n")[2].partition("\n## ")[0]
+    stated = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", sources, flags=re.MULTILINE))
+    isaac = PRESETS["isaac"].model_dump()
+    assert {name: value for name, value in stated.items() if str(isaac[name]) != value} == {}
+    assert {name for name in isaac if name not in stated} <= {"preset", "drive_interval_s", "steps_before_start"}
+
+
+def test_settings_reach_the_engine() -> None:
+    settings = {"preset": "isaac", "position_iterations": 7, "rest_offset_m": 0.001, "patch_radius_m": 0.002}
+    simulation = PHYSX.build(BALL, settings)
+    model = simulation._inner._model
+    body = model.parts["ball"].component
+    (shape,) = body.collision_shapes
+    assert (body.solver_position_iterations, body.solver_velocity_iterations) == (7, 1)
+    assert (shape.contact_offset, shape.rest_offset, shape.patch_radius) == pytest.approx((0.02, 0.001, 0.002))
+    assert (model.system.config.bounce_threshold, model.system.config.enable_tgs) == (0.5, True)
+    assert not model.system.config.enable_friction_every_iteration
+    assert simulation.settings["rest_offset_m"] == 0.001
+    simulation.close()
+
+
+def test_the_defaults_of_sapien_do_not_change() -> None:
+    before = physx.get_scene_config().__getstate__()
+    PHYSX.build(BALL, {"bounce_threshold_m_per_s": 0.3, "solver": "PGS"}).close()
+    after = physx.get_scene_config().__getstate__()
+    assert np.array_equal(before[0], after[0]) and before[1:] == after[1:]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"contact_offset_m": 0.001, "rest_offset_m": 0.002}, "contact_offset_m must be larger than rest_offset_m"),
+        ({"position_iterations": 0}, "position_iterations"),
+        ({"solver": "newton"}, "solver"),
+        ({"friction_type": "patch"}, "friction_type"),
+    ],
+)
+def test_impossible_settings_are_errors(changes: dict, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        PHYSX.build(BALL, changes)
+
+
+def test_simulations_with_other_tolerances_do_not_share_a_process() -> None:
+    first = PHYSX.build(BALL)
+    with pytest.raises(BackendError, match=r"one engine per process.*Close the other one first"):
+        PHYSX.build(BALL, {"preset": "isaac"})
+    first.close()
+    second = PHYSX.build(BALL, {"preset": "isaac"})
+    with pytest.raises(BackendError, match="one engine per process"):
+        PHYSX.build(BALL)
+    second.close()
+    PHYSX.build(BALL).close()
+
+
+def test_a_closed_simulation_says_so() -> None:
+    simulation = PHYSX.build(BALL)
+    simulation.close()
+    simulation.close()
+    with pytest.raises(BackendError, match="closed"):
+        simulation.body_states(["ball"])
+
+
+def test_a_late_start_is_a_step_of_free_fall() -> None:
+    simulation = PHYSX.build(BALL, {"preset": "paper_late"})
+    for _ in range(2):
+        fallen = BALL.body("ball").pose.position_m[2] - simulation.body_states(["ball"])[0, 2]
+        assert fallen == pytest.approx(GRAVITY_M_PER_S2 / 180**2, rel=1e-3)
+        simulation.advance(0.1)
+        simulation.reset(0)
+    simulation.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("BouncingBall-rubber", "calibrated"),
+        ("SlopeSlider-2-metal", "calibrated"),
+        ("SlopeSlider-2-wood", {"cube.friction": 0.262758}),
+        ("SlopeSlider-2-plastic", {"cube.friction": 0.5 * (0.275018 + 0.262758)}),
+    ],
+)
+def test_published_scores_of_isaac_sim_follow_if_frames_are_late(name: str, parameters: object) -> None:
+    """docs/engines/physx.md: the published score within 3 %, and not without the late step."""
+    published = published_baselines(name)["rmse"].engines["isaacsim"]
+    late, on_time = (
+        run_episode(RunRequest(name, backend="physx", parameters=parameters, settings={"preset": preset})).score
+        for preset in ("paper_late", "paper")
+    )
+    assert late.rmse_normalized == pytest.approx(published, rel=0.03)
+    assert on_time.rmse_normalized != pytest.approx(published, rel=0.03)
+
+
+def test_many_simulations_do_not_fill_the_memory() -> None:
+    scene = load_experiment("NonsmoothContact-3-wood").scene
+
+    def run() -> None:
+        simulation = PHYSX.build(scene)
+        simulation.advance(1 / 180)
+        simulation.reset(0)
+        simulation.close()
+
+    for _ in range(20):
+        run()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(150):
+        run()
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 4096  # KiB.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["default", "out_of_box"])
+def test_every_rigid_experiment_finishes(preset: str) -> None:
+    from gauge_envs.experiments import experiment_names
+
+    outcomes = {}
+    for name in experiment_names():
+        if PHYSX.supports(load_experiment(name).scene):
+            outcomes[name] = run_episode(RunRequest(name, backend="physx", settings={"preset": preset})).outcome
+    assert len(outcomes) == 30
+    assert {name for name, outcome in outcomes.items() if outcome is not Outcome.FINISHED} == set()
