@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+import numpy as np
+from scipy.spatial import ConvexHull
+
 from gauge_envs.backends.physx.contacts import unsupported_contacts
-from gauge_envs.scene import Hinge, Motion, Scene
+from gauge_envs.scene import ConvexUnion, Hinge, Motion, Scene
 
 __all__ = ["unsupported_features"]
+
+HULL_LIMIT = 128
+"""Largest number of vertices of a convex piece. PhysX makes 254 triangles at most, and simplifies larger hulls."""
 
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
@@ -29,4 +35,18 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
         if scene.body(name).motion is not Motion.DYNAMIC:
             yield f"{name!r} hangs on a hinge and is {scene.body(name).motion.value}: only dynamic bodies have hinges"
             break
+    yield from _unsupported_hulls(scene)
     yield from unsupported_contacts(scene)
+
+
+def _unsupported_hulls(scene: Scene) -> Iterator[str]:
+    for body in scene.bodies:
+        pieces = body.shape.pieces_m if isinstance(body.shape, ConvexUnion) else ()
+        for number, piece in enumerate(pieces):
+            vertices = len(ConvexHull(np.asarray(piece)).vertices) if len(piece) > HULL_LIMIT else 0
+            if vertices > HULL_LIMIT:
+                yield (
+                    f"piece {number} of {body.name!r} has {vertices} vertices: PhysX simplifies pieces with more than "
+                    f"{HULL_LIMIT}; divide it"
+                )
+                return

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +15,7 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.physx.contacts import Constants, constants_of, groups_of_bodies
 from gauge_envs.backends.physx.support import unsupported_features
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.scene import Contact, ContactMode, Hinge, Motion, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import Contact, ContactMode, ConvexUnion, Hinge, Motion, Pose, RigidBody, Scene, Sphere
 
 NAMES = "abcde"
 GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(lambda names: tuple(sorted(names)))
@@ -102,3 +103,18 @@ def test_the_message_without_sapien_names_the_extra(monkeypatch: pytest.MonkeyPa
     with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[physx\]'"):
         BackendPhysX()
     backend.cache_clear()
+
+
+def test_a_hull_that_physx_would_simplify_is_declined() -> None:
+    count = 300
+    turns, heights = np.pi * (1.0 + 5.0**0.5) * np.arange(count), np.linspace(-0.99, 0.99, count)
+    radii = np.sqrt(1.0 - heights**2)
+    points = np.column_stack([radii * np.cos(turns), radii * np.sin(turns), heights])
+    (reason,) = unsupported_features(Scene(bodies=(replace(ball("a"), shape=union_of(points)),), duration_s=1.0))
+    assert reason == "piece 0 of 'a' has 300 vertices: PhysX simplifies pieces with more than 128; divide it"
+    fewer = replace(ball("a"), shape=union_of(points[:: count // 100]))
+    assert [*unsupported_features(Scene(bodies=(fewer,), duration_s=1.0))] == []
+
+
+def union_of(points: np.ndarray) -> ConvexUnion:
+    return ConvexUnion(pieces_m=(tuple(map(tuple, points.tolist())),))
