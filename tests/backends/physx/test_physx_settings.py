@@ -119,6 +119,19 @@ def test_simulations_with_other_tolerances_do_not_share_a_process() -> None:
     PHYSX.build(BALL).close()
 
 
+def test_the_engine_takes_the_tolerances_of_each_simulation() -> None:
+    """A pyramid that tips shows them: it ends elsewhere, and the same tolerances end at the same bits in any order."""
+    scene = load_experiment("NonsmoothContact-3-plastic").scene
+    ends: dict[float, set[bytes]] = {}
+    for length_m in (0.1, 1.0, 0.1, 1.0):
+        simulation = PHYSX.build(scene, {"tolerance_length_m": length_m})
+        simulation.advance(0.5)
+        ends.setdefault(length_m, set()).add(simulation.body_states(["wedge"]).tobytes())
+        simulation.close()
+    assert [len(found) for found in ends.values()] == [1, 1]
+    assert ends[0.1] != ends[1.0]
+
+
 def test_a_closed_simulation_says_so() -> None:
     simulation = PHYSX.build(BALL)
     simulation.close()
