@@ -44,7 +44,7 @@ class BackendPhysX(Backend):
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of `SettingsPhysX`."""
-        chosen = settings_for(settings)
+        chosen = settings_for(scene, settings)
         from gauge_envs.backends.physx.simulation import SimulationPhysX
 
         return ReplayedSimulation(SimulationPhysX(scene, chosen))

@@ -14,7 +14,7 @@ pytest.importorskip("sapien")
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.engine import physx
-from gauge_envs.backends.physx.settings import PRESETS
+from gauge_envs.backends.physx.settings import PRESETS, settings_for
 from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
@@ -30,6 +30,12 @@ def test_versions_name_sapien_and_its_physx() -> None:
     versions = PHYSX.versions()
     assert versions["sapien"].startswith("3.0.")
     assert "physx-5." in versions["physx"]
+
+
+def test_the_number_of_dynamic_bodies_decides_the_preset() -> None:
+    assert settings_for(BALL).preset == "default"
+    assert settings_for(load_experiment("WallBreaking-wood").scene).preset == "stack"
+    assert settings_for(BALL, {"preset": "stack"}).timestep_s == pytest.approx(1 / 900)
 
 
 def test_out_of_box_has_sapiens_own_values() -> None:
