@@ -11,7 +11,7 @@ from places import ROOT
 
 pytest.importorskip("sapien")
 
-from gauge_envs import load_experiment
+from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.engine import physx
 from gauge_envs.backends.physx.settings import PRESETS, settings_for
@@ -196,10 +196,8 @@ def test_many_simulations_do_not_fill_the_memory() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", "out_of_box"])
 def test_every_rigid_experiment_finishes(preset: str) -> None:
-    from gauge_envs.experiments import experiment_names
-
     outcomes = {}
-    for name in experiment_names():
+    for name in (variant.name for variant in variants()):
         if PHYSX.supports(load_experiment(name).scene):
             outcomes[name] = run_episode(RunRequest(name, backend="physx", settings={"preset": preset})).outcome
     assert len(outcomes) == 30
