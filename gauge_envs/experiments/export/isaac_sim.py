@@ -7,18 +7,21 @@ stays unset, and Isaac Sim's default applies, as in the paper.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdPhysics, Vt
+from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade, Vt
 
+from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.export.usd_layer import experiment_stage
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.usd.layer import record_follower
 from gauge_envs.scene.usd.writer import export_stage
 
 __all__ = ["isaac_sim_stage", "steps_per_second", "unsupported_reason", "write_isaac_sim_layer"]
@@ -31,6 +34,9 @@ VOLUME_HZ = 900
 
 LATER_FRAMES = 10
 """Frames that are recorded after the last one; the release alignment of scores uses them."""
+
+COEFFICIENTS: tuple[Literal["friction", "restitution"], ...] = ("friction", "restitution")
+"""Contact constants of a pair."""
 
 UNSUPPORTED = {Rope: "rope", Rod: "rod"}
 """Bodies that PhysX cannot simulate: it has no deformable curves."""
@@ -58,6 +64,7 @@ def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
 
     Raises:
         ParameterError: Isaac Sim cannot simulate the scene, or the suffix is not one of USD.
+        UnsupportedSceneError: No constants of bodies have the constants of the pairs as their averages.
         ResultFileError: The file or its folder cannot be written.
     """
     stage = isaac_sim_stage(experiment)
@@ -73,6 +80,7 @@ def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
 
     Raises:
         ParameterError: Isaac Sim cannot simulate the scene.
+        UnsupportedSceneError: No constants of bodies have the constants of the pairs as their averages.
     """
     scene = experiment.scene
     if (reason := unsupported_reason(scene)) is not None:
@@ -87,6 +95,7 @@ def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
     _write_solver(stage.GetPrimAtPath("/World/PhysicsScene"), rate, has_deformables=bool(scene.deformables))
     for body in scene.deformables:
         _write_deformable(paths, scene, body)
+    _write_body_constants(stage, scene, paths)
     if scene.markers is not None:
         _write_material_points(stage, scene, paths)
     layer = stage.GetRootLayer()
@@ -131,6 +140,59 @@ def _write_deformable(paths: dict[str, Usd.Prim], scene: Scene, body: Deformable
         collider.Set(True)
         others = [other.GetPath() for name, other in paths.items() if name != body.name]
         UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel().SetTargets(others)
+
+
+def _write_body_constants(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]) -> None:
+    """Write constants of bodies whose averages are the constants of the pairs, where those of the layer are not.
+
+    A layer binds each body to the material of its first contact. PhysX averages the materials of two bodies.
+    """
+    pairs = {name: pair_values(scene, name) for name in COEFFICIENTS}
+    first = {name: contact for contact in reversed(scene.contacts) for name in (*contact.first, *contact.second)}
+    if all(
+        math.isclose(0.5 * (getattr(first[one], name) + getattr(first[other], name)), value)
+        for name, values in pairs.items()
+        for (one, other), value in values.items()
+    ):
+        return
+    found = {name: body_values(values, Combination.MEAN) for name, values in pairs.items()}
+    deformable = {body.name for body in scene.deformables}
+    materials: dict[tuple[float, ...], UsdShade.Material] = {}
+    for body in found["friction"]:
+        # Differences in the last digits are those of the solution.
+        values = tuple(round(found[name][body], 9) for name in COEFFICIENTS)
+        binding = UsdShade.MaterialBindingAPI(paths[body])
+        if body in deformable:
+            material = binding.ComputeBoundMaterial("physics")[0]
+        else:
+            if values not in materials:
+                materials[values] = UsdShade.Material.Define(stage, f"/World/Materials/isaac_{len(materials)}")
+            material = materials[values]
+            binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+        _write_coefficients(material.GetPrim(), *values, is_deformable=body in deformable)
+        _relate(stage, scene, body, material)
+
+
+def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float, *, is_deformable: bool) -> None:
+    """Write contact constants of a body, which follow from those of its pairs."""
+    physics = UsdPhysics.MaterialAPI.Apply(prim)
+    attributes = [(physics.CreateRestitutionAttr(), restitution)]
+    attributes += [(one, friction) for one in (physics.CreateStaticFrictionAttr(), physics.CreateDynamicFrictionAttr())]
+    if is_deformable:
+        names = ("omniphysics:staticFriction", "omniphysics:dynamicFriction")
+        attributes += [(prim.GetAttribute(name), friction) for name in names]
+    for attribute, value in attributes:
+        attribute.Set(value)
+        record_follower(attribute, "the constants in /World/Contacts")
+
+
+def _relate(stage: Usd.Stage, scene: Scene, body: str, material: UsdShade.Material) -> None:
+    """Record the material of a body on its contacts as one whose constants follow from theirs."""
+    for index, contact in enumerate(scene.contacts):
+        if body in (*contact.first, *contact.second):
+            prim = stage.GetPrimAtPath(f"/World/Contacts/contact_{index}")
+            prim.GetRelationship("gauge:materials").RemoveTarget(material.GetPath())
+            prim.CreateRelationship("gauge:derived_materials", custom=True).AddTarget(material.GetPath())
 
 
 def _write_material_points(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]) -> None:

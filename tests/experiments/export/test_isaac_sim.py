@@ -26,7 +26,7 @@ from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs import episode
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import AssetError, ParameterError, ResultFileError
 from gauge_envs.experiments.export import isaac_sim
 from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.experiments.export.isaac_sim import (
@@ -234,6 +234,46 @@ def test_cloth_has_the_mapped_constants(name: str) -> None:
     touches_itself = any({"textile"} <= set(c.first) & set(c.second) for c in experiment.scene.contacts)
     assert touches_itself is (name == "TextileBending-satin")
     assert prim.GetAttribute("physxDeformableBody:selfCollision").Get() is touches_itself
+
+
+@pytest.mark.parametrize(
+    "name",
+    [*EACH, pytest.param("WallBreaking-wood", id="WallBreaking"), pytest.param("Turntable-1-metal", id="Turntable")],
+)
+def test_the_average_of_two_materials_is_the_constant_of_the_pair(name: str) -> None:
+    scene = load_experiment(name).scene
+    stage = layer_of(name)
+    pairs = [(contact, pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)]
+    for contact, pair in pairs:
+        own = [material_of(stage, Tf.MakeValidIdentifier(body)) for body in pair]
+        for attribute, expected in (
+            ("physics:staticFriction", contact.friction),
+            ("physics:dynamicFriction", contact.friction),
+            ("physics:restitution", contact.restitution),
+        ):
+            found = 0.5 * sum(material.GetAttribute(attribute).Get() for material in own)
+            assert found == pytest.approx(expected, abs=1e-7), (pair, attribute)
+        for material in own:
+            if material.HasAttribute("omniphysics:dynamicFriction"):
+                friction = material.GetAttribute("physics:dynamicFriction").Get()
+                assert material.GetAttribute("omniphysics:dynamicFriction").Get() == friction
+
+
+@pytest.mark.parametrize("material", ["isaac_0", "body_textile"])
+def test_an_edit_of_a_derived_constant_is_an_error(material: str, tmp_path: Path) -> None:
+    stage = layer_of("TableclothPulling-wood")
+    stage.GetPrimAtPath(f"/World/Materials/{material}").GetAttribute("physics:dynamicFriction").Set(0.7)
+    stage.GetRootLayer().Export(str(tmp_path / "edited.usda"))
+    with pytest.raises(AssetError, match=r"was edited, but it follows from the constants in /World/Contacts"):
+        load_experiment_from_asset("TableclothPulling-wood", tmp_path / "edited.usda")
+
+
+def test_an_edit_of_a_pair_counts(tmp_path: Path) -> None:
+    stage = layer_of("TableclothPulling-wood")
+    stage.GetPrimAtPath("/World/Contacts/contact_2").GetAttribute("gauge:friction").Set(0.2)
+    stage.GetRootLayer().Export(str(tmp_path / "edited.usda"))
+    read = load_experiment_from_asset("TableclothPulling-wood", tmp_path / "edited.usda")
+    assert read.asset.changes == ("contact textile/table: friction 0.1 -> 0.2",)
 
 
 def test_foam_has_its_measured_constants_and_a_collider_that_meets_nothing() -> None:
