@@ -105,6 +105,12 @@ def read_plan(stage: Any) -> Plan:
     return replace(plan, drivers=tuple(read_drivers(stage, plan)))
 
 
+def has_deformable_bodies(stage: Any) -> bool:
+    """Return whether a stage has cloth or foam."""
+    applied = (prim.GetPrimTypeInfo().GetAppliedAPISchemas() for prim in stage.Traverse())
+    return any("OmniPhysicsDeformableBodyAPI" in names for names in applied)
+
+
 def read_drivers(stage: Any, plan: Plan) -> list[Driver]:
     """Return the motion of every driven body, from its time samples."""
     codes_per_step = stage.GetTimeCodesPerSecond() / plan.steps_per_second
@@ -268,13 +274,14 @@ class IsaacSim:
         settings.set_bool("/physics/suppressReadback", False)
         settings.set_bool("/physics/updateToUsd", True)
         settings.set_bool("/physics/updateParticlesToUsd", True)
-        # Exact cylinders do not collide with deformable bodies, convex meshes do.
-        settings.set_bool("/physics/collisionApproximateCylinders", True)
         context = omni.usd.get_context()
         if not context.open_stage(str(layer)):
             self._app.close()
             raise LayerError(f"{layer}: Isaac Sim cannot open the file")
         self.stage = context.get_stage()
+        if has_deformable_bodies(self.stage):
+            # Exact cylinders do not collide with deformable bodies, convex meshes do.
+            settings.set_bool("/physics/collisionApproximateCylinders", True)
         self._stage_id = context.get_stage_id()
         self._physics = omni.physx.get_physx_simulation_interface()
 

@@ -45,6 +45,7 @@ from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
 
 SCHEMAS = tomllib.loads((Path(__file__).parent / "omni_physics_schemas.toml").read_text(encoding="utf-8"))
+CYLINDERS = "/physics/collisionApproximateCylinders"
 PREFIXES = ("omniphysics:", "physx")
 
 SUPPORTED = tuple(v.name for v in variants() if v.family not in ("RopeWinding", "StickStack"))
@@ -501,15 +502,20 @@ def test_driven_bodies_are_placed_before_every_step(name: str, play: Callable[..
             np.testing.assert_allclose(matrix.ExtractTranslation(), start.position_m, atol=1e-9)
 
 
-def test_results_are_written_to_the_stage_by_its_settings(play: Callable[..., Any]) -> None:
-    stub, code, _ = play("BouncingBall-rubber", at_rest)
+@pytest.mark.parametrize(
+    ("name", "deformable"), [("BouncingBall-rubber", {}), ("FoamStretching-soft", {CYLINDERS: True})]
+)
+def test_results_are_written_to_the_stage_by_its_settings(
+    name: str, deformable: dict[str, bool], play: Callable[..., Any]
+) -> None:
+    stub, code, _ = play(name, at_rest)
     assert code == 0
     assert stub.settings == {
         "/physics/fabricEnabled": False,
         "/physics/suppressReadback": False,
         "/physics/updateToUsd": True,
         "/physics/updateParticlesToUsd": True,
-        "/physics/collisionApproximateCylinders": True,
+        **deformable,
     }
 
 
