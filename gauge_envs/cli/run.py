@@ -22,9 +22,9 @@ from gauge_envs.cli.arguments import (
     parsed_parameters,
     parsed_settings,
 )
+from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import (
     EXIT_FAILED,
-    EXIT_INTERRUPTED,
     counted,
     plain_text,
     print_json_lines,
