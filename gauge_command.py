@@ -17,7 +17,8 @@ def main() -> None:
     try:
         import signal
 
-        signal.signal(signal.SIGINT, _end)
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, _end)
         from gauge_envs.cli import main as run_command
     except KeyboardInterrupt:  # It came before the handler was there.
         _end()
