@@ -167,7 +167,7 @@ def _scene_adder(
 
 
 def _add_rigid_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMuJoCoWarp) -> WorldLayout:
-    rigid = add_bodies(builder, scene, config=shape_config(), has_prisms=True)
+    rigid = add_bodies(builder, scene, config=shape_config(), solids="meshes" if settings.meshes else "prisms")
     add_contacts(builder, scene, rigid, settings)
     return WorldLayout(rigid=rigid)
 

@@ -63,6 +63,9 @@ class SettingsMuJoCoWarp(SettingsNewton):
         impact_solimp: Impedance of impacts. It is constant in depth, so that the rebound does not depend on depth.
         newton_material: Keep Newton's default stiffness, damping and friction gain of contacts. The four settings above
             and the scene's restitution then have no effect.
+        mujoco_contacts: Detect contacts with MuJoCo Warp, Newton's default, and not with Newton's collision pipeline.
+            Two meshes then touch in a single point. A box on a box is inaccurate in single precision.
+        meshes: Replace boxes, cylinders and spheres by convex meshes, as an import of the published OBJ models does.
     """
 
     solver: Literal["SolverMuJoCo"] = "SolverMuJoCo"
@@ -77,6 +80,8 @@ class SettingsMuJoCoWarp(SettingsNewton):
     impact_stiffness: float = Field(default=0.002, gt=0.0)
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
     newton_material: bool = False
+    mujoco_contacts: bool = False
+    meshes: bool = False
 
 
 class SettingsVBD(SettingsNewton):
