@@ -17,7 +17,11 @@ from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.meshes import mass_properties, prism
 
-__all__ = ["BodyLayout", "build_world", "isometry"]
+__all__ = ["MASS_UNIT_KG", "BodyLayout", "build_world", "isometry"]
+
+MASS_UNIT_KG = 1e-3
+"""Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the sum
+are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
 
 UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
 """Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
@@ -113,11 +117,11 @@ def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.Rig
 def _rapier_mass(
     mass_kg: float, centre_m: NDArray[np.float64], inertia: NDArray[np.float64]
 ) -> rapier.MassProperties:
-    moments, axes = np.linalg.eigh(inertia)
+    moments, axes = np.linalg.eigh(inertia / MASS_UNIT_KG)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
     frame = tuple(Rotation.from_matrix(axes).as_quat())
-    return rapier.MassProperties(tuple(centre_m), mass_kg, tuple(moments), frame)
+    return rapier.MassProperties(tuple(centre_m), mass_kg / MASS_UNIT_KG, tuple(moments), frame)
 
 
 def isometry(pose: Pose) -> rapier.Isometry3:

@@ -75,8 +75,10 @@ PRESETS = {
     "default": SettingsRapier(
         preset="default",
         timestep_s=1 / 1800,
+        solver_iterations=2,
         contact_frequency_hz=240.0,
         static_contact_frequency_hz=240.0,
+        contact_recycling=False,
         hinge_damping=0.0,
         sleep=False,
     ),

@@ -10,7 +10,7 @@ import rapier3d as rapier
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.rapier.model import build_world, isometry
+from gauge_envs.backends.rapier.model import MASS_UNIT_KG, build_world, isometry
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.scene import Motion, Pose, Scene
@@ -76,8 +76,8 @@ class SimulationRapier(Simulation):
         held = self._bodies[body]
         held.reset_forces()
         held.reset_torques()
-        held.add_force(tuple(wrench[:3]))
-        held.add_torque(tuple(wrench[3:]))
+        held.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
+        held.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
 
     def advance(self, seconds: float) -> None:
         """Step the world. Rapier moves a driven body by its velocity times the step."""
