@@ -1,8 +1,8 @@
 """Collision groups and constants of contacts. Needs no engine.
 
-Rapier combines the constants of two colliders, and filters pairs by 32 groups. A body gets one collider for each contact
-that lists it. Both colliders of a pair then have the constants of the pair, whose average is exact. Two groups belong to
-each contact, one for either side. A collider only meets the other side of its own contact.
+Rapier combines the constants of two colliders, and filters pairs by 32 groups. A body gets one collider for each
+contact that lists it. Both colliders of a pair then have the constants of the pair, so their average is exact. Two
+groups belong to each contact, one for either side. A collider only meets the other side of its own contact.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ from gauge_envs.scene.meshes import mass_properties, prism
 __all__ = ["MASS_UNIT_KG", "BodyLayout", "build_world", "isometry"]
 
 MASS_UNIT_KG = 1e-3
-"""Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the sum
-are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
+"""Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the
+sum are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
 
 UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
 """Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
@@ -49,9 +49,7 @@ def build_world(scene: Scene, settings: SettingsRapier) -> tuple[rapier.PhysicsW
     layouts = {}
     for body in scene.bodies:
         builder, centre_m = _body_builder(body, settings)
-        colliders = [
-            collider for layer in layers[body.name] for collider in _colliders(body.shape, layer, settings)
-        ]
+        colliders = [collider for layer in layers[body.name] for collider in _colliders(body.shape, layer, settings)]
         handle = world.add_body(builder, colliders)
         if body.motion is not Motion.FIXED:
             layouts[body.name] = BodyLayout(handle, centre_m)
@@ -114,9 +112,7 @@ def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.Rig
     return builder, centre_m
 
 
-def _rapier_mass(
-    mass_kg: float, centre_m: NDArray[np.float64], inertia: NDArray[np.float64]
-) -> rapier.MassProperties:
+def _rapier_mass(mass_kg: float, centre_m: NDArray[np.float64], inertia: NDArray[np.float64]) -> rapier.MassProperties:
     moments, axes = np.linalg.eigh(inertia / MASS_UNIT_KG)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
@@ -125,6 +121,7 @@ def _rapier_mass(
 
 
 def isometry(pose: Pose) -> rapier.Isometry3:
+    """Return a pose in Rapier's type, whose quaternion is x, y, z, w."""
     w, x, y, z = pose.quaternion
     return rapier.Isometry3(tuple(pose.position_m), (x, y, z, w))
 

@@ -102,7 +102,7 @@ class SimulationRapier(Simulation):
         return None
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities of bodies in single precision, shape [len(names), 13]; see `World.body_states`."""
+        """Return poses and velocities in single precision, shape [len(names), 13]; see `World.body_states`."""
         states = np.empty((len(names), 13))
         for row, name in zip(states, names, strict=True):
             row[:] = self._fixed[name] if name in self._fixed else self._state(name)
