@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
-from gauge_envs.scene.meshes import mass_properties, prism
+from gauge_envs.scene import Box, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["MASS_UNIT_KG", "BodyLayout", "build_world", "isometry"]
 
@@ -49,7 +49,7 @@ def build_world(scene: Scene, settings: SettingsRapier) -> tuple[rapier.PhysicsW
     layouts = {}
     for body in scene.bodies:
         builder, centre_m = _body_builder(body, settings)
-        colliders = [collider for layer in layers[body.name] for collider in _colliders(body.shape, layer, settings)]
+        colliders = [collider for layer in layers[body.name] for collider in _colliders(body.shape, layer)]
         handle = world.add_body(builder, colliders)
         if body.motion is not Motion.FIXED:
             layouts[body.name] = BodyLayout(handle, centre_m)
@@ -126,12 +126,12 @@ def isometry(pose: Pose) -> rapier.Isometry3:
     return rapier.Isometry3(tuple(pose.position_m), (x, y, z, w))
 
 
-def _colliders(shape: Shape, layer: ColliderLayer, settings: SettingsRapier) -> Iterator[rapier.ColliderBuilder]:
+def _colliders(shape: Shape, layer: ColliderLayer) -> Iterator[rapier.ColliderBuilder]:
     """Yield the colliders of a shape for one contact. They have no mass, because the body has it."""
     groups = rapier.InteractionGroups(
         rapier.Group.from_bits(layer.memberships), rapier.Group.from_bits(layer.filter), rapier.InteractionTestMode.AND
     )
-    for builder in _shapes(shape, settings):
+    for builder in _shapes(shape):
         yield (
             builder.density(0.0)
             .friction(layer.friction)
@@ -142,20 +142,18 @@ def _colliders(shape: Shape, layer: ColliderLayer, settings: SettingsRapier) -> 
         )
 
 
-def _shapes(shape: Shape, settings: SettingsRapier) -> Iterator[rapier.ColliderBuilder]:
+def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
     if isinstance(shape, Box):
         yield rapier.Collider.cuboid(*(0.5 * edge for edge in shape.size_m))
     elif isinstance(shape, Sphere):
         yield rapier.Collider.ball(shape.radius_m)
     elif isinstance(shape, Plane):
         yield rapier.Collider.halfspace((0.0, 0.0, 1.0))
-    elif isinstance(shape, Cylinder) and settings.cylinder_shape == "cylinder":
+    elif isinstance(shape, Cylinder):
         turned = tuple(UP_TO_Y.as_rotvec())
         yield rapier.Collider.cylinder(0.5 * shape.length_m, shape.radius_m).rotation(turned)
     else:
-        union = prism(shape) if isinstance(shape, Cylinder) else shape
-        assert isinstance(union, ConvexUnion)
-        for piece in union.pieces_m:
+        for piece in shape.pieces_m:
             yield rapier.Collider.convex_hull(np.asarray(piece, dtype=np.float32))
 
 
@@ -181,7 +179,7 @@ def _add_hinge(
     if link is None:
         raise BackendError(f"Rapier added no multibody joint for the hinge of {body.name!r}: use hinge_joint='impulse'")
     chain = world.multibody_joints.multibody(link)
-    chain.set_damping([settings.hinge_damping] * chain.ndofs)
+    chain.set_damping([settings.hinge_damping_n_m_s / MASS_UNIT_KG] * chain.ndofs)
     if not body.starts_at_rest:
         speeds = np.zeros(chain.ndofs)
         speeds[-1] = np.dot(body.angular_velocity_rad_per_s, hinge.axis)

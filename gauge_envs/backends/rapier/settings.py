@@ -38,8 +38,7 @@ class SettingsRapier(SteppedSettings):
         friction_in_bias_pass: Solve friction also while positions are corrected.
         max_linear_velocity_m_per_s: Speed to which Rapier limits bodies.
         hinge_joint: `multibody` keeps a hinge in reduced coordinates, `impulse` as a constraint that loses energy.
-        hinge_damping: Damping of multibody hinges, as Rapier's `Multibody.set_damping`; its own is 0.1.
-        cylinder_shape: `cylinder` is Rapier's shape, `prism` a convex hull of 96 sides.
+        hinge_damping_n_m_s: Torque over angular velocity of multibody hinges [N m s].
         sleep: Let bodies at rest sleep.
         ccd: Continuous collision detection of dynamic bodies.
         threads: Threads of the solver. This package's default is 1, because scenes are small.
@@ -64,8 +63,7 @@ class SettingsRapier(SteppedSettings):
     friction_in_bias_pass: bool = False
     max_linear_velocity_m_per_s: float = Field(default=400.0, gt=0.0)
     hinge_joint: Literal["multibody", "impulse"] = "multibody"
-    hinge_damping: float = Field(default=0.1, ge=0.0)
-    cylinder_shape: Literal["cylinder", "prism"] = "cylinder"
+    hinge_damping_n_m_s: float = Field(default=0.1, ge=0.0)
     sleep: bool = True
     ccd: bool = False
     threads: int = Field(default=1, ge=1, le=256)
@@ -87,8 +85,8 @@ PRESETS = {
         # Recycled points stay in place while the bodies move on. A box sinks 33 mm into a convex solid, and a cube
         # slips by 14 mm on a plate that carries it round.
         contact_recycling=False,
-        # The damping of 0.1 has no counterpart in the scene: it stops a pendulum within seconds.
-        hinge_damping=0.0,
+        # Rapier's damping of 0.1 N m s has no counterpart in the scene. A pendulum of 0.1 kg creeps to its lowest point.
+        hinge_damping_n_m_s=0.0,
         # Slow bodies fall asleep in flight: a ball with 0.1 m/s does not rebound.
         sleep=False,
     ),

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import MissingExtraError, ParameterError, UnknownNameError
@@ -89,7 +90,7 @@ def test_the_default_preset_conforms() -> None:
         ({"contact_recycling": True}, "carry-turn"),
         ({"friction_model": "coulomb"}, "slide"),
         ({"sleep": True}, "rebound-slow"),
-        ({"hinge_damping": 0.1}, "pendulum-energy"),
+        ({"hinge_damping_n_m_s": 0.1}, "pendulum-energy"),
         ({"solver_iterations": 4}, "start-velocity"),
         ({"timestep_s": 1 / 180, "contact_frequency_hz": 30.0, "static_contact_frequency_hz": 10.0}, "contact-listed"),
     ],
@@ -255,6 +256,12 @@ def test_a_pendulum_keeps_its_energy() -> None:
     assert np.abs(pendulum_energy_j_per_kg(10.0)).max() < 0.01
 
 
+def test_rapiers_damping_of_hinges_stops_a_pendulum() -> None:
+    # Overdamped: 0.1 N m s against 0.004 kg m^2 and 0.2 N m.
+    energy = pendulum_energy_j_per_kg(4.0, hinge_damping_n_m_s=0.1)
+    assert energy[-1] == pytest.approx(-0.2 * G, abs=0.01)
+
+
 def test_impulse_hinges_lose_energy_in_the_stabilization() -> None:
     impulse = {"hinge_joint": "impulse", "timestep_s": 1 / 180, "solver_iterations": 4}
     assert pendulum_energy_j_per_kg(20.0, **impulse)[-1] == pytest.approx(-0.95, abs=0.05)
@@ -269,6 +276,20 @@ def test_a_string_holds_its_length_and_loses_less_than_a_percent_of_a_swing() ->
     energy = G * (states[:, 2] + 0.25) + 0.5 * np.square(states[:, 7:10]).sum(axis=1)
     assert np.abs(np.linalg.norm(states[:, :3], axis=1) - 0.5).max() < 1e-5
     assert -0.01 < energy[-1] / (0.25 * G) < 0.001
+
+
+@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.6, 0.0, 0.8)])
+def test_a_hinged_body_starts_with_its_velocity(axis: tuple[float, float, float]) -> None:
+    place, spin = np.array([0.1, -0.2, -0.15]), 3.0 * np.array(axis)
+    pose = Pose.from_euler_deg(tuple(place), (20.0, 30.0, 40.0))
+    velocity = {"angular_velocity_rad_per_s": tuple(spin), "linear_velocity_m_per_s": tuple(np.cross(spin, place))}
+    bob = solid("bob", Box(size_m=(0.1, 0.06, 0.04)), pose=pose, **velocity)
+    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 0.0), axis=axis)
+    scene = Scene(bodies=(bob,), joints=(hinge,), duration_s=1.0, gravity_m_per_s2=0.0)
+    times, states = sampled(scene, "bob", 0.5)
+    expected = np.array([Rotation.from_rotvec(spin * time).apply(place) for time in times])
+    assert states[:, :3] == pytest.approx(expected, abs=1e-4)
+    assert states[:, 10:] == pytest.approx(np.broadcast_to(spin, (len(times), 3)), abs=1e-3)
 
 
 def test_a_second_joint_of_a_hinged_body_is_declined() -> None:
