@@ -85,7 +85,7 @@ PRESETS = {
         # Recycled points stay in place while the bodies move on. A box sinks 33 mm into a convex solid, and a cube
         # slips by 14 mm on a plate that carries it round.
         contact_recycling=False,
-        # Rapier's damping of 0.1 N m s has no counterpart in the scene. A pendulum of 0.1 kg creeps to its rest with it.
+        # Rapier's damping of 0.1 N m s has no counterpart in the scene. A pendulum of 0.1 kg creeps to rest.
         hinge_damping_n_m_s=0.0,
         # Slow bodies fall asleep in flight: a ball with 0.1 m/s does not rebound.
         sleep=False,
