@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -347,6 +348,40 @@ def test_a_state_between_drive_and_advance_holds_the_motion() -> None:
     simulation.restore(kept)
     simulation.advance(1 / 180)
     assert (simulation.body_states([driver, "cube"]) == ahead).all()
+
+
+def test_a_wrench_replaces_the_last_one() -> None:
+    scene = Scene(bodies=(solid("box", Box(size_m=(0.1,) * 3)),), duration_s=1.0, gravity_m_per_s2=0.0)
+    simulation = RAPIER.build(scene)
+    inertia = 0.1 * 0.1**2 / 6.0
+    for wrench in (
+        np.array([0.5, 0.0, 0.0, inertia, 0.0, 0.0]),
+        np.array([0.0, 0.2, 0.0, 0.0, inertia, 0.0]),
+        np.zeros(6),
+    ):
+        simulation.apply_wrench("box", wrench)
+        simulation.advance(0.1)
+    expected = [0.5, 0.2, 0.0, 0.1, 0.1, 0.0]
+    assert simulation.body_states(["box"])[0, 7:] == pytest.approx(expected, abs=1e-4)
+
+
+def final_states(name: str) -> bytes:
+    """States at the end of the first 0.2 s of an experiment."""
+    scene = load_experiment(name).scene
+    simulation = RAPIER.build(scene)
+    simulation.advance(0.2)
+    return simulation.body_states([body.name for body in scene.bodies]).tobytes()
+
+
+def test_another_process_gives_the_same_bits() -> None:
+    code = (
+        "import sys\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_rapier import final_states\n"
+        "print(final_states('NonsmoothContact-3-wood').hex())\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert bytes.fromhex(run.stdout) == final_states("NonsmoothContact-3-wood")
 
 
 def test_a_state_that_is_not_finite_is_a_fault() -> None:
