@@ -163,6 +163,38 @@ def test_a_sustained_contact_does_not_rebound() -> None:
     assert states[:, 9].max() < 0.05
 
 
+# --- errors of the engine that the page states ------------------------------------------------------------------------
+
+
+def test_a_flat_impact_spins_a_box() -> None:
+    brick = solid("ball", Box(size_m=(0.1, 0.06, 0.04)), (0.0, 0.0, 0.22), mass_kg=0.2)
+    scene = replace(dropped(0.5), bodies=(brick, GROUND))
+    _, states = sampled(scene, "ball", 0.35)
+    hit = int(np.argmax(states[:, 9] > 0.0))
+    assert np.linalg.norm(states[hit + 5, 10:]) == pytest.approx(6.9, abs=0.3)
+    assert np.sqrt((states[hit:, 2].max() - 0.02) / 0.2) == pytest.approx(0.35, abs=0.01)
+
+
+def test_a_cylinder_rolls_too_fast_on_a_box_and_right_on_a_plane() -> None:
+    slope_deg, radius_m = 3.6, 0.03
+    sine, cosine = np.sin(np.radians(slope_deg)), np.cos(np.radians(slope_deg))
+    roller = solid(
+        "roller",
+        Cylinder(radius_m=radius_m, length_m=0.06),
+        pose=Pose.from_euler_deg((radius_m * sine, 0.0, radius_m * cosine), (90.0, 0.0, 0.0)),
+    )
+    ratios = []
+    for shape, depth_m in ((Plane(), 0.0), (Box(size_m=(3.0, 1.0, 0.1)), 0.05)):
+        lean = Pose.from_euler_deg((-depth_m * sine, 0.0, -depth_m * cosine), (0.0, slope_deg, 0.0))
+        ground = solid("ground", shape, motion=Motion.FIXED, pose=lean, mass_kg=depth_m)
+        contact = Contact(first=("roller",), second=("ground",), friction=0.5, restitution=0.0)
+        times, states = sampled(Scene(bodies=(roller, ground), contacts=(contact,), duration_s=0.8), "roller", 0.8)
+        late = times > 0.1
+        measured = 2.0 * np.polyfit(times[late], states[late, :3] @ [cosine, 0.0, -sine], 2)[0]
+        ratios.append(measured / (2.0 / 3.0 * G * sine))
+    assert ratios == pytest.approx([1.0, 1.2], abs=0.02)
+
+
 # --- pairs ------------------------------------------------------------------------------------------------------------
 
 
