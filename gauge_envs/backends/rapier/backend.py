@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any
 
-from gauge_envs.backends.base import Backend, Simulation, Support
+from gauge_envs.backends.base import Backend, Simulation, Support, Worlds
 from gauge_envs.backends.rapier.settings import settings_for
 from gauge_envs.backends.rapier.support import unsupported_features
 from gauge_envs.errors import MissingExtraError
@@ -44,3 +44,9 @@ class BackendRapier(Backend):
         from gauge_envs.backends.rapier.simulation import SimulationRapier
 
         return SimulationRapier(scene, settings_for(scene, settings))
+
+    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+        """Build scenes in shared Rapier worlds, as far as the bits stay those of single simulations."""
+        from gauge_envs.backends.rapier.simulation import WorldsRapier
+
+        return WorldsRapier(scenes, settings_for(scenes[0], settings))

@@ -40,10 +40,15 @@ def colliding_contacts(scene: Scene) -> list[Contact]:
     return [contact for contact in scene.contacts if next(scene.colliding_pairs(contact), None) is not None]
 
 
-def collider_layers(scene: Scene) -> dict[str, list[ColliderLayer]]:
-    """Return the layers of each body, by name; a body without contacts has none."""
+def collider_layers(scene: Scene, first_contact: int = 0) -> dict[str, list[ColliderLayer]]:
+    """Return the layers of each body, by name; a body without contacts has none.
+
+    Args:
+        scene: The scene.
+        first_contact: Number of contacts of other scenes in the same world, whose groups come first.
+    """
     layers: dict[str, list[ColliderLayer]] = {body.name: [] for body in scene.bodies}
-    for index, contact in enumerate(colliding_contacts(scene)):
+    for index, contact in enumerate(colliding_contacts(scene), start=first_contact):
         restitution = contact.restitution if contact.mode is ContactMode.IMPACT else 0.0
         for name, memberships, filter_ in _sides(contact, 1 << 2 * index, 2 << 2 * index):
             layers[name].append(ColliderLayer(contact.friction, restitution, memberships, filter_))

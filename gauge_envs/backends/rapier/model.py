@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import rapier3d as rapier
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers
+from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
@@ -40,12 +40,29 @@ class BodyLayout:
     centre_m: NDArray[np.float64]
 
 
-def build_world(scene: Scene, settings: SettingsRapier) -> tuple[rapier.PhysicsWorld, dict[str, BodyLayout]]:
-    """Return a world at the scene's start, and the layout of its dynamic and driven bodies by name."""
-    world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scene.gravity_m_per_s2))
-    world.set_num_threads(settings.threads)
+def build_world(
+    scenes: Sequence[Scene], settings: SettingsRapier
+) -> tuple[rapier.PhysicsWorld, list[dict[str, BodyLayout]]]:
+    """Return one world with all scenes at their starts, which do not meet each other.
+
+    Args:
+        scenes: Scenes that differ only in their starts, with at most 16 contacts in all.
+        settings: Numerical settings.
+
+    Returns:
+        The world; and for each scene the layout of its dynamic and driven bodies, by name.
+    """
+    world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
     _set_parameters(world.integration_parameters, settings)
-    layers = collider_layers(scene)
+    count = len(colliding_contacts(scenes[0]))
+    return world, [_add_scene(world, scene, index * count, settings) for index, scene in enumerate(scenes)]
+
+
+def _add_scene(
+    world: rapier.PhysicsWorld, scene: Scene, first_contact: int, settings: SettingsRapier
+) -> dict[str, BodyLayout]:
+    """Add a scene to a world and return the layout of its dynamic and driven bodies, by name."""
+    layers = collider_layers(scene, first_contact)
     layouts = {}
     for body in scene.bodies:
         builder, centre_m = _body_builder(body, settings)
@@ -61,7 +78,7 @@ def build_world(scene: Scene, settings: SettingsRapier) -> tuple[rapier.PhysicsW
             anchor = world.add_body(rapier.RigidBody.fixed().translation(joint.anchor_m))
             string = rapier.RopeJointBuilder(joint.length_m).local_anchor1((0, 0, 0)).local_anchor2((0, 0, 0))
             world.impulse_joints.insert(anchor, layouts[body.name].handle, string.build())
-    return world, layouts
+    return layouts
 
 
 def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:

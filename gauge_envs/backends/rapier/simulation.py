@@ -1,4 +1,4 @@
-"""A Rapier simulation: driving, stepping and reading of its state."""
+"""Simulations and batched worlds on top of Rapier worlds: driving, stepping and reading of states."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 import rapier3d as rapier
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.rapier.model import MASS_UNIT_KG, build_world, isometry
+from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
+from gauge_envs.backends.rapier.model import MASS_UNIT_KG, BodyLayout, build_world, isometry
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.scene import Motion, Pose, Scene
 
-__all__ = ["SimulationRapier", "StateRapier"]
+__all__ = ["SimulationRapier", "StateRapier", "WorldsRapier"]
+
+LARGEST_SHARE = 64
+"""Number of scenes without contacts in one Rapier world."""
 
 
 @dataclass(frozen=True)
@@ -31,44 +35,49 @@ class StateRapier:
     motions: dict[str, DrivenMotion]
 
 
-class SimulationRapier(Simulation):
-    """A scene in Rapier.
+class _SceneWorld(World):
+    """One scene in a Rapier world, which may hold more of them."""
 
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
-
-    def __init__(self, scene: Scene, settings: SettingsRapier) -> None:
+    def __init__(self, scene: Scene, layouts: dict[str, BodyLayout], settings: SettingsRapier) -> None:
         self.settings = settings.model_dump(mode="json")
-        self._timestep_s = settings.timestep_s
-        self._threads = settings.threads
+        self._layouts = layouts
         self._fixed = {
             body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
             for body in scene.bodies
             if body.motion is Motion.FIXED
         }
-        world, self._layouts = build_world(scene, settings)
-        self._start = world.snapshot()
+        self._bodies: dict[str, rapier.RigidBody] = {}
         self._motions: dict[str, DrivenMotion] = {}
-        self._hold(world)
 
-    def _hold(self, world: rapier.PhysicsWorld) -> None:
-        """Use a world from now on."""
-        world.set_num_threads(self._threads)
-        self._world = world
+    def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
+        """Read and drive the bodies of a Rapier world from now on."""
         bodies = world.rigid_bodies
         self._bodies = {name: bodies[layout.handle] for name, layout in self._layouts.items()}
+        self._motions = dict(motions)
 
-    def reset(self, seed: int) -> None:
-        """Return to the scene's start. Rapier draws no random numbers, so the seed has no effect."""
-        self.restore(StateRapier(self._start, {}))
+    def release(self) -> None:
+        """Hold no body any more."""
+        self._bodies, self._motions = {}, {}
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Place a driven body where its interval starts; `advance` moves it by the mean velocity of each step."""
+        """Place a driven body where its interval starts; each step moves it by the mean velocity of the step."""
         self._motions[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
+        self._bodies[body].position = isometry(pose)
+        self._set_velocity(body, velocity)
+
+    def prepare_step(self, start_s: float, end_s: float) -> None:
+        """Give driven bodies the mean velocity of a step, by which Rapier moves them to its end."""
+        for name, motion in self._motions.items():
+            self._set_velocity(name, motion.mean_velocity(start_s, end_s))
+
+    def end_interval(self, seconds: float) -> None:
+        """Give driven bodies the velocity at the end of the interval."""
+        for name, motion in self._motions.items():
+            self._set_velocity(name, motion.velocity_at(seconds))
+        self._motions = {}
+
+    def _set_velocity(self, body: str, velocity: NDArray[np.float64]) -> None:
         held = self._bodies[body]
-        held.position = isometry(pose)
         held.linvel, held.angvel = tuple(velocity[:3]), tuple(velocity[3:])
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
@@ -78,21 +87,6 @@ class SimulationRapier(Simulation):
         held.reset_torques()
         held.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
         held.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
-
-    def advance(self, seconds: float) -> None:
-        """Step the world. Rapier moves a driven body by its velocity times the step."""
-        step_s = self._timestep_s
-        for index in range(round(seconds / step_s)):
-            for name, motion in self._motions.items():
-                mean = motion.mean_velocity(index * step_s, (index + 1) * step_s)
-                held = self._bodies[name]
-                held.linvel, held.angvel = tuple(mean[:3]), tuple(mean[3:])
-            self._world.step()
-        for name, motion in self._motions.items():
-            end = motion.velocity_at(seconds)
-            held = self._bodies[name]
-            held.linvel, held.angvel = tuple(end[:3]), tuple(end[3:])
-        self._motions = {}
 
     def fault(self) -> str | None:
         """Return why Rapier disabled a body since the last reset, or None; see `World.fault`."""
@@ -120,16 +114,107 @@ class SimulationRapier(Simulation):
             state[7:10] -= np.cross(state[10:], arm)
         return state
 
+
+def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: float, step_s: float) -> None:
+    for index in range(round(seconds / step_s)):
+        for part in parts:
+            part.prepare_step(index * step_s, (index + 1) * step_s)
+        world.step()
+    for part in parts:
+        part.end_interval(seconds)
+
+
+class SimulationRapier(_SceneWorld, Simulation):
+    """A scene in Rapier.
+
+    Args:
+        scene: The scene.
+        settings: Numerical settings.
+    """
+
+    def __init__(self, scene: Scene, settings: SettingsRapier) -> None:
+        world, (layouts,) = build_world([scene], settings)
+        super().__init__(scene, layouts, settings)
+        self._timestep_s = settings.timestep_s
+        self._threads = settings.threads
+        self._start = StateRapier(world.snapshot(), {})
+        self.restore(self._start)
+
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start. Rapier draws no random numbers, so the seed has no effect."""
+        self.restore(self._start)
+
+    def advance(self, seconds: float) -> None:
+        """Step the world."""
+        _advance(self._world, (self,), seconds, self._timestep_s)
+
     def state(self) -> StateRapier:
         """Return a snapshot of the world, and the motions of driven bodies."""
         return StateRapier(self._world.snapshot(), dict(self._motions))
 
     def restore(self, state: StateRapier) -> None:
         """Restore a state."""
-        self._hold(rapier.PhysicsWorld.restore(state.world))
-        self._motions = dict(state.motions)
+        self._world = rapier.PhysicsWorld.restore(state.world)
+        self._world.set_num_threads(self._threads)
+        self.hold(self._world, state.motions)
 
     def close(self) -> None:
         """Free the world."""
-        self._bodies = {}
+        self.release()
         self._world = rapier.PhysicsWorld()
+
+
+def _share_count(scene: Scene) -> int:
+    """Return how many copies of a scene can share a world and move as alone, bit for bit.
+
+    Rapier solves the contacts of multibody joints in the order of the whole world, so jointed bodies that collide are
+    alone.
+    """
+    count = len(colliding_contacts(scene))
+    if not count:
+        return LARGEST_SHARE
+    return 1 if scene.joints else LARGEST_CONTACT_COUNT // count
+
+
+class WorldsRapier(Worlds):
+    """Instances of a scene in Rapier worlds that they share, separated by collision groups.
+
+    Args:
+        scenes: Scenes that differ only in their starts.
+        settings: Numerical settings.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], settings: SettingsRapier) -> None:
+        self._timestep_s, self._threads = settings.timestep_s, settings.threads
+        size = _share_count(scenes[0])
+        self._shares: list[tuple[bytes, list[_SceneWorld]]] = []
+        for first in range(0, len(scenes), size):
+            share = scenes[first : first + size]
+            world, layouts = build_world(share, settings)
+            parts = [_SceneWorld(scene, one, settings) for scene, one in zip(share, layouts, strict=True)]
+            self._shares.append((world.snapshot(), parts))
+        self.worlds = [part for _, parts in self._shares for part in parts]
+        self._held: list[rapier.PhysicsWorld] = []
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Return all worlds to their starts. Rapier draws no random numbers, so the seed has no effect."""
+        self._held = []
+        for start, parts in self._shares:
+            world = rapier.PhysicsWorld.restore(start)
+            world.set_num_threads(self._threads)
+            self._held.append(world)
+            for part in parts:
+                part.hold(world, {})
+
+    def advance(self, seconds: float) -> None:
+        """Step the worlds."""
+        for world, (_, parts) in zip(self._held, self._shares, strict=True):
+            _advance(world, parts, seconds, self._timestep_s)
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._held, self._shares = [], []
+        for part in self.worlds:
+            assert isinstance(part, _SceneWorld)
+            part.release()

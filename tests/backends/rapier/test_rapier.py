@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import load_experiment
+from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import MissingExtraError, ParameterError, UnknownNameError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -33,6 +33,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.jitter import jittered
 
 pytest.importorskip("rapier3d")
 
@@ -367,6 +368,60 @@ def test_a_pickled_state_continues_bit_for_bit_in_another_simulation(name: str) 
     assert (first.body_states(names) == RAPIER.build(scene).body_states(names)).all()
 
 
+def test_a_driven_body_starts_its_interval_where_it_is_put() -> None:
+    scene = load_experiment("Turntable-2-wood").scene
+    driver = scene.drivers[0].body
+    simulation = RAPIER.build(scene)
+    simulation.advance(0.1)
+    height = scene.body(driver).pose.position_m[2] - 0.5
+    simulation.drive(driver, Pose(position_m=(0.1, 0.2, height)), np.array([0.3, 0, 0, 0, 0, 0]), np.zeros(6))
+    assert simulation.body_states([driver])[0, :3] == pytest.approx([0.1, 0.2, height], abs=1e-6)
+    simulation.advance(1 / 180)
+    assert simulation.body_states([driver])[0, :3] == pytest.approx([0.1 + 0.3 / 180, 0.2, height], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-3-wood", "NonsmoothContact-1-wood", "NewtonsCradle-metal", "Pendulum-metal"]
+)
+def test_batched_worlds_are_single_simulations_bit_for_bit(name: str) -> None:
+    scene = load_experiment(name).scene
+    names = [body.name for body in scene.bodies]
+    scenes = [jittered(scene, Jitter(), seed=seed) for seed in range(11)]
+    worlds = RAPIER.build_worlds(scenes)
+    singles = [RAPIER.build(one) for one in scenes]
+
+    def read(every) -> np.ndarray:
+        return np.array([one.body_states(names) for one in every])
+
+    for _ in range(2):
+        worlds.reset(0)
+        for single in singles:
+            single.reset(0)
+        for frame in range(40):
+            for index, (world, single) in enumerate(zip(worlds.worlds, singles, strict=True)):
+                for driver in scene.drivers if index != 5 else ():
+                    pose, speed = driver.state(scene.body(driver.body).pose, frame / 180)
+                    for one in (world, single):
+                        one.drive(driver.body, pose, speed, np.zeros(6))
+            worlds.advance(1 / 180)
+            for single in singles:
+                single.advance(1 / 180)
+        assert (read(worlds.worlds) == read(singles)).all()
+    assert len({state.tobytes() for state in read(singles)}) == len(scenes)
+    worlds.close()
+    worlds.close()
+
+
+def test_a_world_that_fails_leaves_its_neighbours_alone() -> None:
+    worlds = RAPIER.build_worlds([dropped(0.5)] * 3)
+    alone = RAPIER.build(dropped(0.5))
+    worlds.worlds[1].apply_wrench("ball", np.array([np.nan, 0, 0, 0, 0, 0]))
+    for one in (worlds, alone):
+        one.advance(0.5)
+    assert [world.fault() is None for world in worlds.worlds] == [True, False, True]
+    assert (worlds.worlds[2].body_states(["ball"]) == alone.body_states(["ball"])).all()
+
+
 def test_a_state_between_drive_and_advance_holds_the_motion() -> None:
     scene = load_experiment("Turntable-2-wood").scene
     driver = scene.drivers[0].body
@@ -471,17 +526,15 @@ def test_every_setting_reaches_the_engine() -> None:
         "warmstart_joints": True,
         "friction_in_bias_pass": True,
         "max_linear_velocity_m_per_s": 99.0,
-        "threads": 2,
     }
     scene = load_experiment("Turntable-1-wood").scene
     plain = PRESETS["default"]
 
     def held(settings) -> tuple:
-        world, layouts = model.build_world(scene, settings)
+        world, (layouts,) = model.build_world([scene], settings)
         body = world.rigid_bodies[layouts["cube"].handle]
         return (
             world.integration_parameters.to_bytes(),
-            world.num_threads,
             body.ccd_enabled,
             body.activation.linear_threshold,
         )
@@ -490,7 +543,14 @@ def test_every_setting_reaches_the_engine() -> None:
     for name, value in changed.items():
         assert held(plain.model_copy(update={name: value})) != held(plain), name
     for name in ("sleep", "ccd"):
-        assert held(plain.model_copy(update={name: True}))[2:] != held(plain)[2:], name
+        assert held(plain.model_copy(update={name: True}))[1:] != held(plain)[1:], name
+
+
+def test_the_engine_has_the_threads_of_the_settings() -> None:
+    simulation = RAPIER.build(dropped(0.5), {"threads": 2})
+    simulation.reset(0)
+    assert simulation._world.num_threads == 2
+    assert RAPIER.build(dropped(0.5))._world.num_threads == 1
 
 
 @pytest.mark.parametrize("preset", ["default", "out_of_box"])
