@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import rapier3d as rapier
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
@@ -48,6 +49,7 @@ class _SceneWorld(World):
         }
         self._bodies: dict[str, rapier.RigidBody] = {}
         self._motions: dict[str, DrivenMotion] = {}
+        self._velocities: dict[str, list[list[float]]] = {}
 
     def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
         """Read and drive the bodies of a Rapier world from now on."""
@@ -65,10 +67,19 @@ class _SceneWorld(World):
         self._bodies[body].position = isometry(pose)
         self._set_velocity(body, velocity)
 
-    def prepare_step(self, start_s: float, end_s: float) -> None:
+    @property
+    def is_driven(self) -> bool:
+        """Whether a body is driven in the current interval."""
+        return bool(self._motions)
+
+    def start_interval(self, seconds: float, step_count: int) -> None:
+        """Compute the velocities of driven bodies in the steps of an interval [s]."""
+        self._velocities = {name: _mean_velocities(one, seconds, step_count) for name, one in self._motions.items()}
+
+    def prepare_step(self, index: int) -> None:
         """Give driven bodies the mean velocity of a step, by which Rapier moves them to its end."""
-        for name, motion in self._motions.items():
-            self._set_velocity(name, motion.mean_velocity(start_s, end_s))
+        for name, velocities in self._velocities.items():
+            self._set_velocity(name, velocities[index])
 
     def end_interval(self, seconds: float) -> None:
         """Give driven bodies the velocity at the end of the interval."""
@@ -76,7 +87,7 @@ class _SceneWorld(World):
             self._set_velocity(name, motion.velocity_at(seconds))
         self._motions = {}
 
-    def _set_velocity(self, body: str, velocity: NDArray[np.float64]) -> None:
+    def _set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
         held = self._bodies[body]
         held.linvel, held.angvel = tuple(velocity[:3]), tuple(velocity[3:])
 
@@ -115,10 +126,32 @@ class _SceneWorld(World):
         return state
 
 
+def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> list[list[float]]:
+    """Return the constant velocity in each step of an interval that takes a body along its motion.
+
+    It is `DrivenMotion.mean_velocity` of all steps at once, which costs a tenth.
+
+    Returns:
+        Linear [m/s] and angular [rad/s] velocity, shape [step_count, 6].
+    """
+    times = np.linspace(0.0, seconds, step_count + 1)[:, np.newaxis]
+    travel = (motion.velocity + 0.5 * motion.acceleration * times) * times
+    linear, angular = np.diff(travel[:, :3], axis=0), np.diff(travel[:, 3:], axis=0)
+    if np.cross(motion.velocity[3:], motion.acceleration[3:]).any():
+        turned = Rotation.from_rotvec(travel[:, 3:])
+        angular = (turned[1:] * turned[:-1].inv()).as_rotvec()
+    velocities: list[list[float]] = (np.hstack([linear, angular]) * (step_count / seconds)).tolist()
+    return velocities
+
+
 def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: float, step_s: float) -> None:
-    for index in range(round(seconds / step_s)):
-        for part in parts:
-            part.prepare_step(index * step_s, (index + 1) * step_s)
+    step_count = round(seconds / step_s)
+    for part in parts:
+        part.start_interval(seconds, step_count)
+    driven = [part for part in parts if part.is_driven]
+    for index in range(step_count):
+        for part in driven:
+            part.prepare_step(index)
         world.step()
     for part in parts:
         part.end_interval(seconds)

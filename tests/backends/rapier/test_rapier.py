@@ -39,6 +39,8 @@ pytest.importorskip("rapier3d")
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, collider_layers
+from gauge_envs.backends.rapier.simulation import _mean_velocities
+from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.checks.conformance import Status, run_checks
 
 RAPIER = backend("rapier")
@@ -366,6 +368,18 @@ def test_a_pickled_state_continues_bit_for_bit_in_another_simulation(name: str) 
     assert (moved(first, 40, 40) == ahead).all()
     first.reset(0)
     assert (first.body_states(names) == RAPIER.build(scene).body_states(names)).all()
+
+
+@pytest.mark.parametrize("acceleration", [(0.0, 0.0, 4.0), (3.0, -2.0, 5.0), (0.0, 0.0, 0.0)])
+def test_the_velocities_of_all_steps_are_those_of_single_steps(acceleration: tuple) -> None:
+    motion = DrivenMotion(
+        Pose(position_m=(0.0, 0.0, 0.0)),
+        np.array([0.1, 0.2, 0.3, 0.0, 0.0, 2.0]),
+        np.array([1.0, -1.0, 2.0, *acceleration]),
+    )
+    seconds = 1 / 180
+    expected = [motion.mean_velocity(k * seconds / 10, (k + 1) * seconds / 10) for k in range(10)]
+    assert _mean_velocities(motion, seconds, 10) == pytest.approx(np.array(expected), abs=1e-12)
 
 
 def test_a_driven_body_starts_its_interval_where_it_is_put() -> None:
