@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 
 import numpy as np
 import rapier3d as rapier
@@ -15,6 +16,7 @@ from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, BodyLayout, build_world, isometry
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene
 
 __all__ = ["SimulationRapier", "StateRapier", "WorldsRapier"]
@@ -170,23 +172,31 @@ class SimulationRapier(_SceneWorld, Simulation):
         super().__init__(scene, layouts, settings)
         self._timestep_s = settings.timestep_s
         self._threads = settings.threads
+        self._origin = StateOrigin(f"rapier3d {version('rapier3d')}", self.settings, scene)
         self._start = StateRapier(world.snapshot(), {})
-        self.restore(self._start)
+        self._continue_from(self._start)
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. Rapier draws no random numbers, so the seed has no effect."""
-        self.restore(self._start)
+        self._continue_from(self._start)
 
     def advance(self, seconds: float) -> None:
         """Step the world."""
         _advance(self._world, (self,), seconds, self._timestep_s)
 
-    def state(self) -> StateRapier:
-        """Return a snapshot of the world, and the motions of driven bodies."""
-        return StateRapier(self._world.snapshot(), dict(self._motions))
+    def state(self) -> Snapshot:
+        """Return a snapshot of the world and the motions of driven bodies, with their origin."""
+        return self._origin.state(StateRapier(self._world.snapshot(), dict(self._motions)))
 
-    def restore(self, state: StateRapier) -> None:
-        """Restore a state."""
+    def restore(self, state: Snapshot) -> None:
+        """Restore a state.
+
+        Raises:
+            BackendError: The state is of another scene, other settings or another version.
+        """
+        self._continue_from(self._origin.values(state))
+
+    def _continue_from(self, state: StateRapier) -> None:
         self._world = rapier.PhysicsWorld.restore(state.world)
         self._world.set_num_threads(self._threads)
         self.hold(self._world, state.motions)

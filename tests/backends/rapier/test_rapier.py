@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import Jitter, load_experiment
-from gauge_envs.errors import MissingExtraError, ParameterError, UnknownNameError
+from gauge_envs.errors import BackendError, MissingExtraError, ParameterError, UnknownNameError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
@@ -434,6 +434,13 @@ def test_a_world_that_fails_leaves_its_neighbours_alone() -> None:
         one.advance(0.5)
     assert [world.fault() is None for world in worlds.worlds] == [True, False, True]
     assert (worlds.worlds[2].body_states(["ball"]) == alone.body_states(["ball"])).all()
+
+
+def test_a_state_of_other_settings_or_another_scene_is_refused() -> None:
+    simulation = RAPIER.build(dropped(0.5))
+    for other in (RAPIER.build(dropped(0.5), {"pgs_iterations": 2}), RAPIER.build(dropped(0.6))):
+        with pytest.raises(BackendError):
+            simulation.restore(other.state())
 
 
 def test_a_state_between_drive_and_advance_holds_the_motion() -> None:
