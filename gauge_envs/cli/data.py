@@ -21,7 +21,16 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 
-__all__ = ["assets_app", "assets_build", "assets_list", "data_app", "data_download", "data_import", "data_status"]
+__all__ = [
+    "assets_app",
+    "assets_build",
+    "assets_isaac_sim",
+    "assets_list",
+    "data_app",
+    "data_download",
+    "data_import",
+    "data_status",
+]
 
 
 data_app = typer.Typer(help="The dataset of real trials: bands and drivers from motion capture.", no_args_is_help=True)
@@ -140,6 +149,28 @@ def assets_list(json_lines: Json = False) -> None:
         Column("of", "of", _owners_text),
     )
     print_table(Table(columns=columns, rows=asset_rows(assets_folder())), json_lines=json_lines)
+
+
+@assets_app.command("isaac-sim")
+def assets_isaac_sim(
+    pattern: Annotated[str, typer.Argument(metavar="ID", help="Id or pattern, as 'TextileBending-*'.")],
+    out: Annotated[Path, typer.Option(help="Folder for the layers.")] = Path("isaac_sim"),
+) -> None:
+    """Write experiments as USD layers that Isaac Sim simulates with examples/isaac_sim/run_layer.py."""
+    from gauge_envs.experiments.export.isaac_sim import unsupported_reason, write_isaac_sim_layer
+    from gauge_envs.experiments.resolve import load_experiment
+
+    experiments = [load_experiment(variant) for variant in matching_variants(pattern)]
+    reasons = [unsupported_reason(experiment.scene) for experiment in experiments]
+    supported = [experiment for experiment, reason in zip(experiments, reasons, strict=True) if reason is None]
+    # If all are unsupported, the first one raises its reason.
+    for experiment in supported or experiments[:1]:
+        path = out / f"{experiment.name}.usda"
+        write_isaac_sim_layer(experiment, path)
+        echo(path)
+    for experiment, reason in zip(experiments, reasons, strict=True):
+        if reason is not None:
+            stderr_console().print(plain_text(f"{experiment.id} is left out: {reason}"), soft_wrap=True)
 
 
 def _owners_text(names: str) -> str:

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.dataset.layout import Layout
-from gauge_envs.dataset.observation import DriverTrack, driver_tracks, trial_markers_m, trial_trajectory
+from gauge_envs.dataset.observation import (
+    DriverTrack,
+    driver_tracks,
+    start_quaternions,
+    trial_markers_m,
+    trial_trajectory,
+)
 from gauge_envs.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
 from gauge_envs.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
 from gauge_envs.evaluation.score import score_trajectory
@@ -21,6 +27,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready, read_regular
 from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
+from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.imported import (
@@ -179,6 +186,7 @@ class _VariantImporter:
         self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._experiment)}
         self._solid = marked_solid(self._experiment.scene)
         self._statistics: list[FloatArray] = []
+        self._starts: list[FloatArray] = []
         self._files: dict[str, str] = {}
         self._findings: list[ImportFinding] = []
 
@@ -192,12 +200,15 @@ class _VariantImporter:
                 raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
             trial = parse_trial(content)
             trajectory = trial_trajectory(trial, self._experiment)
+            starts = start_quaternions(trial, self._experiment) if self._observes_positions else None
         except TrialError as error:
             self._add_finding(file, error, left_out=True)
             return
         self._seen[digest] = file
         self._files[file] = digest
         self.spool.add(trajectory)
+        if starts is not None:
+            self._starts.append(starts)
         if _is_doubled(trajectory):
             twice = "every frame occurs twice"
             note = TrialError("(file)", twice, f"{FRAME_RATE_HZ:g} different frames a second are expected")
@@ -206,6 +217,10 @@ class _VariantImporter:
         self._add_events(file, trajectory)
         self._add_drivers(file, trial)
         self._add_unused_faults(file, trial)
+
+    @property
+    def _observes_positions(self) -> bool:
+        return self._experiment.score.observable is Observable.POSITION
 
     def finish(self) -> ImportedTrials:
         """Store the variant."""
@@ -355,7 +370,8 @@ class _VariantImporter:
             statistics=() if deformation is None else deformation.statistics,
         )
         coordinates = {body: mean.coordinates for body, mean in drivers.items()}
-        return write_imported(band, coordinates, facts, deformation)
+        starts = np.stack(self._starts) if self._starts else None
+        return write_imported(band, coordinates, facts, deformation, starts)
 
 
 @dataclass

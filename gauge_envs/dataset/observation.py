@@ -16,12 +16,13 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
+from gauge_envs.references.imported import START_FRAMES
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 
-__all__ = ["DriverTrack", "driver_tracks", "trial_markers_m", "trial_trajectory"]
+__all__ = ["DriverTrack", "driver_tracks", "start_quaternions", "trial_markers_m", "trial_trajectory"]
 
 FloatArray = NDArray[np.float64]
 
@@ -86,6 +87,20 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     if np.isnan(frames).all():
         raise TrialError("(file)", "no frame of what is recorded was captured", "samples are expected")
     return frames
+
+
+def start_quaternions(trial: Trial, experiment: Experiment) -> FloatArray:
+    """Return the orientations of the recorded bodies in the first frames of a trial.
+
+    Returns:
+        Unit quaternions x y z w, body to world, shape [START_FRAMES, body_count, 4]; NaN where a trial has none.
+    """
+    tracks = [_pose(trial, name).quaternions_xyzw for name in experiment.recorded]
+    found = np.full((START_FRAMES, len(tracks), 4), np.nan)
+    for index, track in enumerate(tracks):
+        if track is not None:
+            found[: len(track), index] = track[:START_FRAMES]
+    return found
 
 
 def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ...]:

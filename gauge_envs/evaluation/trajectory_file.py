@@ -127,16 +127,17 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         values = np.concatenate([values, markers.reshape(len(values), -1)], axis=1)
     trajectory = _on_frames(file, times, values, experiment.frame_count)
     if experiment.score.observable is Observable.MARKER_POSITION:
-        return replace(trajectory, markers_m=1e-3 * _frame_rows(trajectory)[:, :width].reshape(-1, width // 3, 3))
+        rows = _frame_rows(trajectory, experiment.frame_count)
+        return replace(trajectory, markers_m=1e-3 * rows[:, :width].reshape(-1, width // 3, 3))
     if markers is None:
         return trajectory
-    markers_m = _frame_rows(trajectory)[:, width:].reshape(-1, *markers.shape[1:])
+    markers_m = _frame_rows(trajectory, experiment.frame_count)[:, width:].reshape(-1, *markers.shape[1:])
     return replace(trajectory, values=trajectory.values[:, :width], markers_m=markers_m)
 
 
-def _frame_rows(trajectory: UserTrajectory) -> NDArray[np.float64]:
-    """Return the samples at the 30 Hz frames."""
-    frames = np.arange(round(trajectory.times_s[-1] * FRAME_RATE_HZ) + 1) / FRAME_RATE_HZ
+def _frame_rows(trajectory: UserTrajectory, frame_count: int) -> NDArray[np.float64]:
+    """Return the samples at the 30 Hz frames of the experiment, without later ones."""
+    frames = np.arange(frame_count) / FRAME_RATE_HZ
     return trajectory.values[np.searchsorted(trajectory.times_s, frames - 1e-9)]
 
 

@@ -21,7 +21,15 @@ from gauge_envs.observables.functions import angle_deficit_curvature, assign_mar
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
 
-__all__ = ["MarkerProxy", "Observer", "ObserverMarkers", "ObserverPositions", "checked_proxy"]
+__all__ = [
+    "MarkerProxy",
+    "Observer",
+    "ObserverMarkers",
+    "ObserverPositions",
+    "checked_proxy",
+    "material_points",
+    "observe_markers",
+]
 
 MARKER_REACH_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
@@ -119,7 +127,7 @@ class ObserverMarkers:
             self._weights = np.ones((len(targets), 1))
         elif self._read is None:
             deformables = {body.name: body for body in scene.deformables}
-            self._indices, self._weights = _material_points(targets, rest, deformables)
+            self._indices, self._weights = material_points(targets, rest, deformables)
         self.markers_m = self._marker_positions(world)
         self.largest_distance_m = float(np.linalg.norm(self.markers_m - targets, axis=1).max())
         self.width = len(self._observed(self.markers_m[None])[0])
@@ -185,10 +193,22 @@ def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable
     return 1e3 * np.asarray(markers_m).reshape(len(markers_m), -1)
 
 
-def _material_points(
+def material_points(
     targets_m: NDArray[np.float64], rest: dict[str, NDArray[np.float64]], deformables: dict[str, Deformable]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return nodes and barycentric weights of each marker, shape [marker_count, 4]; cloth uses three of the four."""
+    """Return the nodes and weights that interpolate each marker at rest; cloth uses three of the four.
+
+    Args:
+        targets_m: Marker positions at rest [m], shape [marker_count, 3].
+        rest: Node positions at rest [m] of each body with markers, shape [node_count, 3].
+        deformables: Deformable bodies of the scene by name.
+
+    Returns:
+        Node indices over the bodies of `rest` in their order, shape [marker_count, 4], and weights of the same shape.
+
+    Raises:
+        ShapeError: A marker is more than 1 cm from the material, or the nodes of a body span no area or volume.
+    """
     indices = np.zeros((len(targets_m), 4), dtype=np.intp)
     weights = np.zeros((len(targets_m), 4))
     best = np.full(len(targets_m), np.inf)

@@ -37,6 +37,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = [
     "BUNDLED_DATA",
+    "START_FRAMES",
     "DataSource",
     "DriverRecord",
     "ImportFacts",
@@ -56,6 +57,9 @@ FloatArray = NDArray[np.float64]
 
 MOST_RECORD_BYTES = 8 * MEGABYTE
 MOST_ARRAYS_BYTES = 256 * MEGABYTE
+
+START_FRAMES = 3
+"""Number of first frames whose positions and orientations give the start velocities of a trial."""
 
 READ_ATTEMPTS = 5
 """Number of times that a variant is read while imports replace it."""
@@ -188,12 +192,15 @@ class ImportedVariant:
         driver_values: Mean recorded coordinates of each driven body relative to its start [m or rad], shape
             [frame_count, motion_count]; NaN where no trial shows the body.
         deformation: Statistics of deformation over the trials; None without any.
+        start_quaternions: Orientations x y z w of the recorded bodies in the first frames of each trial, body to world,
+            shape [trial_count, START_FRAMES, body_count, 4]; NaN where a trial has none. None for an import without.
     """
 
     record: VariantRecord
     band: Band
     driver_values: Mapping[str, FloatArray]
     deformation: DeformationReference | None = None
+    start_quaternions: FloatArray | None = None
 
 
 # --- folder ----------------------------------------------------------------------------------------------------------
@@ -226,6 +233,7 @@ def write_imported(
     drivers: Mapping[str, FloatArray],
     facts: ImportFacts,
     deformation: DeformationReference | None = None,
+    start_quaternions: FloatArray | None = None,
 ) -> VariantRecord:
     """Store an imported variant in place of an earlier import of it.
 
@@ -234,6 +242,7 @@ def write_imported(
         drivers: Recorded coordinates of the driven bodies, as `ImportedVariant.driver_values`.
         facts: Origin and scores of the trials; `statistics` names those of `deformation`.
         deformation: Statistics of deformation over the trials.
+        start_quaternions: As in `ImportedVariant`.
 
     Raises:
         DatasetError: The user's data folder cannot be written.
@@ -242,6 +251,8 @@ def write_imported(
     arrays: dict[str, Any] = {"mean": band.mean, "sigma": band.sigma, "measured": band.measured}
     if band.trials is not None:
         arrays["trials"] = band.trials
+    if start_quaternions is not None:
+        arrays["start_quaternions"] = start_quaternions
     arrays |= {f"driver.{body}": values for body, values in drivers.items()}
     if deformation is not None:
         arrays |= {"statistics.mean": deformation.mean, "statistics.sigma": deformation.sigma}
@@ -349,16 +360,17 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
         content = read_regular(arrays_file, MOST_ARRAYS_BYTES)
         if hashlib.sha256(content).hexdigest() != record.arrays_sha256:
             raise ValueError("its content differs from what was imported")
-        wanted = ["mean", "sigma", "measured", "trials", "statistics.mean", "statistics.sigma"]
+        wanted = ["mean", "sigma", "measured", "trials", "statistics.mean", "statistics.sigma", "start_quaternions"]
         wanted += [f"driver.{entry.body}" for entry in record.drivers]
         arrays = npz_arrays(content, wanted, MOST_ARRAYS_BYTES)
         drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
-        # Imports of older versions hold no single trials.
+        # Imports of older versions hold no single trials and no orientations.
         band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"], arrays.get("trials"))
         deformation = _deformation(record, arrays) if record.statistics else None
+        starts = _starts(record, arrays.get("start_quaternions"))
     except (OSError, ValueError, KeyError) as error:
         raise ReferenceFileError(arrays_file, None, f"{_reason(error)}; gauge data import renews it") from None
-    return ImportedVariant(record, band, drivers, deformation)
+    return ImportedVariant(record, band, drivers, deformation, starts)
 
 
 def _record(file: Path) -> VariantRecord:
@@ -401,6 +413,13 @@ def _band(
         source=record.origin,
         trials=trials,
     )
+
+
+def _starts(record: VariantRecord, quaternions: FloatArray | None) -> FloatArray | None:
+    shape = (record.trial_count, START_FRAMES, len(record.coordinates) // 3, 4)
+    if quaternions is not None and quaternions.shape != shape:
+        raise ValueError(f"its start orientations have shape {quaternions.shape}, expected {shape}")
+    return quaternions
 
 
 def _deformation(record: VariantRecord, arrays: Mapping[str, FloatArray]) -> DeformationReference:

@@ -38,6 +38,9 @@ __all__ = ["GRAVITY_M_PER_S2", "Scene"]
 GRAVITY_M_PER_S2 = 9.80665
 """Standard gravity [m/s^2], the value that the paper uses (its dynamic-error equation)."""
 
+LEVEL = 0.9999
+"""Smallest z of the unit normal of a level plane: a lean of 0.8 degrees, more than any uncertainty of tilt."""
+
 SAME_VELOCITY = 1e-5
 """Largest deviation of a start velocity from a rotation about a hinge [m/s, rad/s], relative to the largest number."""
 
@@ -149,10 +152,14 @@ class Scene:
 
     @cached_property
     def floor_height_m(self) -> float:
-        """Lowest height that a body can reach [m]: the highest plane, or the end of free fall without a plane."""
-        planes = [body.pose.position_m[2] for body in self.bodies if isinstance(body.shape, Plane)]
-        if planes:
-            return max(planes)
+        """Lowest height that a body can reach [m]: the highest level plane, or the end of free fall without one.
+
+        A leaning plane stops no fall: bodies slide down it.
+        """
+        planes = [body.pose for body in self.bodies if isinstance(body.shape, Plane)]
+        level = [pose.position_m[2] for pose in planes if pose.rotation.apply((0.0, 0.0, 1.0))[2] > LEVEL]
+        if level:
+            return max(level)
         lowest = min((b.pose.position_m[2] for b in self.bodies), default=0.0)
         lowest -= self._start_speed_m_per_s * self.duration_s
         return lowest - 0.5 * self.gravity_m_per_s2 * self.duration_s**2

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from dataset_writer import body_asset, trial_content, write_trial
+from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.dataset.importer import import_trials
@@ -27,14 +28,18 @@ def imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., N
     """Imports trials of a variant, whose recorded body has the positions [mm] that a function gives to each trial."""
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path / "data"))
 
-    def run(name: str, positions_mm: Callable[[int, np.ndarray], np.ndarray]) -> None:
+    def run(
+        name: str,
+        positions_mm: Callable[[int, np.ndarray], np.ndarray],
+        rotations: Callable[[int, np.ndarray], Rotation | None] = lambda *_: None,
+    ) -> None:
         experiment = load_experiment(name)
         times_s = np.arange(experiment.frame_count + 12)[:, None] / 30
         for number in range(3):
             positions = positions_mm(number, times_s)
             # An import leaves out equal trials; their starts stay the same.
             positions[5:] += 0.01 * number
-            assets = {body: body_asset(positions) for body in experiment.recorded}
+            assets = {body: body_asset(positions, rotations(number, times_s)) for body in experiment.recorded}
             write_trial(tmp_path, name, number + 1, trial_content(assets))
         (one,) = import_trials(find_trials(tmp_path, only=(name,)))
         assert one.used == 3
@@ -105,6 +110,63 @@ def test_a_cube_moves_and_slides_on_its_face(imported: Callable[..., None]) -> N
     assert cube.linear_velocity_m_per_s == pytest.approx(speed - (speed @ normal) * normal, abs=1e-9)
     assert cube.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
     assert cube.pose.quaternion == before.scene.body("cube").pose.quaternion
+
+
+YAWS_DEG, TILT_DEG = (-3.0, 1.0, 2.0), 4.0
+"""Orientation of three trials about the normal, from their mean, and about an axis in the face, alternating."""
+
+FRAME = Rotation.from_euler("xyz", (20.0, -70.0, 130.0), degrees=True)
+"""Body frame of the motion capture, relative to that of the scene."""
+
+
+def spinning(name: str, spin: np.ndarray) -> Callable[[int, np.ndarray], Rotation]:
+    """Orientations that start at a yaw and a tilt of each trial, and rotate with a spin, in the body frame `FRAME`."""
+    pose = load_experiment(name).scene.body(load_experiment(name).recorded[0]).pose
+    normal = face_normal(pose)
+    across = np.cross(normal, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+
+    def rotations(number: int, times_s: np.ndarray) -> Rotation:
+        start = Rotation.from_rotvec(np.radians(YAWS_DEG[number]) * normal)
+        start = Rotation.from_rotvec(np.radians(TILT_DEG * (number - 1)) * across) * start
+        return Rotation.from_rotvec(times_s * spin) * start * pose.rotation * FRAME
+
+    return rotations
+
+
+def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(imported: Callable[..., None]) -> None:
+    before = load_experiment(SLIDE).scene.body("cube")
+    normal = face_normal(before.pose)
+    resting = lambda _, times_s: 1e3 * np.broadcast_to(start_of(SLIDE), (len(times_s), 3)).copy()  # noqa: E731
+    imported(SLIDE, resting, spinning(SLIDE, np.array([0.4, -0.3, 2.0])))
+    for number, yaw in enumerate(YAWS_DEG):
+        cube = trial_scene(load_experiment(SLIDE), number).body("cube")
+        rotation = (cube.pose.rotation * before.pose.rotation.inv()).as_rotvec(degrees=True)
+        # The mean of three rotations by a few degrees is not exactly the mean of their angles.
+        assert rotation == pytest.approx(yaw * normal, abs=0.01)
+        spin = np.array([0.4, -0.3, 2.0]) @ normal * normal
+        assert cube.angular_velocity_rad_per_s == pytest.approx(spin, abs=1e-9)
+
+
+def test_a_ball_starts_with_the_spin_of_its_trial(imported: Callable[..., None]) -> None:
+    spin = np.array([3.0, -5.0, 7.0])
+    imported(BALL, thrown, spinning(BALL, spin))
+    env = gymnasium.make(f"GAUGE/{BALL}")
+    observation, _ = env.reset(seed=0, options={"trial": 2})
+    assert observation["bodies"][0, 10:13] == pytest.approx(spin, abs=1e-6)
+
+
+def test_trials_without_orientations_keep_that_of_the_scene(
+    tmp_path: Path, imported: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "test_trial_start.body_asset", lambda positions, _: dict(zip("xyz", positions.T.tolist(), strict=True))
+    )
+    imported(SLIDE, lambda _, times_s: 1e3 * (start_of(SLIDE) + 0.1 * times_s))
+    before = load_experiment(SLIDE)
+    cube = trial_scene(before, 1).body("cube")
+    assert cube.pose.quaternion == before.scene.body("cube").pose.quaternion
+    assert cube.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
 
 
 def test_a_pendulum_rotates_about_its_hinge(imported: Callable[..., None]) -> None:

@@ -80,6 +80,19 @@ def test_ten_frames_after_the_last_one_serve_the_alignment_and_nothing_else_is_u
     assert len(result.trajectory.later_times_s) == 10
 
 
+def test_later_frames_do_not_count_as_markers_of_the_deformation(tmp_path):
+    experiment = load_experiment("CantileverBeam-soft")
+    markers = 1e3 * np.asarray(experiment.scene.markers.positions_m).ravel()
+    rows = np.tile(markers, (experiment.frame_count + 10, 1))
+    for name, count in (("a.csv", len(rows)), ("b.csv", experiment.frame_count)):
+        np.savetxt(tmp_path / name, rows[:count], delimiter=",")
+    longer, exact = (score_file(tmp_path / name, variant=experiment.name)[0] for name in ("a.csv", "b.csv"))
+    assert longer.deformation is not None
+    assert longer.deformation == exact.deformation
+    read = read_trajectory(tmp_path / "a.csv", experiment)
+    assert read.markers_m.shape == (experiment.frame_count, len(experiment.scene.markers.positions_m), 3)
+
+
 def test_a_file_that_ends_with_the_last_frame_is_not_shifted_to_earlier_times(tmp_path):
     """Real cubes of SlopeSlider-2-plastic slide earlier than the calibrated one."""
     plastic = "SlopeSlider-2-plastic"

@@ -11,13 +11,18 @@ import pytest
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend
+from gauge_envs.envs.divergence import RigidBounds
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
     Attachment,
     Box,
+    Contact,
+    ContactMode,
     ConvexUnion,
     Hinge,
     Motion,
+    Plane,
     Pose,
     Region,
     RigidBody,
@@ -36,6 +41,7 @@ BRICK = Box(size_m=(0.1, 0.06, 0.03))
 CORNERED = ConvexUnion(
     pieces_m=(tuple((x, y, z) for x, y, z in np.add(BRICK.corners_m, (0.05, 0.03, 0.015)).tolist()),)
 )
+RAMP_DEG = 30.0
 LINEAR, ANGULAR = (1.2, -0.8, 0.5), (2.0, 5.0, -3.0)
 
 ENGINES = [
@@ -58,6 +64,16 @@ def thrown(shape: Box | Sphere | ConvexUnion = BRICK, **changes: object) -> Rigi
         "angular_velocity_rad_per_s": ANGULAR,
     }
     return RigidBody(**(given | changes))
+
+
+def ramp_scene(friction: float) -> Scene:
+    """A box that slides down a leaning plane for 1 s."""
+    lean = Pose.from_euler_deg((0.0, 0.0, 0.0), (RAMP_DEG, 0.0, 0.0))
+    plane = RigidBody(name="ramp", shape=Plane(), motion=Motion.FIXED, pose=lean, mass_kg=1.0)
+    above = replace(lean, position_m=tuple(lean.rotation.apply((0.0, 0.0, 0.015)).tolist()))
+    box = RigidBody(name="box", shape=BRICK, motion=Motion.DYNAMIC, pose=above, mass_kg=0.4)
+    contact = Contact(first=("box",), second=("ramp",), friction=friction, restitution=0.0, mode=ContactMode.SUSTAINED)
+    return Scene(bodies=(plane, box), contacts=(contact,), duration_s=1.0)
 
 
 def flight(body: RigidBody, **changes: object) -> Scene:
@@ -135,6 +151,20 @@ def test_a_body_that_is_thrown_down_stays_above_the_lowest_height() -> None:
     simulation = backend("mujoco").build(scene)
     simulation.advance(scene.duration_s)
     assert simulation.body_states(["thrown"])[0, 2] > scene.floor_height_m
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_a_body_may_slide_down_a_leaning_plane(friction: float) -> None:
+    ramp = ramp_scene(friction)
+    simulation = backend("mujoco").build(ramp)
+    bounds = RigidBounds(ramp)
+    for _ in range(round(ramp.duration_s * 180)):
+        simulation.advance(1 / 180)
+        assert bounds.fault(simulation.body_states(["box"])) is None
+    fallen_m = ramp.body("box").pose.position_m[2] - simulation.body_states(["box"])[0, 2]
+    lean = math.radians(RAMP_DEG)
+    expected = 0.5 * GRAVITY_M_PER_S2 * (math.sin(lean) - friction * math.cos(lean)) * ramp.duration_s**2
+    assert fallen_m == pytest.approx(expected * math.sin(lean), rel=0.01)
 
 
 def test_limits_of_a_scene_at_rest_are_unchanged() -> None:

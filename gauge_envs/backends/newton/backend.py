@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support, Worlds
-from gauge_envs.backends.newton.settings import settings_for
-from gauge_envs.backends.newton.support import unsupported_features
+from gauge_envs.backends.newton.settings import SettingsNewton, settings_for
+from gauge_envs.backends.newton.support import check_preset, check_support, unsupported_features
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
@@ -44,18 +44,35 @@ class BackendNewton(Backend):
         return Support(tuple(unsupported_features(scene)))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build a scene; settings are the fields of the settings class of the preset's solver."""
+        """Build a scene; settings are the fields of the settings class of the preset's solver.
+
+        Raises:
+            UnsupportedSceneError: The preset does not support a feature of the scene.
+        """
+        resolved = _checked_settings(scene, settings)
         _start_quietly()
         from gauge_envs.backends.newton.simulation import SimulationNewton
 
-        return SimulationNewton(scene, settings_for(scene, settings))
+        return SimulationNewton(scene, resolved)
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
-        """Build scenes as worlds of one model, which advance in the same step."""
+        """Build scenes as worlds of one model, which advance in the same step.
+
+        Raises:
+            UnsupportedSceneError: The preset does not support a feature of the scenes.
+        """
+        resolved = _checked_settings(scenes[0], settings)
         _start_quietly()
         from gauge_envs.backends.newton.simulation import WorldsNewton
 
-        return WorldsNewton(scenes, settings_for(scenes[0], settings))
+        return WorldsNewton(scenes, resolved)
+
+
+def _checked_settings(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsNewton:
+    settings = settings_for(scene, changes)
+    check_preset(scene, settings)
+    check_support(scene, settings)
+    return settings
 
 
 @cache

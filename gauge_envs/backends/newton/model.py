@@ -39,7 +39,6 @@ from gauge_envs.backends.shared.attachments import (
     bonded_soft_bodies,
     rigid_attachments,
 )
-from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene, Vector
 from gauge_envs.scene.geometry import vector
 
@@ -101,9 +100,8 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Step
         The stepper at the start, and the layouts in the order of the scenes.
 
     Raises:
-        ParameterError: The preset does not support the bodies of the scene, or its settings are unstable.
+        ParameterError: The settings are unstable.
     """
-    _check_preset(scenes[0], settings)
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
     add = _scene_adder(builder, scenes[0], settings)
     layouts = []
@@ -132,23 +130,6 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Step
     return stepper, layouts
 
 
-def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
-    has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)
-    has_lines = any(isinstance(body, Rope | Rod) for body in scene.deformables)
-    fits = {
-        SettingsMuJoCoWarp: not scene.deformables,
-        SettingsVBD: bool(scene.deformables) and not has_lines,
-        SettingsLines: has_lines and all(isinstance(body, Rope | Rod) for body in scene.deformables),
-        SettingsMPM: bool(scene.deformables) and not has_cloth and not has_lines,
-    }
-    if not fits[type(settings)]:
-        kinds = sorted({type(body).__name__ for body in scene.deformables}) or ["rigid bodies alone"]
-        raise ParameterError(
-            f"Newton preset {settings.preset!r} is for {settings.solver}, which does not simulate {', '.join(kinds)} "
-            "here: choose another preset"
-        )
-
-
 def _scene_adder(
     builder: newton.ModelBuilder, scene: Scene, settings: SettingsNewton
 ) -> Callable[[Scene], WorldLayout]:
@@ -167,7 +148,7 @@ def _scene_adder(
 
 
 def _add_rigid_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsMuJoCoWarp) -> WorldLayout:
-    rigid = add_bodies(builder, scene, config=shape_config(), has_prisms=True)
+    rigid = add_bodies(builder, scene, config=shape_config(), solids="meshes" if settings.meshes else "prisms")
     add_contacts(builder, scene, rigid, settings)
     return WorldLayout(rigid=rigid)
 

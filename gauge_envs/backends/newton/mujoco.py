@@ -1,9 +1,9 @@
 """Rigid scenes on Newton's MuJoCo solver (MuJoCo Warp), with contacts from Newton's collision pipeline.
 
-The collision detection of MuJoCo Warp is not used, because its normals are inaccurate in single precision. Between two
-boxes they are off by more than a degree in 2 % of the contacts that are 1 to 10 um deep. That share is 8 % at a depth
-of 0.1 to 1 um, and 56 % below. Accelerations of cubes on a slope then scatter by up to 7 % about Coulomb's law.
-Newton's normals are accurate to 0.02 degrees, and the scatter is that of double precision.
+The collision detection of MuJoCo Warp is used on request only (`mujoco_contacts`): its normals are inaccurate in single
+precision. Between two boxes they are off by more than a degree in 2 % of the contacts that are 1 to 10 um deep. That
+share is 8 % at a depth of 0.1 to 1 um, and 56 % below. Accelerations of cubes on a slope then scatter by up to 7 %
+about Coulomb's law. Newton's normals are accurate to 0.02 degrees, and the scatter is that of double precision.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, 
 
 
 class StepperMuJoCo(Stepper):
-    """Stepper of rigid bodies with MuJoCo Warp and contacts of Newton's collision pipeline.
+    """Stepper of rigid bodies with MuJoCo Warp.
 
     Args:
         model: The finalized model.
@@ -107,12 +107,13 @@ class StepperMuJoCo(Stepper):
                 tolerance=settings.tolerance,
                 # Otherwise Newton adds a weld for each body that could become kinematic, and many constraints.
                 kinematic_switchable_roots=False,
-                use_mujoco_contacts=not pair_count,
+                use_mujoco_contacts=settings.mujoco_contacts or not pair_count,
                 disable_contacts=not pair_count,
                 nconmax=CONTACT_POINTS_PER_PAIR * pair_count or None,
                 njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count + ROWS_PER_WELD * len(driven) or None,
             )
-        self._pipeline = newton.CollisionPipeline(model) if pair_count else None
+        has_pipeline = pair_count and not settings.mujoco_contacts
+        self._pipeline = newton.CollisionPipeline(model) if has_pipeline else None
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
         # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
+from typing import Literal
 
 import newton
 import numpy as np
 import trimesh
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.newton.stepper import warp_transform
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Sphere
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, RigidBody, Scene, Sphere
+from gauge_envs.scene.geometry import Shape
 from gauge_envs.scene.meshes import mass_properties, prism
 
-__all__ = ["RigidIndex", "add_bodies", "keep_apart"]
+__all__ = ["RigidIndex", "Solids", "add_bodies", "keep_apart"]
 
 WORLD = -1
 """Newton's body index of the world."""
+
+Solids = Literal["exact", "prisms", "meshes"]
+"""Shapes of the model: the scene's own; prisms for cylinders that do not move freely; convex meshes for all solids."""
+
+SPHERE_SUBDIVISIONS = 3
+"""Subdivisions of the icosahedron that is the mesh of a sphere: 642 vertices on the sphere."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +48,7 @@ def add_bodies(
     scene: Scene,
     *,
     config: newton.ModelBuilder.ShapeConfig,
-    has_prisms: bool = False,
+    solids: Solids = "exact",
 ) -> RigidIndex:
     """Add the rigid bodies of a scene; hinges become revolute joints and driven bodies kinematic bodies.
 
@@ -47,8 +56,9 @@ def add_bodies(
         builder: Model builder.
         scene: The scene.
         config: Contact constants of every shape; its density must be 0, since this function sets the masses.
-        has_prisms: Whether prisms replace cylinders. Boxes rest better on prisms; particles collide with cylinders
-            three times faster.
+        solids: Shapes of the model. Boxes rest better on prisms. A prism does not roll like a cylinder: each of its
+            edges takes speed, so a dynamic cylinder is never a prism. Particles collide with cylinders three times
+            faster than with prisms.
     """
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     index = RigidIndex()
@@ -58,7 +68,7 @@ def add_bodies(
         else:
             place, frame = _add_body(builder, body, hinges.get(body.name)), wp.transform_identity()
         index.bodies[body.name] = place
-        index.shapes[body.name] = _add_shapes(builder, place, frame, body, config, has_prisms=has_prisms)
+        index.shapes[body.name] = _add_shapes(builder, place, frame, body, config, solids=solids)
     return index
 
 
@@ -111,25 +121,39 @@ def _add_shapes(
     body: RigidBody,
     config: newton.ModelBuilder.ShapeConfig,
     *,
-    has_prisms: bool,
+    solids: Solids,
 ) -> list[int]:
     given = {"body": place, "xform": frame, "cfg": config}
     shape = body.shape
+    if isinstance(shape, Plane):
+        return [builder.add_shape_plane(width=0.0, length=0.0, label=body.name, **given)]
+    pieces = _pieces_m(shape, solids, rolls=body.motion is Motion.DYNAMIC)
+    if pieces:
+        return [
+            builder.add_shape_convex_hull(mesh=_hull(np.asarray(piece)), label=f"{body.name}/{number}", **given)
+            for number, piece in enumerate(pieces)
+        ]
     if isinstance(shape, Box):
         x, y, z = (0.5 * edge for edge in shape.size_m)
         return [builder.add_shape_box(hx=x, hy=y, hz=z, label=body.name, **given)]
     if isinstance(shape, Sphere):
         return [builder.add_shape_sphere(radius=shape.radius_m, label=body.name, **given)]
-    if isinstance(shape, Cylinder) and not has_prisms:
-        radius, half = shape.radius_m, 0.5 * shape.length_m
-        return [builder.add_shape_cylinder(radius=radius, half_height=half, label=body.name, **given)]
-    if isinstance(shape, Cylinder | ConvexUnion):
-        solid = prism(shape) if isinstance(shape, Cylinder) else shape
-        return [
-            builder.add_shape_convex_hull(mesh=_hull(np.asarray(piece)), label=f"{body.name}/{number}", **given)
-            for number, piece in enumerate(solid.pieces_m)
-        ]
-    return [builder.add_shape_plane(width=0.0, length=0.0, label=body.name, **given)]
+    assert isinstance(shape, Cylinder)
+    radius, half = shape.radius_m, 0.5 * shape.length_m
+    return [builder.add_shape_cylinder(radius=radius, half_height=half, label=body.name, **given)]
+
+
+def _pieces_m(shape: Shape, solids: Solids, *, rolls: bool) -> Sequence[ArrayLike]:
+    """Return the vertices of the convex pieces of a solid [m], each [vertex_count, 3]; none for a primitive shape."""
+    if isinstance(shape, ConvexUnion):
+        return shape.pieces_m
+    if isinstance(shape, Cylinder) and (solids == "meshes" or (solids == "prisms" and not rolls)):
+        return prism(shape).pieces_m
+    if solids == "meshes" and isinstance(shape, Box):
+        return [shape.corners_m]
+    if solids == "meshes" and isinstance(shape, Sphere):
+        return [trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS, radius=shape.radius_m).vertices]
+    return []
 
 
 def _hull(points_m: NDArray[np.float64]) -> newton.Mesh:

@@ -16,10 +16,13 @@ from gauge_envs.backends.newton.stability import longest_timestep_s
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 
 __all__ = [
     "CLOTH_CELL_M",
+    "PAPER",
+    "PAPER_PRESETS",
     "PRESETS",
     "ROD_SEGMENTS",
     "ROPE_CELL_M",
@@ -63,6 +66,9 @@ class SettingsMuJoCoWarp(SettingsNewton):
         impact_solimp: Impedance of impacts. It is constant in depth, so that the rebound does not depend on depth.
         newton_material: Keep Newton's default stiffness, damping and friction gain of contacts. The four settings above
             and the scene's restitution then have no effect.
+        mujoco_contacts: Detect contacts with MuJoCo Warp, Newton's default, and not with Newton's collision pipeline.
+            Two meshes then touch in a single point. A box on a box is inaccurate in single precision.
+        meshes: Replace boxes, cylinders and spheres by convex meshes, as an import of the published OBJ models does.
     """
 
     solver: Literal["SolverMuJoCo"] = "SolverMuJoCo"
@@ -77,6 +83,8 @@ class SettingsMuJoCoWarp(SettingsNewton):
     impact_stiffness: float = Field(default=0.002, gt=0.0)
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
     newton_material: bool = False
+    mujoco_contacts: bool = False
+    meshes: bool = False
 
 
 class SettingsVBD(SettingsNewton):
@@ -188,6 +196,36 @@ class SettingsMPM(SettingsNewton):
     soft_damping_s: float = Field(default=0.0, ge=0.0)
 
 
+PAPER = "paper"
+"""Preset of the paper's runs; its solver depends on the kind of body."""
+
+PAPER_PRESETS: dict[str, SettingsNewton] = {
+    # The paper states the solvers, 180 Hz for rigid bodies and textiles, 900 Hz for volumes, and defaults elsewhere.
+    # Its scenes are OBJ models, and Newton's MuJoCo solver detects contacts with MuJoCo's collision by default.
+    "rigid": SettingsMuJoCoWarp(
+        preset=PAPER,
+        timestep_s=1 / 180,
+        cone="pyramidal",
+        impratio=1.0,
+        newton_material=True,
+        mujoco_contacts=True,
+        meshes=True,
+    ),
+    # Newton's iterations, initial guess, membrane viscosity and friction speed. Its default particles have a radius of
+    # 0.1 m, so contacts are those of this package.
+    "textile": SettingsVBD(
+        preset=PAPER,
+        timestep_s=1 / 180,
+        iterations=10,
+        starts_from_acceleration=False,
+        stretch_damping_n_s_per_m=10.0,
+        friction_speed_m_per_s=1e-2,
+    ),
+    # Newton's default voxel of 0.1 m is larger than the foams, so voxels are those of this package.
+    "volumetric": SettingsMPM(preset=PAPER, timestep_s=1 / 900),
+}
+"""Settings of preset `paper` for each kind of scene."""
+
 PRESETS: dict[str, SettingsNewton] = {
     # Chosen on closed forms, not on scores. The angular momentum of a tumbling brick drifts by 0.7 % in half a second,
     # in proportion to the time step. A body on a rotating plate creeps by omega^2 r times half the contact's time
@@ -201,6 +239,7 @@ PRESETS: dict[str, SettingsNewton] = {
     "impact_chain": SettingsMuJoCoWarp(
         preset="impact_chain", timestep_s=1 / 9000, impact_solimp=(0.9999, 0.9999, 0.001)
     ),
+    PAPER: PAPER_PRESETS["rigid"],
     "contact_free": SettingsMuJoCoWarp(preset="contact_free", timestep_s=1 / 1800, integrator="rk4"),
     # Cloth. Chosen by convergence: over 2 s of a fling, trajectories are within 0.4 mm of those with twice the rate and
     # three times the iterations. Elastic extensions are within 1 % of theory.
@@ -305,6 +344,23 @@ def _cloth_preset(scene: Scene) -> str:
     return "cloth_probed" if narrow else "cloth"
 
 
+def _paper_preset(scene: Scene) -> SettingsNewton:
+    """Return the settings of preset `paper` for a scene.
+
+    Raises:
+        UnsupportedSceneError: The paper states no solver for a body of the scene.
+    """
+    lines = [body.name for body in scene.deformables if isinstance(body, Rope | Rod)]
+    if lines:
+        raise UnsupportedSceneError(
+            f"Newton preset {PAPER!r} does not support {lines[0]!r}: the paper ran rigid bodies, textiles and foams in "
+            "Newton, but no ropes and rods. Choose another preset"
+        )
+    if any(isinstance(body, Cloth) for body in scene.deformables):
+        return PAPER_PRESETS["textile"]
+    return PAPER_PRESETS["volumetric" if scene.deformables else "rigid"]
+
+
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsNewton:
     """Return the settings of a scene: its preset with a user's changes.
 
@@ -313,10 +369,13 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
 
     Raises:
         UnknownNameError: The preset does not exist.
+        UnsupportedSceneError: Preset `paper` has no solver for a body of the scene.
         ParameterError: A setting does not exist or has an invalid value, or cells of that size do not fit a body.
     """
+    is_paper = isinstance(changes, Mapping) and changes.get("preset") == PAPER
+    presets = PRESETS | {PAPER: _paper_preset(scene)} if is_paper else PRESETS
     settings = _with_cells(
-        resolve_settings("Newton", PRESETS, preset=_preset_name(scene), changes=changes),
+        resolve_settings("Newton", presets, preset=_preset_name(scene), changes=changes),
         scene,
         is_given=(changes or {}).get("cell_m") is not None,
     )

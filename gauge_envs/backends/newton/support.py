@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gauge_envs.backends.newton.contacts import unsupported_contacts
-from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp, SettingsVBD, settings_for
+from gauge_envs.backends.newton.settings import (
+    SettingsLines,
+    SettingsMPM,
+    SettingsMuJoCoWarp,
+    SettingsNewton,
+    SettingsVBD,
+    settings_for,
+)
 from gauge_envs.backends.newton.surface import unsupported_surface_contacts
 from gauge_envs.backends.shared.attachments import (
     attachment_problems,
@@ -15,18 +22,61 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.backends.shared.soft_rows import SoftRow
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
 
-__all__ = ["unsupported_features"]
+__all__ = ["check_preset", "check_support", "unsupported_features"]
 
 
-def unsupported_features(scene: Scene) -> Iterator[str]:
-    """Yield one sentence for each feature of a scene that Newton does not support."""
+def check_support(scene: Scene, settings: SettingsNewton) -> None:
+    """Raise an error if a scene has features that given settings do not support.
+
+    `Backend.supports` answers for the scene's own preset. A user may choose another one.
+
+    Raises:
+        UnsupportedSceneError: The message names the preset and the features.
+    """
+    missing = tuple(unsupported_features(scene, settings))
+    if missing:
+        raise UnsupportedSceneError(
+            f"Newton preset {settings.preset!r} does not support this scene: {'; '.join(missing)}. "
+            "Choose another preset"
+        )
+
+
+def check_preset(scene: Scene, settings: SettingsNewton) -> None:
+    """Raise an error if the solver of settings does not simulate the kinds of body in a scene.
+
+    Raises:
+        ParameterError: The message names the preset and the kinds.
+    """
+    has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)
+    has_lines = any(isinstance(body, Rope | Rod) for body in scene.deformables)
+    fits = {
+        SettingsMuJoCoWarp: not scene.deformables,
+        SettingsVBD: bool(scene.deformables) and not has_lines,
+        SettingsLines: has_lines and all(isinstance(body, Rope | Rod) for body in scene.deformables),
+        SettingsMPM: bool(scene.deformables) and not has_cloth and not has_lines,
+    }
+    if not fits[type(settings)]:
+        kinds = sorted({type(body).__name__ for body in scene.deformables}) or ["rigid bodies alone"]
+        raise ParameterError(
+            f"Newton preset {settings.preset!r} is for {settings.solver}, which does not simulate {', '.join(kinds)} "
+            "here: choose another preset"
+        )
+
+
+def unsupported_features(scene: Scene, settings: SettingsNewton | None = None) -> Iterator[str]:
+    """Yield one sentence for each feature of a scene that Newton does not support.
+
+    Args:
+        scene: The scene.
+        settings: Settings in force; None for those of the scene's own preset.
+    """
     for joint in scene.joints:
         if isinstance(joint, Tether):
             yield f"{joint.body!r} hangs on a string: Newton's MuJoCo solver has no distance joints"
-    settings = settings_for(scene)
+    settings = settings or settings_for(scene)
     if not scene.deformables:
         if isinstance(settings, SettingsMuJoCoWarp):
             yield from unsupported_contacts(scene, settings)
@@ -35,6 +85,11 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
     yield from unsupported_surface_contacts(scene, per_body=per_body)
     yield from _unsupported_lines(scene)
     yield from _unsupported_solids(scene)
+    if isinstance(settings, SettingsMPM) and scene.dynamic_bodies:
+        yield (
+            f"{scene.dynamic_bodies[0].name!r} moves freely: the material point method of this backend collides with "
+            "fixed and driven bodies only"
+        )
 
 
 def _unsupported_lines(scene: Scene) -> Iterator[str]:

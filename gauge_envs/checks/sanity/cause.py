@@ -67,9 +67,10 @@ def find_cause(
         default: Outcome with the backend's default.
 
     Returns:
-        The cause; None when the phenomenon is inside reality's scatter or was declined.
+        The cause; None when the phenomenon is inside reality's scatter, was declined, or the engine died.
     """
-    if configured.verdict in (Verdict.INSIDE, Verdict.DECLINED):
+    nothing_to_explain = configured.verdict in (Verdict.INSIDE, Verdict.DECLINED) or configured.engine_died
+    if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
     search = _Search(measurements, phenomenon, settings, configured, default)
     if not search.explains(default):

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends import backend as find_backend
 from gauge_envs.checks.sanity.cause import find_cause
+from gauge_envs.checks.sanity.engine import SIMULATION_LIMIT_S, Engine
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import Curve, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
@@ -29,6 +29,7 @@ def check(
     only: Sequence[str] = (),
     include_deformables: bool = False,
     notify: Callable[[PhenomenonResult], None] | None = None,
+    time_limit_s: float = SIMULATION_LIMIT_S,
 ) -> Report:
     """Return what physics a training configuration gets wrong, and which of its settings are responsible.
 
@@ -37,6 +38,7 @@ def check(
         only: Ids of phenomena or patterns such as `creep-*`; all when empty.
         include_deformables: Whether to measure phenomena of deformable bodies.
         notify: Function that is called with each row as soon as it is measured.
+        time_limit_s: Time limit of a simulation of an engine outside this package, which runs in another process [s].
 
     Returns:
         The report, with a row for each phenomenon in a fixed order.
@@ -48,18 +50,19 @@ def check(
     """
     started = time.perf_counter()
     configuration = _configuration(target)
-    engine = find_backend(configuration.backend)
+    chosen = phenomena(only, include_deformables=include_deformables)
     rows = []
-    for row in _rows(Measurements(engine), configuration, phenomena(only, include_deformables=include_deformables)):
-        rows.append(row)
-        if notify is not None:
-            notify(row)
+    with Engine(configuration.backend, time_limit_s) as engine:
+        for row in _rows(Measurements(engine), configuration, chosen):
+            rows.append(row)
+            if notify is not None:
+                notify(row)
     if all(row.verdict is Verdict.DECLINED for row in rows) and any(row.default is not None for row in rows):
         raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {rows[0].remark}")
     return Report(
         configuration=configuration,
         rows=tuple(rows),
-        versions={**engine.versions(), **versions()},
+        versions={**engine.versions, **versions()},
         wall_s=time.perf_counter() - started,
     )
 

@@ -12,7 +12,7 @@ from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.scene.usd.writer import export_stage, scene_stage
 
-__all__ = ["SOURCE", "usd_layer_text", "write_usd_layer"]
+__all__ = ["SOURCE", "experiment_stage", "usd_layer_text", "write_usd_layer"]
 
 SOURCE = (
     "Calibrated constants and initial states: GAUGE paper (arXiv 2608.05948) and GAUGE dataset "
@@ -32,17 +32,24 @@ def write_usd_layer(experiment: TaskExperiment, path: Path) -> None:
         ParameterError: The suffix is not one of USD.
         ResultFileError: The file cannot be written.
     """
-    export_stage(_experiment_stage(experiment), path)
+    export_stage(experiment_stage(experiment), path)
 
 
 def usd_layer_text(experiment: TaskExperiment) -> str:
     """Return the scene of a variant as the text of a `.usda` layer; equal scenes give equal texts."""
-    stage = _experiment_stage(experiment)
+    stage = experiment_stage(experiment)
     return stage.GetRootLayer().ExportToString()
 
 
-def _experiment_stage(experiment: TaskExperiment) -> Usd.Stage:
-    stage = scene_stage(experiment.scene)
+def experiment_stage(experiment: TaskExperiment, *, samples_per_frame: int = 1, later_frames: int = 0) -> Usd.Stage:
+    """Return the scene of a variant as a stage in memory, with the variant, its parameters and its source.
+
+    Args:
+        experiment: Variant with its parameters.
+        samples_per_frame: Time samples of driven bodies per 30 Hz frame.
+        later_frames: Frames after the last one for which driven bodies have time samples.
+    """
+    stage = scene_stage(experiment.scene, samples_per_frame=samples_per_frame, later_frames=later_frames)
     variant = experiment.variant
     layer = stage.GetRootLayer()
     layer.documentation = f"{experiment.spec.title}: {variant.id}"

@@ -142,9 +142,9 @@ def _gauge_contact(source: Source, prim: Usd.Prim, parties: Sequence[Party]) -> 
     return Contact(**sides, friction=values["friction"], restitution=values["restitution"], mode=ContactMode(mode))
 
 
-def _linked_materials(source: Source, prim: Usd.Prim) -> list[Usd.Prim]:
-    """Return the materials with the constants of a contact."""
-    relationship = prim.GetRelationship("gauge:materials")
+def _linked_materials(source: Source, prim: Usd.Prim, name: str = "gauge:materials") -> list[Usd.Prim]:
+    """Return the materials with the constants of a contact, or those that are derived from contacts."""
+    relationship = prim.GetRelationship(name)
     found = [source.stage.GetPrimAtPath(path) for path in (relationship.GetTargets() if relationship else [])]
     return [material for material in found if material]
 
@@ -153,7 +153,14 @@ def _check_bindings(
     source: Source, prims: Sequence[Usd.Prim], own: Sequence[Contact], parties: Sequence[Party]
 ) -> None:
     """Check that no body of a contact is bound to a material that belongs to none of its contacts."""
-    materials = [[material.GetPath() for material in _linked_materials(source, prim)] for prim in prims]
+    materials = [
+        [
+            material.GetPath()
+            for name in ("gauge:materials", "gauge:derived_materials")
+            for material in _linked_materials(source, prim, name)
+        ]
+        for prim in prims
+    ]
     for party in parties:
         known = [paths for paths, c in zip(materials, own, strict=True) if party.name in (*c.first, *c.second)]
         bound = {material.GetPath() for material in map(source.material, party.colliders) if material}

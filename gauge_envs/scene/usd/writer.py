@@ -114,19 +114,30 @@ def export_stage(stage: Usd.Stage, path: Path) -> None:
         raise ResultFileError(f"{path}: cannot be written: {error}") from error
 
 
-def scene_stage(scene: Scene) -> Usd.Stage:
-    """Return a scene as a USD stage in memory."""
+def scene_stage(scene: Scene, *, samples_per_frame: int = 1, later_frames: int = 0) -> Usd.Stage:
+    """Return a scene as a USD stage in memory.
+
+    Args:
+        scene: A scene with unique body names and at most one driver per body.
+        samples_per_frame: Time samples of driven bodies per 30 Hz frame.
+        later_frames: Frames after the last one for which driven bodies have time samples.
+
+    Raises:
+        ParameterError: Two bodies have the same name, or a body has two drivers.
+    """
     stage = Usd.Stage.CreateInMemory("scene.usda")
-    _Writer(stage, scene).write()
+    _Writer(stage, scene, samples_per_frame, later_frames).write()
     return stage
 
 
 class _Writer:
     """Writes one scene into an empty stage."""
 
-    def __init__(self, stage: Usd.Stage, scene: Scene) -> None:
+    def __init__(self, stage: Usd.Stage, scene: Scene, samples_per_frame: int, later_frames: int) -> None:
         self.stage = stage
         self.scene = scene
+        self.samples_per_frame = samples_per_frame
+        self.later_frames = later_frames
         self.frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
         names = [body.name for body in (*scene.bodies, *scene.deformables)]
         for kind, listed in (("name", names), ("driver", [driver.body for driver in scene.drivers])):
@@ -257,22 +268,24 @@ class _Writer:
         _custom(xform, "name", String, name)
 
     def _drive(self, index: int, driver: Driver) -> None:
-        """Write the exact motion and its poses at the frames; a constant position or rotation has a single value."""
+        """Write the exact motion and its time samples; a constant position or rotation has a single value."""
         body, xform = self.scene.body(driver.body), UsdGeom.Xform(self.stage.GetPrimAtPath(self.paths[driver.body]))
         translate, orient = xform.GetOrderedXformOps()
-        times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
+        sample_count = (self.frame_count - 1 + self.later_frames) * self.samples_per_frame + 1
+        codes = np.arange(sample_count) / self.samples_per_frame
+        times_s = np.arange(sample_count) / (FRAME_RATE_HZ * self.samples_per_frame)
         poses = [driver.pose(body.pose, time_s) for time_s in times_s.tolist()]
         translates = any(pose.position_m != body.pose.position_m for pose in poses)
         rotates = any(pose.quaternion != body.pose.quaternion for pose in poses)
         if translates:
-            for frame, pose in enumerate(poses):
-                translate.Set(Gf.Vec3d(*pose.position_m), frame)
+            for code, pose in zip(codes.tolist(), poses, strict=True):
+                translate.Set(Gf.Vec3d(*pose.position_m), code)
         if rotates:
             last = np.asarray(body.pose.quaternion)
-            for frame, pose in enumerate(poses):
+            for code, pose in zip(codes.tolist(), poses, strict=True):
                 # Take the closer of the two quaternions of a rotation, so that interpolation takes the short path.
                 last = np.asarray(pose.quaternion) * (1.0 if last @ pose.quaternion >= 0.0 else -1.0)
-                orient.Set(_quatd(last.tolist()), frame)
+                orient.Set(_quatd(last.tolist()), code)
         _custom(xform, "driver_provenance", String, driver.provenance)
         text = motions_to_json(driver.motions, index)
         attribute = _custom(xform, "driver", String, text)

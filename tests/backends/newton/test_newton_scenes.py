@@ -15,6 +15,7 @@ from opengl import needs_opengl
 from gauge_envs import Jitter, load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation, World
+from gauge_envs.backends.newton.settings import settings_for
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.runs.episodes import run_episode
@@ -289,6 +290,37 @@ def test_material_points_stretch_as_tetrahedra_do() -> None:
 def test_a_preset_for_other_bodies_is_refused(name: str, preset: str) -> None:
     with pytest.raises(ParameterError, match=f"'{preset}'"):
         gymnasium.make(f"GAUGE/{name}", backend="newton", settings={"preset": preset})
+
+
+@pytest.mark.parametrize(
+    ("name", "solver", "rate_hz"),
+    [
+        ("SlopeSlider-2-wood", "SolverMuJoCo", 180),
+        ("TextileFlinging-satin", "SolverVBD", 180),
+        ("FoamBending-hard", "SolverImplicitMPM", 900),
+    ],
+)
+def test_preset_paper_has_the_solver_and_the_rate_of_the_paper(name: str, solver: str, rate_hz: int) -> None:
+    settings = settings_for(load_experiment(name).scene, {"preset": "paper"})
+    assert (settings.preset, settings.solver) == ("paper", solver)
+    assert settings.timestep_s == pytest.approx(1 / rate_hz)
+
+
+def test_preset_paper_declines_what_the_paper_did_not_run() -> None:
+    with pytest.raises(UnsupportedSceneError, match=r"'paper' does not support 'rope'"):
+        backend("newton").build(load_experiment("RopeWinding-rubber").scene, {"preset": "paper"})
+
+
+def test_points_beside_a_free_body_are_declined() -> None:
+    scene = load_experiment("FoamBending-soft").scene
+    free = tuple(replace(b, motion=Motion.DYNAMIC) if b.name == "cube" else b for b in scene.bodies)
+    drivers = tuple(driver for driver in scene.drivers if driver.body != "cube")
+    loaded = replace(scene, bodies=free, drivers=drivers)
+    assert backend("newton").supports(loaded)
+    with pytest.raises(UnsupportedSceneError, match=r"'mpm' does not support this scene: 'cube' moves freely"):
+        backend("newton").build(loaded, {"preset": "mpm"})
+    with pytest.raises(UnsupportedSceneError, match=r"'mpm' does not support this scene: 'cube' moves freely"):
+        backend("newton").build_worlds([loaded] * 2, {"preset": "mpm"})
 
 
 def test_stiff_fabric_gets_half_the_step_and_says_so() -> None:

@@ -1,0 +1,66 @@
+"""Collision groups and constants of contacts. Needs no engine.
+
+Rapier combines the constants of two colliders, and filters pairs by 32 groups. A body gets one collider for each
+contact that lists it. Both colliders of a pair then have the constants of the pair, so their average is exact. Two
+groups belong to each contact, one for either side. A collider only meets the other side of its own contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from gauge_envs.scene import Contact, ContactMode, Scene
+
+__all__ = ["LARGEST_CONTACT_COUNT", "ColliderLayer", "collider_layers", "colliding_contacts"]
+
+LARGEST_CONTACT_COUNT = 16
+"""Number of contacts that 32 groups separate."""
+
+
+@dataclass(frozen=True)
+class ColliderLayer:
+    """Constants and groups of the collider that a body has for one contact.
+
+    Attributes:
+        friction: Coulomb's coefficient of the pair.
+        restitution: Restitution of the pair, 0 in sustained contacts.
+        memberships: Bits of the groups to which the collider belongs.
+        filter: Bits of the groups with which it collides.
+    """
+
+    friction: float
+    restitution: float
+    memberships: int
+    filter: int
+
+
+def colliding_contacts(scene: Scene) -> list[Contact]:
+    """Return the contacts of a scene that have a pair that can collide."""
+    return [contact for contact in scene.contacts if next(scene.colliding_pairs(contact), None) is not None]
+
+
+def collider_layers(scene: Scene, first_contact: int = 0) -> dict[str, list[ColliderLayer]]:
+    """Return the layers of each body, by name; a body without contacts has none.
+
+    Args:
+        scene: The scene.
+        first_contact: Number of contacts of other scenes in the same world, whose groups come first.
+    """
+    layers: dict[str, list[ColliderLayer]] = {body.name: [] for body in scene.bodies}
+    for index, contact in enumerate(colliding_contacts(scene), start=first_contact):
+        restitution = contact.restitution if contact.mode is ContactMode.IMPACT else 0.0
+        for name, memberships, filter_ in _sides(contact, 1 << 2 * index, 2 << 2 * index):
+            layers[name].append(ColliderLayer(contact.friction, restitution, memberships, filter_))
+    return layers
+
+
+def _sides(contact: Contact, first: int, second: int) -> Iterator[tuple[str, int, int]]:
+    """Yield each body of a contact with the groups to which it belongs and the groups that it meets."""
+    for name in dict.fromkeys((*contact.first, *contact.second)):
+        in_first, in_second = name in contact.first, name in contact.second
+        yield (
+            name,
+            first * in_first | second * in_second,
+            second * in_first | first * in_second,
+        )

@@ -1,0 +1,203 @@
+"""A Rapier world of a scene: bodies, colliders and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rapier3d as rapier
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
+from gauge_envs.backends.rapier.settings import SettingsRapier
+from gauge_envs.errors import BackendError
+from gauge_envs.scene import Box, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene.meshes import mass_properties
+
+__all__ = ["MASS_UNIT_KG", "BodyLayout", "build_world", "isometry"]
+
+MASS_UNIT_KG = 1e-3
+"""Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the
+sum are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
+
+UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
+"""Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
+
+
+@dataclass(frozen=True)
+class BodyLayout:
+    """A body in a Rapier world.
+
+    Attributes:
+        handle: Rapier's handle.
+        centre_m: Centre of mass in the body frame [m], shape [3].
+    """
+
+    handle: rapier.RigidBodyHandle
+    centre_m: NDArray[np.float64]
+
+
+def build_world(
+    scenes: Sequence[Scene], settings: SettingsRapier
+) -> tuple[rapier.PhysicsWorld, list[dict[str, BodyLayout]]]:
+    """Return one world with all scenes at their starts, which do not meet each other.
+
+    Args:
+        scenes: Scenes that differ only in their starts, with at most 16 contacts in all.
+        settings: Numerical settings.
+
+    Returns:
+        The world; and for each scene the layout of its dynamic and driven bodies, by name.
+    """
+    world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
+    _set_parameters(world.integration_parameters, settings)
+    count = len(colliding_contacts(scenes[0]))
+    return world, [_add_scene(world, scene, index * count, settings) for index, scene in enumerate(scenes)]
+
+
+def _add_scene(
+    world: rapier.PhysicsWorld, scene: Scene, first_contact: int, settings: SettingsRapier
+) -> dict[str, BodyLayout]:
+    """Add a scene to a world and return the layout of its dynamic and driven bodies, by name."""
+    layers = collider_layers(scene, first_contact)
+    layouts = {}
+    for body in scene.bodies:
+        builder, centre_m = _body_builder(body, settings)
+        colliders = [collider for layer in layers[body.name] for collider in _colliders(body.shape, layer)]
+        handle = world.add_body(builder, colliders)
+        if body.motion is not Motion.FIXED:
+            layouts[body.name] = BodyLayout(handle, centre_m)
+    for joint in scene.joints:
+        body = scene.body(joint.body)
+        if isinstance(joint, Hinge):
+            _add_hinge(world, joint, body, layouts[body.name].handle, settings)
+        else:
+            anchor = world.add_body(rapier.RigidBody.fixed().translation(joint.anchor_m))
+            string = rapier.RopeJointBuilder(joint.length_m).local_anchor1((0, 0, 0)).local_anchor2((0, 0, 0))
+            world.impulse_joints.insert(anchor, layouts[body.name].handle, string.build())
+    return layouts
+
+
+def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
+    parameters.dt = settings.timestep_s
+    parameters.length_unit = 1.0
+    parameters.num_solver_iterations = settings.solver_iterations
+    parameters.num_internal_pgs_iterations = settings.pgs_iterations
+    parameters.num_internal_stabilization_iterations = settings.stabilization_iterations
+    parameters.friction_model = getattr(rapier.FrictionModel, settings.friction_model.upper())
+    parameters.contact_softness = rapier.SpringCoefficients(
+        settings.contact_frequency_hz, settings.contact_damping_ratio
+    )
+    parameters.static_contact_softness = rapier.SpringCoefficients(
+        settings.static_contact_frequency_hz, settings.static_contact_damping_ratio
+    )
+    parameters.normalized_allowed_linear_error = settings.allowed_linear_error_m
+    parameters.normalized_max_corrective_velocity = settings.max_corrective_velocity_m_per_s
+    parameters.normalized_prediction_distance = settings.prediction_distance_m
+    parameters.contact_clustering = settings.contact_clustering
+    parameters.contact_recycling = settings.contact_recycling
+    parameters.normalized_contact_recycle_distance = settings.recycle_distance_m
+    parameters.warmstart_coefficient = settings.warmstart_coefficient
+    parameters.warmstart_joints = settings.warmstart_joints
+    parameters.friction_in_bias_pass = settings.friction_in_bias_pass
+    parameters.normalized_max_linear_velocity = settings.max_linear_velocity_m_per_s
+
+
+def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.RigidBodyBuilder, NDArray[np.float64]]:
+    """Return the builder of a body without colliders, and its centre of mass in the body frame [m]."""
+    if body.motion is Motion.FIXED:
+        return rapier.RigidBody.fixed().position(isometry(body.pose)), np.zeros(3)
+    if body.motion is Motion.KINEMATIC:
+        return rapier.RigidBody.kinematic_velocity_based().position(isometry(body.pose)), np.zeros(3)
+    centre_m, inertia = mass_properties(body.shape, body.mass_kg)
+    spin = np.array(body.angular_velocity_rad_per_s)
+    # Rapier's velocity is that of the centre of mass.
+    speed = body.linear_velocity_m_per_s + np.cross(spin, body.pose.rotation.apply(centre_m))
+    builder = (
+        rapier.RigidBody.dynamic()
+        .position(isometry(body.pose))
+        .additional_mass_properties(_rapier_mass(body.mass_kg, centre_m, inertia))
+        .linvel(tuple(speed))
+        .angvel(tuple(spin))
+        .gyroscopic_forces(True)
+        .can_sleep(settings.sleep)
+        .ccd_enabled(settings.ccd)
+    )
+    return builder, centre_m
+
+
+def _rapier_mass(mass_kg: float, centre_m: NDArray[np.float64], inertia: NDArray[np.float64]) -> rapier.MassProperties:
+    moments, axes = np.linalg.eigh(inertia / MASS_UNIT_KG)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0
+    frame = tuple(Rotation.from_matrix(axes).as_quat())
+    return rapier.MassProperties(tuple(centre_m), mass_kg / MASS_UNIT_KG, tuple(moments), frame)
+
+
+def isometry(pose: Pose) -> rapier.Isometry3:
+    """Return a pose in Rapier's type, whose quaternion is x, y, z, w."""
+    w, x, y, z = pose.quaternion
+    return rapier.Isometry3(tuple(pose.position_m), (x, y, z, w))
+
+
+def _colliders(shape: Shape, layer: ColliderLayer) -> Iterator[rapier.ColliderBuilder]:
+    """Yield the colliders of a shape for one contact. They have no mass, because the body has it."""
+    groups = rapier.InteractionGroups(
+        rapier.Group.from_bits(layer.memberships), rapier.Group.from_bits(layer.filter), rapier.InteractionTestMode.AND
+    )
+    for builder in _shapes(shape):
+        yield (
+            builder.density(0.0)
+            .friction(layer.friction)
+            .restitution(layer.restitution)
+            .friction_combine_rule(rapier.CoefficientCombineRule.AVERAGE)
+            .restitution_combine_rule(rapier.CoefficientCombineRule.AVERAGE)
+            .collision_groups(groups)
+        )
+
+
+def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
+    if isinstance(shape, Box):
+        yield rapier.Collider.cuboid(*(0.5 * edge for edge in shape.size_m))
+    elif isinstance(shape, Sphere):
+        yield rapier.Collider.ball(shape.radius_m)
+    elif isinstance(shape, Plane):
+        yield rapier.Collider.halfspace((0.0, 0.0, 1.0))
+    elif isinstance(shape, Cylinder):
+        turned = tuple(UP_TO_Y.as_rotvec())
+        yield rapier.Collider.cylinder(0.5 * shape.length_m, shape.radius_m).rotation(turned)
+    else:
+        for piece in shape.pieces_m:
+            yield rapier.Collider.convex_hull(np.asarray(piece, dtype=np.float32))
+
+
+def _add_hinge(
+    world: rapier.PhysicsWorld, hinge: Hinge, body: RigidBody, handle: rapier.RigidBodyHandle, settings: SettingsRapier
+) -> None:
+    """Add a hinge with a fixed body of its own, whose axis x is that of the hinge."""
+    turned = Rotation.align_vectors([hinge.axis], [(1.0, 0.0, 0.0)])[0]
+    frame = Pose.from_rotation(hinge.anchor_m, turned)
+    anchor = world.add_body(rapier.RigidBody.fixed().position(isometry(frame)))
+    back = body.pose.rotation.inv()
+    arm = back.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
+    joint = (
+        rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
+        .local_frame1(rapier.Isometry3.identity())
+        .local_frame2(rapier.Isometry3(tuple(arm), tuple((back * turned).as_quat())))
+        .build()
+    )
+    if settings.hinge_joint == "impulse":
+        world.impulse_joints.insert(anchor, handle, joint)
+        return
+    link = world.multibody_joints.insert(anchor, handle, joint)
+    if link is None:
+        raise BackendError(f"Rapier added no multibody joint for the hinge of {body.name!r}: use hinge_joint='impulse'")
+    chain = world.multibody_joints.multibody(link)
+    chain.set_damping([settings.hinge_damping_n_m_s / MASS_UNIT_KG] * chain.ndofs)
+    if not body.starts_at_rest:
+        speeds = np.zeros(chain.ndofs)
+        speeds[-1] = np.dot(body.angular_velocity_rad_per_s, hinge.axis)
+        chain.set_generalized_velocity(speeds.tolist())

@@ -1,0 +1,263 @@
+"""Simulations and batched worlds on top of Rapier worlds: driving, stepping and reading of states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import numpy as np
+import rapier3d as rapier
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
+from gauge_envs.backends.rapier.model import MASS_UNIT_KG, BodyLayout, build_world, isometry
+from gauge_envs.backends.rapier.settings import SettingsRapier
+from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
+from gauge_envs.scene import Motion, Pose, Scene
+
+__all__ = ["SimulationRapier", "StateRapier", "WorldsRapier"]
+
+LARGEST_SHARE = 64
+"""Number of scenes without contacts in one Rapier world."""
+
+
+@dataclass(frozen=True)
+class StateRapier:
+    """A state of a simulation.
+
+    Attributes:
+        world: Snapshot of the Rapier world.
+        motions: Motions of driven bodies in the next interval, by name.
+    """
+
+    world: bytes
+    motions: dict[str, DrivenMotion]
+
+
+class _SceneWorld(World):
+    """One scene in a Rapier world, which may hold more of them."""
+
+    def __init__(self, scene: Scene, layouts: dict[str, BodyLayout], settings: SettingsRapier) -> None:
+        self.settings = settings.model_dump(mode="json")
+        self._layouts = layouts
+        self._fixed = {
+            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
+            for body in scene.bodies
+            if body.motion is Motion.FIXED
+        }
+        self._bodies: dict[str, rapier.RigidBody] = {}
+        self._motions: dict[str, DrivenMotion] = {}
+        self._velocities: dict[str, list[list[float]]] = {}
+
+    def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
+        """Read and drive the bodies of a Rapier world from now on."""
+        bodies = world.rigid_bodies
+        self._bodies = {name: bodies[layout.handle] for name, layout in self._layouts.items()}
+        self._motions = dict(motions)
+
+    def release(self) -> None:
+        """Hold no body any more."""
+        self._bodies, self._motions = {}, {}
+
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Place a driven body where its interval starts; each step moves it by the mean velocity of the step."""
+        self._motions[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
+        self._bodies[body].position = isometry(pose)
+        self._set_velocity(body, velocity)
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether a body is driven in the current interval."""
+        return bool(self._motions)
+
+    def start_interval(self, seconds: float, step_count: int) -> None:
+        """Compute the velocities of driven bodies in the steps of an interval [s]."""
+        self._velocities = {name: _mean_velocities(one, seconds, step_count) for name, one in self._motions.items()}
+
+    def prepare_step(self, index: int) -> None:
+        """Give driven bodies the mean velocity of a step, by which Rapier moves them to its end."""
+        for name, velocities in self._velocities.items():
+            self._set_velocity(name, velocities[index])
+
+    def end_interval(self, seconds: float) -> None:
+        """Give driven bodies the velocity at the end of the interval."""
+        for name, motion in self._motions.items():
+            self._set_velocity(name, motion.velocity_at(seconds))
+        self._motions = {}
+
+    def _set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
+        held = self._bodies[body]
+        held.linvel, held.angvel = tuple(velocity[:3]), tuple(velocity[3:])
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
+        held = self._bodies[body]
+        held.reset_forces()
+        held.reset_torques()
+        held.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
+        held.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
+
+    def fault(self) -> str | None:
+        """Return why Rapier disabled a body since the last reset, or None; see `World.fault`."""
+        for name, body in self._bodies.items():
+            if not body.is_enabled:
+                return f"Rapier found that the state of {name!r} is not finite, and disabled the body"
+        return None
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities in single precision, shape [len(names), 13]; see `World.body_states`."""
+        states = np.empty((len(names), 13))
+        for row, name in zip(states, names, strict=True):
+            row[:] = self._fixed[name] if name in self._fixed else self._state(name)
+        return states
+
+    def _state(self, name: str) -> NDArray[np.float64]:
+        body = self._bodies[name]
+        place, turned, speed, spin = body.translation, body.rotation, body.linvel, body.angvel
+        x, y, z, w = turned.quaternion
+        state = np.array([*place.to_tuple(), w, x, y, z, *speed.to_tuple(), *spin.to_tuple()])
+        centre_m = self._layouts[name].centre_m
+        if centre_m.any():
+            # Rapier's velocity is that of the centre of mass.
+            arm = turned.transform_vector(tuple(centre_m)).to_tuple()
+            state[7:10] -= np.cross(state[10:], arm)
+        return state
+
+
+def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> list[list[float]]:
+    """Return the constant velocity in each step of an interval that takes a body along its motion.
+
+    It is `DrivenMotion.mean_velocity` of all steps at once, which costs a tenth.
+
+    Returns:
+        Linear [m/s] and angular [rad/s] velocity, shape [step_count, 6].
+    """
+    times = np.linspace(0.0, seconds, step_count + 1)[:, np.newaxis]
+    travel = (motion.velocity + 0.5 * motion.acceleration * times) * times
+    linear, angular = np.diff(travel[:, :3], axis=0), np.diff(travel[:, 3:], axis=0)
+    if np.cross(motion.velocity[3:], motion.acceleration[3:]).any():
+        turned = Rotation.from_rotvec(travel[:, 3:])
+        angular = (turned[1:] * turned[:-1].inv()).as_rotvec()
+    velocities: list[list[float]] = (np.hstack([linear, angular]) * (step_count / seconds)).tolist()
+    return velocities
+
+
+def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: float, step_s: float) -> None:
+    step_count = round(seconds / step_s)
+    for part in parts:
+        part.start_interval(seconds, step_count)
+    driven = [part for part in parts if part.is_driven]
+    for index in range(step_count):
+        for part in driven:
+            part.prepare_step(index)
+        world.step()
+    for part in parts:
+        part.end_interval(seconds)
+
+
+class SimulationRapier(_SceneWorld, Simulation):
+    """A scene in Rapier.
+
+    Args:
+        scene: The scene.
+        settings: Numerical settings.
+    """
+
+    def __init__(self, scene: Scene, settings: SettingsRapier) -> None:
+        world, (layouts,) = build_world([scene], settings)
+        super().__init__(scene, layouts, settings)
+        self._timestep_s = settings.timestep_s
+        self._threads = settings.threads
+        self._origin = StateOrigin(f"rapier3d {version('rapier3d')}", self.settings, scene)
+        self._start = StateRapier(world.snapshot(), {})
+        self._continue_from(self._start)
+
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start. Rapier draws no random numbers, so the seed has no effect."""
+        self._continue_from(self._start)
+
+    def advance(self, seconds: float) -> None:
+        """Step the world."""
+        _advance(self._world, (self,), seconds, self._timestep_s)
+
+    def state(self) -> Snapshot:
+        """Return a snapshot of the world and the motions of driven bodies, with their origin."""
+        return self._origin.state(StateRapier(self._world.snapshot(), dict(self._motions)))
+
+    def restore(self, state: Snapshot) -> None:
+        """Restore a state.
+
+        Raises:
+            BackendError: The state is of another scene, other settings or another version.
+        """
+        self._continue_from(self._origin.values(state))
+
+    def _continue_from(self, state: StateRapier) -> None:
+        self._world = rapier.PhysicsWorld.restore(state.world)
+        self._world.set_num_threads(self._threads)
+        self.hold(self._world, state.motions)
+
+    def close(self) -> None:
+        """Free the world."""
+        self.release()
+        self._world = rapier.PhysicsWorld()
+
+
+def _share_count(scene: Scene) -> int:
+    """Return how many copies of a scene can share a world and move as alone, bit for bit.
+
+    Rapier solves the contacts of multibody joints in the order of the whole world, so jointed bodies that collide are
+    alone.
+    """
+    count = len(colliding_contacts(scene))
+    if not count:
+        return LARGEST_SHARE
+    return 1 if scene.joints else LARGEST_CONTACT_COUNT // count
+
+
+class WorldsRapier(Worlds):
+    """Instances of a scene in Rapier worlds that they share, separated by collision groups.
+
+    Args:
+        scenes: Scenes that differ only in their starts.
+        settings: Numerical settings.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], settings: SettingsRapier) -> None:
+        self._timestep_s, self._threads = settings.timestep_s, settings.threads
+        size = _share_count(scenes[0])
+        self._shares: list[tuple[bytes, list[_SceneWorld]]] = []
+        for first in range(0, len(scenes), size):
+            share = scenes[first : first + size]
+            world, layouts = build_world(share, settings)
+            parts = [_SceneWorld(scene, one, settings) for scene, one in zip(share, layouts, strict=True)]
+            self._shares.append((world.snapshot(), parts))
+        self.worlds = [part for _, parts in self._shares for part in parts]
+        self._held: list[rapier.PhysicsWorld] = []
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Return all worlds to their starts. Rapier draws no random numbers, so the seed has no effect."""
+        self._held = []
+        for start, parts in self._shares:
+            world = rapier.PhysicsWorld.restore(start)
+            world.set_num_threads(self._threads)
+            self._held.append(world)
+            for part in parts:
+                part.hold(world, {})
+
+    def advance(self, seconds: float) -> None:
+        """Step the worlds."""
+        for world, (_, parts) in zip(self._held, self._shares, strict=True):
+            _advance(world, parts, seconds, self._timestep_s)
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._held, self._shares = [], []
+        for part in self.worlds:
+            assert isinstance(part, _SceneWorld)
+            part.release()
