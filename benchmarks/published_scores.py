@@ -2,9 +2,12 @@
 
     python benchmarks/published_scores.py --backend newton --preset paper --engine newton
     python benchmarks/published_scores.py --backend mujoco --engine isaacsim --only "SlopeSlider-*"
+    python benchmarks/published_scores.py --backend physx --preset paper --engine isaacsim --steps-late 1
 
 Each row is a metric of a variant that has a published score of the engine and a score in this package. RMSE and DTW
 need a band, and scores of a swing need none. A score within 3 % of the published one counts as repeated.
+With `--steps-late`, each frame is read some steps of 1/180 s after its time, as by a loop that steps before it records
+its first frame.
 """
 
 from __future__ import annotations
@@ -14,8 +17,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
+import numpy as np
+
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import ENGINES, published_baselines, published_variants
 from gauge_envs.report.text import markdown_row
@@ -94,7 +100,25 @@ def comparable(engine: str, pattern: str = "*") -> Iterator[tuple[str, dict[str,
             yield variant, scores
 
 
-def compare(backend: str, preset: str | None, engine: str, pattern: str = "*") -> Iterator[Repeated]:
+def late_score(request: RunRequest, steps_late: int) -> Score:
+    """Run an undriven experiment and return its score with every frame read late.
+
+    Args:
+        request: The run.
+        steps_late: Number of samples of 1/180 s by which each frame is late.
+    """
+    trajectory, experiment = run_episode(request).trajectory, request.experiment()
+    assert trajectory is not None, "an episode that ran has a trajectory"
+    times_s = np.array([*trajectory.times_s, *trajectory.later_times_s])
+    values = np.array([*trajectory.samples, *trajectory.later_samples])
+    band = reference_band(experiment)
+    end = len(times_s) - steps_late
+    return score_trajectory(experiment, band, times_s=times_s[:end], values=values[steps_late:])
+
+
+def compare(
+    backend: str, preset: str | None, engine: str, pattern: str = "*", *, steps_late: int = 0
+) -> Iterator[Repeated]:
     """Run each comparable variant and yield its scores beside the published ones.
 
     Args:
@@ -102,11 +126,14 @@ def compare(backend: str, preset: str | None, engine: str, pattern: str = "*") -
         preset: Its preset; None for the default of each scene.
         engine: Published engine, one of `ENGINES`.
         pattern: Shell-style pattern of variants.
+        steps_late: As in `late_score`; if it is not 0, driven variants are left out.
     """
     for variant, published in comparable(engine, pattern):
+        if steps_late and load_experiment(variant).scene.drivers:
+            continue
         request = RunRequest(variant, backend=backend, settings=None if preset is None else {"preset": preset})
         try:
-            score = run_episode(request).score
+            score = late_score(request, steps_late) if steps_late else run_episode(request).score
         except UnsupportedSceneError:
             score = None
         for metric, value in published.items():
@@ -128,10 +155,11 @@ def main() -> None:
     parser.add_argument("--preset", help="preset of the engine; without it, the default of each scene")
     parser.add_argument("--engine", required=True, choices=ENGINES, help="published engine")
     parser.add_argument("--only", default="*", help="pattern of variants, as SlopeSlider-*")
+    parser.add_argument("--steps-late", type=int, default=0, help="steps of 1/180 s by which frames are late")
     given = parser.parse_args()
     print(markdown_row(COLUMNS))
     print(markdown_row(["---"] * len(COLUMNS)))
-    for row in compare(given.backend, given.preset, given.engine, given.only):
+    for row in compare(given.backend, given.preset, given.engine, given.only, steps_late=given.steps_late):
         print(markdown_row(row.cells()), flush=True)
 
 

@@ -22,7 +22,7 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.backends.shared.soft_rows import SoftRow
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
 
 __all__ = ["check_preset", "check_support", "unsupported_features"]
@@ -48,7 +48,7 @@ def check_preset(scene: Scene, settings: SettingsNewton) -> None:
     """Raise an error if the solver of settings does not simulate the kinds of body in a scene.
 
     Raises:
-        ParameterError: The message names the preset and the kinds.
+        UnsupportedSceneError: The message names the preset and the kinds.
     """
     has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)
     has_lines = any(isinstance(body, Rope | Rod) for body in scene.deformables)
@@ -60,7 +60,7 @@ def check_preset(scene: Scene, settings: SettingsNewton) -> None:
     }
     if not fits[type(settings)]:
         kinds = sorted({type(body).__name__ for body in scene.deformables}) or ["rigid bodies alone"]
-        raise ParameterError(
+        raise UnsupportedSceneError(
             f"Newton preset {settings.preset!r} is for {settings.solver}, which does not simulate {', '.join(kinds)} "
             "here: choose another preset"
         )

@@ -47,8 +47,6 @@ class SettingsPhysX(SteppedSettings):
         hinges: `articulation` (reduced coordinates: the hinge cannot open) or `joint` (maximal coordinates: a
             constraint that the solver iterates).
         sustained_restitution: Give sustained contacts the scene's restitution too, instead of 0.
-        steps_before_start: Steps that are simulated before time 0. Any other number than 0 moves the bodies from the
-            scene's start, and exists to reproduce recordings that begin after a step.
     """
 
     solver: Literal["TGS", "PGS"] = "TGS"
@@ -73,7 +71,6 @@ class SettingsPhysX(SteppedSettings):
     tolerance_speed_m_per_s: float = Field(default=0.2, gt=0.0, le=1e5)
     hinges: Literal["articulation", "joint"] = "articulation"
     sustained_restitution: bool = False
-    steps_before_start: int = Field(default=0, ge=0, le=1000)
 
     @model_validator(mode="after")
     def _offsets_are_ordered(self) -> SettingsPhysX:
@@ -119,10 +116,6 @@ ISAAC = SettingsPhysX(
     sustained_restitution=True,
 )
 
-# The paper states Isaac Sim 6.0 at 180 Hz, and that all settings but the physical parameters are defaults. The schema's
-# bounce threshold is 0.
-PAPER = ISAAC.model_copy(update={"preset": "paper", "bounce_threshold_m_per_s": 0.0})
-
 PRESETS: dict[str, SettingsPhysX] = {
     # Chosen on closed forms, not on scores. At 1/1800 s a slide on 30 degrees is within 0.002 % of g (sin - mu cos),
     # rebounds of 0.577 are within 0.2 %, a pendulum from 90 degrees gains 0.14 % of its energy in 100 s, a tumbling
@@ -147,10 +140,9 @@ PRESETS: dict[str, SettingsPhysX] = {
         sustained_restitution=True,
     ),
     "isaac": ISAAC,
-    "paper": PAPER,
-    # The published scores of the ball and of the metal slide follow if each frame is one step late. The paper does not
-    # state it; this preset is an inference from its scores, to reproduce them.
-    "paper_late": PAPER.model_copy(update={"preset": "paper_late", "steps_before_start": 1}),
+    # The paper states Isaac Sim 6.0 at 180 Hz, and that all settings but the physical parameters are defaults. The
+    # schema's bounce threshold is 0.
+    "paper": ISAAC.model_copy(update={"preset": "paper", "bounce_threshold_m_per_s": 0.0}),
 }
 
 

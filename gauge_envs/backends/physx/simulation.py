@@ -39,8 +39,6 @@ class SimulationPhysX(Simulation):
     def _start(self) -> None:
         self._model: Model | None = None
         self._model = build_model(self._scene, self._chosen)
-        for _ in range(self._chosen.steps_before_start):
-            self._model.system.step()
         self._is_new = True
         self._wrenches: dict[str, NDArray[np.float64]] = {}
         self._driven: dict[str, DrivenMotion] = {}

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.checks.rollout import DeclinedError, Rollout, record
-from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.episodes import settings_record
 from gauge_envs.scene import Scene
 
@@ -46,7 +46,7 @@ class Lab:
         """Build a scene; close the simulation after use.
 
         Raises:
-            DeclinedError: The backend reports that it cannot build the scene.
+            DeclinedError: The backend reports that it cannot build the scene, or not with the given settings.
             BuildError: The backend reports that it can build the scene, and fails.
             RefusedSettingsError: The backend refuses the given settings.
         """
@@ -59,6 +59,9 @@ class Lab:
             check_drive_interval(simulation.settings)
             settings_record(self.backend.name, simulation.settings)
         except Exception as error:
+            if self._settings and isinstance(error, UnsupportedSceneError):
+                # `supports` answers for the default settings; a preset for other scenes is no fault of the backend.
+                raise DeclinedError((str(error),)) from error
             if self._settings and isinstance(error, ParameterError):
                 raise RefusedSettingsError(str(error)) from error
             raise BuildError(f"supports() was true, but build() raised {type(error).__name__}: {error}") from error

@@ -15,7 +15,7 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation, World
 from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.errors import ParameterError, ShapeError, UnsupportedSceneError
+from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -428,9 +428,9 @@ def test_presets_are_for_lines_or_not() -> None:
     assert (settings["preset"], settings["solver"], settings["cell_m"]) == ("rod", "SolverVBD", None)
     assert len(build(scene).nodes("rod")) == ROD_SEGMENTS + 1
     for preset in ("cloth", "mpm", "rigid"):
-        with pytest.raises(ParameterError, match=preset):
+        with pytest.raises(UnsupportedSceneError, match=preset):
             backend("newton").build(scene, {"preset": preset})
-    with pytest.raises(ParameterError, match="rope"):
+    with pytest.raises(UnsupportedSceneError, match="rope"):
         backend("newton").build(load_experiment("SlopeSlider-2-wood").scene, {"preset": "rope"})
 
 

@@ -288,7 +288,7 @@ def test_material_points_stretch_as_tetrahedra_do() -> None:
     ],
 )
 def test_a_preset_for_other_bodies_is_refused(name: str, preset: str) -> None:
-    with pytest.raises(ParameterError, match=f"'{preset}'"):
+    with pytest.raises(UnsupportedSceneError, match=f"'{preset}'"):
         gymnasium.make(f"GAUGE/{name}", backend="newton", settings={"preset": preset})
 
 
