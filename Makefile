@@ -16,7 +16,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 	tests/experiments/test_scene_source.py tests/experiments/test_task_files.py tests/experiments/test_task_rigid.py \
 	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene
 
-.PHONY: demo test check lint slow test-matrix bench docs clean
+.PHONY: demo test check lint slow test-engines test-matrix bench docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -40,6 +40,12 @@ check: lint
 slow: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[rl]"
 	$(BIN)/python -m pytest -n 2 -m slow
+
+# Engines that the other tests do without, because they are large, and the slow checks of all engines.
+test-engines: $(VENV)/.installed
+	$(BIN)/pip install --quiet -e ".[drake]"
+	$(BIN)/python -m pytest -n 2 tests/backends/drake
+	$(BIN)/python -m pytest -n 2 -m slow tests/backends
 
 # The built wheel on other versions of Python, and the guides' commands as a reader installs and runs them.
 test-matrix: $(VENV)/.installed
