@@ -1,0 +1,149 @@
+"""A PyBullet simulation: driving, stepping and reading of its state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.pybullet.engine import pybullet
+from gauge_envs.backends.pybullet.model import Handle, WorldPyBullet
+from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.scene import Motion, Pose, Scene
+
+__all__ = ["SimulationPyBullet"]
+
+
+class SimulationPyBullet(Simulation):
+    """A scene in PyBullet.
+
+    Args:
+        scene: The scene.
+        settings: Numerical settings in force.
+
+    Attributes:
+        settings: Numerical settings in force.
+        world: The world in PyBullet.
+    """
+
+    def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
+        self.settings = settings.model_dump(mode="json")
+        self.world = WorldPyBullet(scene, settings)
+        self._scene = scene
+        self._scale = settings.units_per_m
+        self._timestep_s = settings.timestep_s
+        self._start()
+
+    def _start(self) -> None:
+        self._driven: dict[str, DrivenMotion] = {}
+        self._wrenches: dict[str, NDArray[np.float64]] = {}
+        # Fixed and driven bodies are where they were put; Bullet has nothing to add.
+        self._placed = {
+            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
+            for body in self._scene.bodies
+            if body.motion is not Motion.DYNAMIC
+        }
+
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start in a new world. Bullet draws no random numbers, so the seed has no effect."""
+        self.world.rebuild()
+        self._start()
+
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
+        self._driven[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
+        self._placed[body] = _row(pose, velocity)
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
+        self._wrenches[body] = np.array(wrench)
+
+    def advance(self, seconds: float) -> None:
+        """Step the world. A driven body that no call drives during the interval stays where it is."""
+        steps = round(seconds / self._timestep_s)
+        for step in range(steps):
+            for name, motion in self._driven.items():
+                self._place(name, motion, step * self._timestep_s)
+            for name, wrench in self._wrenches.items():
+                self._push(name, wrench)
+            pybullet.stepSimulation(physicsClientId=self.world.client)
+        for name, motion in self._driven.items():
+            self._placed[name] = _row(motion.pose(seconds), motion.velocity_at(seconds))
+        self._stop_driven()
+
+    def _stop_driven(self) -> None:
+        """Leave driven bodies at rest where they are, until the next call of `drive`."""
+        for name in self._driven:
+            row = self._placed[name]
+            pose = Pose(position_m=tuple(row[:3].tolist()), quaternion=tuple(row[3:7].tolist()))
+            self._put(self.world.handles[name], pose, np.zeros(6))
+        self._driven.clear()
+
+    def _place(self, name: str, motion: DrivenMotion, start_s: float) -> None:
+        """Put a driven body where its motion is, with the mean velocity of the next step."""
+        handle = self.world.handles[name]
+        self._put(handle, motion.pose(start_s), motion.mean_velocity(start_s, start_s + self._timestep_s))
+
+    def _put(self, handle: Handle, pose: Pose, velocity: NDArray[np.float64]) -> None:
+        arm = pose.rotation.apply(handle.offset_m)
+        speed = velocity[:3] + np.cross(velocity[3:], arm)
+        client = self.world.client
+        pybullet.resetBasePositionAndOrientation(
+            handle.body,
+            (self._scale * (np.asarray(pose.position_m) + arm)).tolist(),
+            (pose.rotation * handle.turn.inv()).as_quat().tolist(),
+            physicsClientId=client,
+        )
+        pybullet.resetBaseVelocity(
+            handle.body, (self._scale * speed).tolist(), velocity[3:].tolist(), physicsClientId=client
+        )
+
+    def _push(self, name: str, wrench: NDArray[np.float64]) -> None:
+        """Apply a wrench for one step, after which Bullet forgets it."""
+        handle = self.world.handles[name]
+        place = self._read(handle)[0]
+        frame = pybullet.WORLD_FRAME
+        force, torque = self._scale * wrench[:3], self._scale**2 * wrench[3:]
+        self.world.call("applyExternalForce", handle.body, handle.link, force.tolist(), place, frame)
+        self.world.call("applyExternalTorque", handle.body, handle.link, torque.tolist(), frame)
+
+    def _read(self, handle: Handle) -> tuple[Any, ...]:
+        """Return position, quaternion x y z w, velocity and angular velocity of Bullet's frame, in units."""
+        client = self.world.client
+        if handle.link < 0:
+            place = pybullet.getBasePositionAndOrientation(handle.body, physicsClientId=client)
+            return (*place, *pybullet.getBaseVelocity(handle.body, physicsClientId=client))
+        state = pybullet.getLinkState(
+            handle.body, handle.link, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+        )
+        return (state[0], state[1], state[6], state[7])
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
+        states = np.empty((len(names), 13))
+        for state, name in zip(states, names, strict=True):
+            if name in self._placed:
+                state[:] = self._placed[name]
+                continue
+            handle = self.world.handles[name]
+            place, quaternion, speed, spin = self._read(handle)
+            rotation = Rotation.from_quat(quaternion) * handle.turn
+            arm = rotation.apply(handle.offset_m)
+            state[:3] = np.asarray(place) / self._scale - arm
+            state[3:7] = rotation.as_quat(scalar_first=True)
+            state[7:10] = np.asarray(speed) / self._scale - np.cross(spin, arm)
+            state[10:] = spin
+        return states
+
+    def close(self) -> None:
+        """Free the world. A second call does nothing."""
+        self.world.close()
+
+
+def _row(pose: Pose, velocity: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([*pose.position_m, *pose.quaternion, *velocity])
