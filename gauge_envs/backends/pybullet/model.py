@@ -33,6 +33,12 @@ FASTEST_JOINT = 1e9
 EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
 
+PLANE_SIZE = 2.0
+"""Half the edge of the box for a plane, over the largest distance of a body from the world's origin."""
+
+DRIVEN_MASS_KG = 1e6
+"""Mass of a driven body, which contacts between two drives do not move: 1 N moves it by 2e-11 m in 1/180 s."""
+
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
 
@@ -119,8 +125,7 @@ class WorldPyBullet:
             numSubSteps=0,
             numSolverIterations=settings.solver_iterations,
             solverResidualThreshold=settings.residual_threshold,
-            useSplitImpulse=int(settings.split_impulse),
-            splitImpulsePenetrationThreshold=0.0,
+            useSplitImpulse=int(settings.split_impulse != "none"),
             restitutionVelocityThreshold=settings.rebound_threshold,
             erp=settings.erp,
             contactERP=settings.contact_erp,
@@ -135,6 +140,8 @@ class WorldPyBullet:
             # The cache knows files by their names, for the whole process.
             enableFileCaching=0,
         )
+        if settings.split_impulse == "all":
+            self.call("setPhysicsEngineParameter", splitImpulsePenetrationThreshold=0.0)
 
     def _shape(self, shape: Shape, offset_m: NDArray[np.float64], turn: Rotation) -> int:
         """Return a collision shape whose body frame lies at a place in the frame of the link."""
@@ -147,7 +154,7 @@ class WorldPyBullet:
         if isinstance(shape, Sphere):
             return int(self.call("createCollisionShape", pybullet.GEOM_SPHERE, radius=scale * shape.radius_m, **place))
         if isinstance(shape, Plane):
-            return int(self.call("createCollisionShape", pybullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0], **place))
+            return self._plane(flags, place)
         if isinstance(shape, Cylinder):
             radius, length = scale * shape.radius_m, scale * shape.length_m
             return int(self.call("createCollisionShape", pybullet.GEOM_CYLINDER, radius=radius, height=length, **place))
@@ -157,6 +164,14 @@ class WorldPyBullet:
             return int(self.call("createCollisionShape", pybullet.GEOM_MESH, vertices=vertices, flags=flags, **place))
         path = write_convex_pieces(self._folder / f"{len(list(self._folder.iterdir()))}.obj", pieces)
         return int(self.call("createCollisionShape", pybullet.GEOM_MESH, fileName=str(path), flags=flags, **place))
+
+    def _plane(self, flags: int, place: dict[str, Any]) -> int:
+        """Return Bullet's plane, or a box below the plane that reaches beyond every place of a body."""
+        if self._settings.planes == "plane":
+            return int(self.call("createCollisionShape", pybullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0], **place))
+        half = PLANE_SIZE * self._scale * self._scene.distance_limit_m
+        place = place | {"collisionFramePosition": [0.0, 0.0, -half]}
+        return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=[half] * 3, flags=flags, **place))
 
     def _frame(self, body: RigidBody) -> tuple[NDArray[np.float64], Rotation, list[float]]:
         """Return the centre of mass [m], the principal axes and the moments of inertia in units of a body."""
@@ -170,20 +185,23 @@ class WorldPyBullet:
     def _free(self, body: RigidBody) -> Handle:
         """Add a free, fixed or driven body. Its base frame is that of the centre of mass."""
         centre_m, axes, moments = self._frame(body)
-        moving = body.motion is Motion.DYNAMIC
+        mass_kg = {Motion.DYNAMIC: body.mass_kg, Motion.FIXED: 0.0, Motion.KINEMATIC: DRIVEN_MASS_KG}[body.motion]
         pose = body.pose
         number = self.call(
             "createMultiBody",
-            baseMass=body.mass_kg if moving else 0.0,
+            baseMass=mass_kg,
             baseCollisionShapeIndex=self._shape(body.shape, axes.inv().apply(-centre_m), axes.inv()),
             basePosition=(self._scale * pose.to_world(centre_m)).tolist(),
             baseOrientation=(pose.rotation * axes).as_quat().tolist(),
-            # Only bodies in reduced coordinates have a velocity while they are not dynamic.
-            useMaximalCoordinates=int(body.motion is not Motion.KINEMATIC and not self._settings.reduced_coordinates),
+            useMaximalCoordinates=int(not self._settings.reduced_coordinates),
         )
         handle = Handle(int(number), -1, centre_m, axes.inv())
-        if moving:
-            self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=moments)
+        if body.motion is Motion.KINEMATIC:
+            # Equal moments of inertia, so that the body does not tumble within a step.
+            moments = [self._scale**2 * DRIVEN_MASS_KG] * 3
+        if body.motion is not Motion.FIXED:
+            self.set_dynamics(handle, mass=mass_kg, localInertiaDiagonal=moments)
+        if body.motion is Motion.DYNAMIC:
             spin = np.asarray(body.angular_velocity_rad_per_s)
             speed = np.asarray(body.linear_velocity_m_per_s) + np.cross(spin, pose.rotation.apply(centre_m))
             self.call("resetBaseVelocity", handle.body, (self._scale * speed).tolist(), spin.tolist())

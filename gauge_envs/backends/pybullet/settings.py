@@ -33,13 +33,14 @@ class SettingsPyBullet(SteppedSettings):
         warm_starting: Share of the last step's contact impulses with which the solver starts.
         cone_friction: Couple the two directions of friction in a cone; otherwise each one has its own limit.
         friction_anchors: Hold a resting contact at its first point.
-        split_impulse: Correct penetrations without a change of velocity.
-        split_impulse_depth: Depth of a penetration in units below which split impulses act; 0 gives all penetrations.
+        split_impulse: Penetrations that are corrected without a change of velocity: all, only those deeper than 0.04
+            units, or none. Bodies in reduced coordinates, on joints or driven, are always corrected by velocity.
         rebound_threshold: Speed of approach in units per second below which nothing rebounds.
         contact_slop: Penetration in units that is not corrected.
         late_impacts: Start an impact when the bodies overlap. Otherwise Bullet brakes them shortly before they touch,
             and restitution then acts on the braked speed.
         collision_margin: Collision margin of convex hulls in units; they are larger than the scene's solids by it.
+        planes: Shape of planes: Bullet's plane, or a box larger than the scene, on which more contact points are found.
         polyhedral_features: Collide boxes and convex hulls face by face, with all contact points at once.
         reduced_coordinates: Simulate free bodies by Featherstone's algorithm, as PyBullet does by default.
         island_size: Smallest number of constraints that the solver takes together.
@@ -56,15 +57,15 @@ class SettingsPyBullet(SteppedSettings):
     contact_erp: float = Field(default=0.2, ge=0.0, le=1.0)
     friction_erp: float = Field(default=0.2, ge=0.0, le=1.0)
     global_cfm: float = Field(default=0.0, ge=0.0)
-    warm_starting: float = Field(default=0.85, ge=0.0, le=1.0)
+    warm_starting: float = Field(default=0.1, ge=0.0, le=1.0)
     cone_friction: bool = True
     friction_anchors: bool = False
-    split_impulse: bool = True
-    split_impulse_depth: float = Field(default=0.0, ge=0.0)
+    split_impulse: Literal["all", "deep", "none"] = "all"
     rebound_threshold: float = Field(default=0.0, ge=0.0)
     contact_slop: float = Field(default=1e-5, ge=0.0)
     late_impacts: bool = True
     collision_margin: float = Field(default=0.001, ge=0.0)
+    planes: Literal["box", "plane"] = "box"
     polyhedral_features: bool = True
     reduced_coordinates: bool = False
     island_size: int = Field(default=1, ge=0)
@@ -81,7 +82,8 @@ PRESETS: dict[str, SettingsPyBullet] = {
         units_per_m=1.0,
         residual_threshold=1e-7,
         contact_erp=0.08,
-        split_impulse_depth=0.04,
+        split_impulse="deep",
+        planes="plane",
         rebound_threshold=0.2,
         late_impacts=False,
         polyhedral_features=False,

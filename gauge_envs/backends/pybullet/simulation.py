@@ -15,6 +15,7 @@ from gauge_envs.backends.pybullet.model import Handle, WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import vector
 
 __all__ = ["SimulationPyBullet"]
 
@@ -37,6 +38,7 @@ class SimulationPyBullet(Simulation):
         self._scene = scene
         self._scale = settings.units_per_m
         self._timestep_s = settings.timestep_s
+        self._kinematic = [body.name for body in scene.bodies if body.motion is Motion.KINEMATIC]
         self._start()
 
     def _start(self) -> None:
@@ -65,33 +67,29 @@ class SimulationPyBullet(Simulation):
 
     def advance(self, seconds: float) -> None:
         """Step the world. A driven body that no call drives during the interval stays where it is."""
+        motions = {
+            name: self._driven.get(name) or DrivenMotion(_pose(self._placed[name]), np.zeros(6), np.zeros(6))
+            for name in self._kinematic
+        }
         steps = round(seconds / self._timestep_s)
         for step in range(steps):
-            for name, motion in self._driven.items():
+            for name, motion in motions.items():
                 self._place(name, motion, step * self._timestep_s)
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
             pybullet.stepSimulation(physicsClientId=self.world.client)
         for name, motion in self._driven.items():
             self._placed[name] = _row(motion.pose(seconds), motion.velocity_at(seconds))
-        self._stop_driven()
-
-    def _stop_driven(self) -> None:
-        """Leave driven bodies at rest where they are, until the next call of `drive`."""
-        for name in self._driven:
-            row = self._placed[name]
-            pose = Pose(position_m=tuple(row[:3].tolist()), quaternion=tuple(row[3:7].tolist()))
-            self._put(self.world.handles[name], pose, np.zeros(6))
         self._driven.clear()
 
     def _place(self, name: str, motion: DrivenMotion, start_s: float) -> None:
         """Put a driven body where its motion is, with the mean velocity of the next step."""
         handle = self.world.handles[name]
-        self._put(handle, motion.pose(start_s), motion.mean_velocity(start_s, start_s + self._timestep_s))
-
-    def _put(self, handle: Handle, pose: Pose, velocity: NDArray[np.float64]) -> None:
+        pose, velocity = motion.pose(start_s), motion.mean_velocity(start_s, start_s + self._timestep_s)
         arm = pose.rotation.apply(handle.offset_m)
         speed = velocity[:3] + np.cross(velocity[3:], arm)
+        # Bullet adds gravity to the velocity of every body that can move.
+        speed[2] += self._scene.gravity_m_per_s2 * self._timestep_s
         client = self.world.client
         pybullet.resetBasePositionAndOrientation(
             handle.body,
@@ -143,6 +141,11 @@ class SimulationPyBullet(Simulation):
     def close(self) -> None:
         """Free the world. A second call does nothing."""
         self.world.close()
+
+
+def _pose(row: NDArray[np.float64]) -> Pose:
+    w, x, y, z = row[3:7].tolist()
+    return Pose(position_m=vector(row[:3]), quaternion=(w, x, y, z))
 
 
 def _row(pose: Pose, velocity: NDArray[np.float64]) -> NDArray[np.float64]:
