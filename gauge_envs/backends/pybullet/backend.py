@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -16,8 +17,7 @@ from gauge_envs.scene import Scene
 
 __all__ = ["BackendPyBullet"]
 
-PYTHONS = "PyBullet has wheels for Python 3.11 and earlier; on later versions, pip needs a C++ compiler to build it"
-"""What users of a Python without wheels of PyBullet need to know."""
+LAST_PYTHON_WITH_WHEELS = (3, 11)
 
 
 class BackendPyBullet(Backend):
@@ -33,7 +33,7 @@ class BackendPyBullet(Backend):
 
     def __init__(self) -> None:
         if find_spec("pybullet") is None:
-            raise MissingExtraError("backend 'pybullet'", "pybullet", ModuleNotFoundError(PYTHONS, name="pybullet"))
+            raise MissingExtraError("backend 'pybullet'", "pybullet", _missing())
 
     def versions(self) -> dict[str, str]:
         """Return the version of PyBullet, which contains the engine."""
@@ -48,3 +48,12 @@ class BackendPyBullet(Backend):
         from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
 
         return ReplayedSimulation(SimulationPyBullet(scene, settings_for(scene, settings)))
+
+
+def _missing() -> ImportError:
+    """Return the failed import, with the way to PyBullet on this version of Python."""
+    if sys.version_info[:2] <= LAST_PYTHON_WITH_WHEELS:
+        return ModuleNotFoundError(name="pybullet")
+    return ModuleNotFoundError(
+        "PyBullet on Python 3.11 (for later versions it has no wheels; 'pip install pybullet' then compiles it)"
+    )

@@ -95,7 +95,10 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
 
 
 def _sums(pairs: Mapping[Pair, float] | list[Pair], names: list[str]) -> NDArray[np.float64]:
-    """Return a row for each pair that adds its two values, with a last column of zeros, [pair_count, name_count + 1]."""
+    """Return a row for each pair that adds its two values, with a last column of zeros.
+
+    The shape is [pair_count, name_count + 1].
+    """
     rows = np.zeros((len(pairs), len(names) + 1))
     for row, pair in zip(rows, pairs, strict=True):
         for name in pair:

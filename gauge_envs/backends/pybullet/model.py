@@ -15,9 +15,19 @@ from gauge_envs.backends.pybullet.contacts import frictions, impact_bodies, rest
 from gauge_envs.backends.pybullet.engine import pybullet, silent
 from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere, Tether
-from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.meshes import mass_properties, prism
+from gauge_envs.scene import (
+    Box,
+    Cylinder,
+    Hinge,
+    Motion,
+    Plane,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+    Tether,
+)
+from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["Handle", "WorldPyBullet"]
 
@@ -145,7 +155,10 @@ class WorldPyBullet:
 
     def _shape(self, shape: Shape, offset_m: NDArray[np.float64], turn: Rotation) -> int:
         """Return a collision shape whose body frame lies at a place in the frame of the link."""
-        place = {"collisionFramePosition": (self._scale * offset_m).tolist(), "collisionFrameOrientation": turn.as_quat().tolist()}
+        place = {
+            "collisionFramePosition": (self._scale * offset_m).tolist(),
+            "collisionFrameOrientation": turn.as_quat().tolist(),
+        }
         scale = self._scale
         flags = pybullet.URDF_INITIALIZE_SAT_FEATURES if self._settings.polyhedral_features else 0
         if isinstance(shape, Box):
@@ -239,7 +252,12 @@ class WorldPyBullet:
         rate = float(np.asarray(body.angular_velocity_rad_per_s) @ joint.axis)
         self.call("resetJointState", handle.body, 0, targetValue=0.0, targetVelocity=rate)
         self.call(
-            "setJointMotorControl2", handle.body, 0, controlMode=pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0
+            "setJointMotorControl2",
+            handle.body,
+            0,
+            controlMode=pybullet.VELOCITY_CONTROL,
+            targetVelocity=0.0,
+            force=0.0,
         )
         return handle
 
@@ -262,7 +280,11 @@ class WorldPyBullet:
             linkCollisionShapeIndices=[-1, -1, self._shape(body.shape, np.zeros(3), axes.inv())],
             linkVisualShapeIndices=[-1, -1, -1],
             linkPositions=[origin, [0.0, 0.0, self._scale * apart_m], origin],
-            linkOrientations=[string.as_quat().tolist(), [0.0, 0.0, 0.0, 1.0], (string.inv() * link).as_quat().tolist()],
+            linkOrientations=[
+                string.as_quat().tolist(),
+                [0.0, 0.0, 0.0, 1.0],
+                (string.inv() * link).as_quat().tolist(),
+            ],
             linkInertialFramePositions=[origin, origin, (self._scale * arm_m).tolist()],
             linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * 3,
             linkParentIndices=[0, 1, 2],
@@ -295,7 +317,12 @@ class WorldPyBullet:
                 force=[0.0, 0.0, 0.0],
             )
         self.call(
-            "setJointMotorControl2", handle.body, 1, controlMode=pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0
+            "setJointMotorControl2",
+            handle.body,
+            1,
+            controlMode=pybullet.VELOCITY_CONTROL,
+            targetVelocity=0.0,
+            force=0.0,
         )
         return handle
 

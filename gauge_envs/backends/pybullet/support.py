@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gauge_envs.backends.pybullet.contacts import frictions, restitutions
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene import Motion, Scene, Tether
 
 __all__ = ["unsupported_features"]
 
@@ -22,8 +22,13 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
         if joint.body in jointed:
             yield f"{joint.body!r} has two joints: this backend builds one joint for each body"
         jointed.add(joint.body)
-        if scene.body(joint.body).motion is not Motion.DYNAMIC:
+        body = scene.body(joint.body)
+        if body.motion is not Motion.DYNAMIC:
             yield f"{joint.body!r} has a joint and is not dynamic"
+        if isinstance(joint, Tether) and body.pose.position_m == joint.anchor_m:
+            yield f"{joint.body!r} starts at the anchor of its string, which then has no direction"
+        if isinstance(joint, Tether) and not body.starts_at_rest:
+            yield f"{joint.body!r} hangs on a string and has a start velocity: this backend starts strings at rest"
     for find in (frictions, restitutions):
         try:
             find(scene)
