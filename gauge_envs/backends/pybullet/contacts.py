@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import sparse
 from scipy.optimize import linprog
 
 from gauge_envs.errors import UnsupportedSceneError
@@ -75,10 +75,11 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     count = len(active)
     equal = _sums(positive, active)
     smaller = _sums(zero, active)
-    bounds = np.block([[np.eye(count), -np.ones((count, 1))], [-np.eye(count), -np.ones((count, 1))]])
+    one, size = sparse.identity(count), -np.ones((count, 1))
+    bounds = sparse.bmat([[one, size], [-one, size]])
     result = linprog(
         np.append(np.zeros(count), 1.0),
-        A_ub=np.concatenate([smaller, bounds]),
+        A_ub=sparse.vstack([smaller, bounds]),
         b_ub=np.concatenate([np.full(len(zero), np.log(SMALLEST_VALUE)), np.zeros(2 * count)]),
         A_eq=equal,
         b_eq=np.log(list(positive.values())),
@@ -86,24 +87,23 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
         method="highs",
     )
     if result.x is None:
-        one, other = next(iter(positive))
+        first, second = next(iter(positive))
         raise UnsupportedSceneError(
-            f"pair {one!r} and {other!r} has the {noun} {positive[one, other]:.6g}: Bullet multiplies the values of "
-            "two bodies, and no values of bodies have the products of this scene"
+            f"pair {first!r} and {second!r} has the {noun} {positive[first, second]:.6g}: Bullet multiplies the values "
+            "of two bodies, and no values of bodies have the products of this scene"
         )
     return found | dict(zip(active, np.exp(result.x[:count]).tolist(), strict=True))
 
 
-def _sums(pairs: Mapping[Pair, float] | list[Pair], names: list[str]) -> NDArray[np.float64]:
+def _sums(pairs: Mapping[Pair, float] | list[Pair], names: list[str]) -> sparse.csr_array:
     """Return a row for each pair that adds its two values, with a last column of zeros.
 
     The shape is [pair_count, name_count + 1].
     """
-    rows = np.zeros((len(pairs), len(names) + 1))
-    for row, pair in zip(rows, pairs, strict=True):
-        for name in pair:
-            row[names.index(name)] += 1.0
-    return rows
+    column = {name: index for index, name in enumerate(names)}
+    columns = [column[name] for pair in pairs for name in pair]
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    return sparse.csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(pairs), len(names) + 1))
 
 
 def impact_bodies(scene: Scene) -> set[str]:

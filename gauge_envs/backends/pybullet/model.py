@@ -15,6 +15,7 @@ from gauge_envs.backends.pybullet.contacts import frictions, impact_bodies, rest
 from gauge_envs.backends.pybullet.engine import pybullet, silent
 from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     Box,
     Cylinder,
@@ -86,6 +87,8 @@ class WorldPyBullet:
         self._scale = settings.units_per_m
         with silent():
             self.client = pybullet.connect(pybullet.DIRECT)
+        if self.client < 0:
+            raise BackendError("PyBullet opens no further world in this process: close simulations that are not used")
         self._build()
 
     def call(self, function: str, *arguments: Any, **named: Any) -> Any:

@@ -1,0 +1,87 @@
+"""Contact constants of bodies from those of pairs, by products. Needs no engine."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+
+import pytest
+
+from gauge_envs import load_experiment
+from gauge_envs.backends.pybullet import backend as backend_module
+from gauge_envs.backends.pybullet.contacts import impact_bodies, products, restitutions
+from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
+from gauge_envs.backends.pybullet.support import unsupported_features
+from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
+
+
+def test_products_of_bodies_are_the_values_of_pairs() -> None:
+    pairs = {("a", "b"): 0.3, ("b", "c"): 0.1, ("c", "d"): 0.8, ("a", "d"): 2.4}
+    values = products(pairs, "friction")
+    assert {pair: values[pair[0]] * values[pair[1]] for pair in pairs} == pytest.approx(pairs, rel=1e-9)
+
+
+def test_pair_of_value_zero_gets_a_millionth_beside_a_positive_pair() -> None:
+    pairs = {("ball", "brick-1"): 0.22, ("ball", "brick-2"): 0.22, ("brick-1", "brick-2"): 0.0}
+    values = products(pairs, "restitution")
+    assert values["ball"] * values["brick-1"] == pytest.approx(0.22, rel=1e-9)
+    assert values["brick-1"] * values["brick-2"] <= 1.000001e-6
+
+
+def test_body_whose_pairs_are_all_zero_has_the_value_zero() -> None:
+    values = products({("cube", "board"): 0.0, ("cube", "ground"): 0.25}, "restitution")
+    assert values["board"] == 0.0
+    assert values["cube"] * values["ground"] == pytest.approx(0.25, rel=1e-9)
+
+
+def test_values_without_products_name_a_pair() -> None:
+    pairs = {("a", "b"): 0.5, ("c", "d"): 0.5, ("a", "c"): 0.5, ("b", "d"): 0.1}
+    with pytest.raises(UnsupportedSceneError, match=r"'a' and 'b' has the friction 0\.5"):
+        products(pairs, "friction")
+
+
+def test_wall_is_representable() -> None:
+    scene = load_experiment("WallBreaking-wood").scene
+    values = restitutions(scene)
+    ball, bricks, _, _ = scene.contacts
+    assert values["ball"] * values["brick-7"] == pytest.approx(ball.restitution, rel=1e-9)
+    assert values["brick-7"] * values["brick-8"] < 1.1e-6
+    assert bricks.restitution > 0.0  # The pair is sustained, so that its restitution has no effect.
+    assert list(unsupported_features(scene)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "late"),
+    [
+        ("BouncingBall-rubber", {"ball", "ground"}),
+        ("SlopeSlider-1-wood", {"ground"}),
+        ("WallBreaking-wood", {"ball"}),
+    ],
+)
+def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(name: str, late: set[str]) -> None:
+    assert impact_bodies(load_experiment(name).scene) == late
+
+
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [
+        ("SlopeSlider-1-wood", "contact"),
+        ("Pendulum-metal", "contact"),
+        ("NewtonsCradle-metal", "joint_impact"),
+        ("WallBreaking-wood", "stack"),
+    ],
+)
+def test_preset_follows_the_content_of_the_scene(name: str, preset: str) -> None:
+    assert settings_for(load_experiment(name).scene).preset == preset
+    assert set(PRESETS) == {"contact", "joint_impact", "stack", "out_of_box"}
+
+
+@pytest.mark.parametrize("version", [(3, 11), (3, 12)])
+def test_missing_engine_names_the_extra_and_the_python_with_wheels(
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
+) -> None:
+    monkeypatch.setattr(backend_module, "find_spec", lambda name: None if name == "pybullet" else find_spec(name))
+    monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
+    with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[pybullet\]'") as found:
+        backend_module.BackendPyBullet()
+    assert ("on Python 3.11" in str(found.value)) == (version == (3, 12))
