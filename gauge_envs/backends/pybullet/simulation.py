@@ -20,6 +20,9 @@ from gauge_envs.scene.geometry import vector
 __all__ = ["SimulationPyBullet"]
 
 
+Rows = list[list[float]]
+
+
 class SimulationPyBullet(Simulation):
     """A scene in PyBullet.
 
@@ -66,39 +69,54 @@ class SimulationPyBullet(Simulation):
         self._wrenches[body] = np.array(wrench)
 
     def advance(self, seconds: float) -> None:
-        """Step the world. A driven body that no call drives during the interval stays where it is."""
-        motions = {
-            name: self._driven.get(name) or DrivenMotion(_pose(self._placed[name]), np.zeros(6), np.zeros(6))
-            for name in self._kinematic
-        }
-        steps = round(seconds / self._timestep_s)
-        for step in range(steps):
-            for name, motion in motions.items():
-                self._place(name, motion, step * self._timestep_s)
+        """Step the world. A driven body that was not driven since the last call stays where it is."""
+        count = round(seconds / self._timestep_s)
+        motions = {name: self._motion(name) for name in self._kinematic}
+        paths = [self._path(name, motion, count) for name, motion in motions.items()]
+        client = self.world.client
+        for step in range(count):
+            for body, positions, quaternions, speeds, spins in paths:
+                pybullet.resetBasePositionAndOrientation(
+                    body, positions[step], quaternions[step], physicsClientId=client
+                )
+                pybullet.resetBaseVelocity(body, speeds[step], spins[step], physicsClientId=client)
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
-            pybullet.stepSimulation(physicsClientId=self.world.client)
-        for name, motion in self._driven.items():
+            pybullet.stepSimulation(physicsClientId=client)
+        for name, motion in motions.items():
             self._placed[name] = _row(motion.pose(seconds), motion.velocity_at(seconds))
         self._driven.clear()
 
-    def _place(self, name: str, motion: DrivenMotion, start_s: float) -> None:
-        """Put a driven body where its motion is, with the mean velocity of the next step."""
-        handle = self.world.handles[name]
-        pose, velocity = motion.pose(start_s), motion.mean_velocity(start_s, start_s + self._timestep_s)
-        arm = pose.rotation.apply(handle.offset_m)
-        speed = velocity[:3] + np.cross(velocity[3:], arm)
+    def _motion(self, name: str) -> DrivenMotion:
+        """Return the motion of a driven body; without a call of `drive`, it stays where it is."""
+        still = np.zeros(6)
+        return self._driven.get(name) or DrivenMotion(_pose(self._placed[name]), still, still)
+
+    def _path(self, name: str, motion: DrivenMotion, count: int) -> tuple[int, Rows, Rows, Rows, Rows]:
+        """Return what Bullet gets of a driven body before each of the next steps.
+
+        Returns:
+            Number of the body, its positions [units], quaternions x y z w, and the mean velocities [units/s] and
+            angular velocities [rad/s] of the steps, one row for each step.
+        """
+        handle, step_s = self.world.handles[name], self._timestep_s
+        times = step_s * np.arange(count + 1)[:, None]
+        travel = motion.velocity * times + 0.5 * motion.acceleration * times**2
+        turned = Rotation.from_rotvec(travel[:, 3:])
+        rotations = turned[:-1] * motion.start.rotation
+        arms = rotations.apply(handle.offset_m)
+        spins = (turned[1:] * turned[:-1].inv()).as_rotvec() / step_s
+        speeds = np.diff(travel[:, :3], axis=0) / step_s + np.cross(spins, arms)
         # Bullet adds gravity to the velocity of every body that can move.
-        speed[2] += self._scene.gravity_m_per_s2 * self._timestep_s
-        client = self.world.client
-        pybullet.resetBasePositionAndOrientation(
+        speeds[:, 2] += self._scene.gravity_m_per_s2 * step_s
+        positions = np.asarray(motion.start.position_m) + travel[:-1, :3] + arms
+        quaternions = (rotations * handle.turn.inv()).as_quat()
+        return (
             handle.body,
-            (self._scale * (np.asarray(pose.position_m) + arm)).tolist(),
-            (pose.rotation * handle.turn.inv()).as_quat().tolist(),
-            physicsClientId=client,
-        )
-        pybullet.resetBaseVelocity(
-            handle.body, (self._scale * speed).tolist(), velocity[3:].tolist(), physicsClientId=client
+            (self._scale * positions).tolist(),
+            quaternions.tolist(),
+            (self._scale * speeds).tolist(),
+            spins.tolist(),
         )
 
     def _push(self, name: str, wrench: NDArray[np.float64]) -> None:
