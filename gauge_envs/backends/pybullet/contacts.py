@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import ContactMode, Scene
+from gauge_envs.scene import Contact, ContactMode, Motion, Scene
 
-__all__ = ["frictions", "impact_bodies", "products", "restitutions"]
+__all__ = ["Surface", "impact_bodies", "products", "surfaces"]
 
 Pair = tuple[str, str]
 
@@ -22,39 +23,93 @@ RELATIVE_ERROR = 1e-6
 """Largest error of a product, over the value of the pair."""
 
 
-def frictions(scene: Scene) -> dict[str, float]:
-    """Return a coefficient of friction of each colliding body, whose products are those of the pairs.
+@dataclass(frozen=True)
+class Surface:
+    """Contact constants of a body towards some of the bodies with which it collides.
+
+    Attributes:
+        partners: Names of these bodies.
+        friction: Coefficient of friction of the body.
+        restitution: Coefficient of restitution of the body.
+    """
+
+    partners: frozenset[str]
+    friction: float
+    restitution: float
+
+
+def surfaces(scene: Scene) -> dict[str, list[Surface]]:
+    """Return the surfaces of each colliding body, whose products are the values of all pairs.
+
+    A body has one surface if values of bodies have these products. If not, bodies that contacts do not move get several
+    surfaces, each towards other bodies. The engine has a copy of the body for each surface.
 
     Raises:
-        UnsupportedSceneError: No values have these products.
+        UnsupportedSceneError: The values of pairs of two dynamic bodies are no products.
     """
-    return products(
-        {pair: contact.friction for contact in scene.contacts for pair in scene.colliding_pairs(contact)}, "friction"
-    )
+    pairs = list(_pairs(scene))
+    friction = {pair: contact.friction for contact, pair in pairs}
+    # Restitution has no effect on a sustained pair.
+    restitution = {pair: contact.restitution if contact.mode is ContactMode.IMPACT else 0.0 for contact, pair in pairs}
+    partners: dict[str, set[str]] = {}
+    for one, other in friction:
+        partners.setdefault(one, set()).add(other)
+        partners.setdefault(other, set()).add(one)
+    try:
+        values = products(friction, "friction"), products(restitution, "restitution")
+    except UnsupportedSceneError:
+        unmoved = {body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC}
+        return _with_copies(friction, restitution, partners, unmoved)
+    return {name: [Surface(frozenset(others), values[0][name], values[1][name])] for name, others in partners.items()}
 
 
-def restitutions(scene: Scene) -> dict[str, float]:
-    """Return a coefficient of restitution of each colliding body, whose products are those of the pairs.
+def _with_copies(
+    friction: Mapping[Pair, float],
+    restitution: Mapping[Pair, float],
+    partners: Mapping[str, set[str]],
+    unmoved: set[str],
+) -> dict[str, list[Surface]]:
+    """Return surfaces with several ones for bodies that contacts do not move."""
 
-    The value of a sustained pair is 0.
+    def solved(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
+        movable = {pair: value for pair, value in pairs.items() if not unmoved & set(pair)}
+        # A pair with a partner of its own, of value 1, lets each body have any positive value.
+        free = {(name, f"{name} alone"): 1.0 for name in partners if name not in unmoved}
+        return products(movable | free, noun)
 
-    Raises:
-        UnsupportedSceneError: No values have these products.
-    """
-    values = {
-        pair: contact.restitution if contact.mode is ContactMode.IMPACT else 0.0
-        for contact in scene.contacts
-        for pair in scene.colliding_pairs(contact)
+    values = solved(friction, "friction"), solved(restitution, "restitution")
+    found = {
+        name: [Surface(frozenset(others), values[0][name], values[1][name])]
+        for name, others in partners.items()
+        if name not in unmoved
     }
-    return products(values, "restitution")
+    for name in sorted(unmoved & set(partners)):
+        groups: dict[tuple[float, float], set[str]] = {}
+        for other in sorted(partners[name]):
+            pair = (name, other) if (name, other) in friction else (other, name)
+            constants = friction[pair] / values[0][other], restitution[pair] / values[1][other]
+            # Values of equal bodies differ in the last digits.
+            first, second = (float(f"{value:.12g}") for value in constants)
+            groups.setdefault((first, second), set()).add(other)
+        found[name] = [Surface(frozenset(others), *constants) for constants, others in groups.items()]
+    return found
+
+
+def _pairs(scene: Scene) -> Iterator[tuple[Contact, Pair]]:
+    """Yield the colliding pairs of a scene; a rope that touches itself is a pair with itself."""
+    ropes = {body.name for body in scene.deformables}
+    for contact in scene.contacts:
+        for pair in scene.colliding_pairs(contact):
+            yield contact, pair
+        for name in sorted(ropes & set(contact.first) & set(contact.second)):
+            yield contact, (name, name)
 
 
 def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     """Return a value of each body, not negative, whose products are the values of pairs.
 
     A product of at most `SMALLEST_VALUE` stands for 0: two bricks that do not rebound from each other may rebound
-    from a ball. The logarithms of the values solve a linear program; of all solutions it takes one whose largest
-    logarithm is smallest in size.
+    from a ball. The logarithms of the values solve a linear program, which keeps them small.
 
     Args:
         pairs: Value of each pair, not negative.
@@ -71,17 +126,14 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     found = dict.fromkeys(names, 0.0)
     if not active:
         return found
-    # The last unknown bounds the size of all logarithms.
+    # Each logarithm has a bound on its size as a second unknown, and the sum of the bounds is least.
     count = len(active)
-    equal = _sums(positive, active)
-    smaller = _sums(zero, active)
-    one, size = sparse.identity(count), -np.ones((count, 1))
-    bounds = sparse.bmat([[one, size], [-one, size]])
+    one = sparse.identity(count)
     result = linprog(
-        np.append(np.zeros(count), 1.0),
-        A_ub=sparse.vstack([smaller, bounds]),
+        np.repeat([0.0, 1.0], count),
+        A_ub=sparse.vstack([_sums(zero, active), sparse.bmat([[one, -one], [-one, -one]])]),
         b_ub=np.concatenate([np.full(len(zero), np.log(SMALLEST_VALUE)), np.zeros(2 * count)]),
-        A_eq=equal,
+        A_eq=_sums(positive, active),
         b_eq=np.log(list(positive.values())),
         bounds=(None, None),
         method="highs",
@@ -96,14 +148,11 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
 
 
 def _sums(pairs: Mapping[Pair, float] | list[Pair], names: list[str]) -> sparse.csr_array:
-    """Return a row for each pair that adds its two values, with a last column of zeros.
-
-    The shape is [pair_count, name_count + 1].
-    """
+    """Return a row for each pair that adds its two values, beside columns of zeros, [pair_count, 2 name_count]."""
     column = {name: index for index, name in enumerate(names)}
     columns = [column[name] for pair in pairs for name in pair]
     rows = np.repeat(np.arange(len(pairs)), 2)
-    return sparse.csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(pairs), len(names) + 1))
+    return sparse.csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(pairs), 2 * len(names)))
 
 
 def impact_bodies(scene: Scene) -> set[str]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.pybullet.contacts import frictions, impact_bodies, restitutions
+from gauge_envs.backends.pybullet.chains import add_rope
+from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, surfaces
 from gauge_envs.backends.pybullet.engine import pybullet, silent
 from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
@@ -23,6 +26,7 @@ from gauge_envs.scene import (
     Motion,
     Plane,
     RigidBody,
+    Rope,
     Scene,
     Shape,
     Sphere,
@@ -50,6 +54,9 @@ PLANE_SIZE = 2.0
 DRIVEN_MASS_KG = 1e6
 """Mass of a driven body, which contacts between two drives do not move: 1 N moves it by 2e-11 m in 1/180 s."""
 
+CLEAR_SEGMENTS = 3
+"""Distance along a rope, in segments, from which segments collide."""
+
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
 
@@ -71,6 +78,21 @@ class Handle:
     turn: Rotation
 
 
+@dataclass(frozen=True)
+class Frame:
+    """Mass properties of a body.
+
+    Attributes:
+        centre_m: Centre of mass in the body frame [m].
+        axes: Rotation from the principal axes, which Bullet's frame has, to the body frame.
+        moments: Principal moments of inertia [kg units^2].
+    """
+
+    centre_m: NDArray[np.float64]
+    axes: Rotation
+    moments: list[float]
+
+
 class WorldPyBullet:
     """A PyBullet world at the start of a scene.
 
@@ -79,12 +101,16 @@ class WorldPyBullet:
         settings: Numerical settings.
 
     Attributes:
+        scene: The scene.
+        scale: Units per metre.
         handles: The bodies in PyBullet, by name.
+        copies: Copies of bodies with several surfaces, by name, without the first one.
+        ropes: The ropes in PyBullet, by name.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
-        self._scene, self._settings = scene, settings
-        self._scale = settings.units_per_m
+        self.scene, self.scale = scene, settings.units_per_m
+        self._settings = settings
         with silent():
             self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
@@ -116,22 +142,33 @@ class WorldPyBullet:
 
     def _add_all(self) -> None:
         self._set_parameters()
-        self.handles = {}
-        joints = {joint.body: joint for joint in self._scene.joints}
-        for body in self._scene.bodies:
+        self.handles: dict[str, Handle] = {}
+        self.copies: dict[str, list[Handle]] = {}
+        self._surfaces = surfaces(self.scene)
+        self.ropes = {
+            rope.name: add_rope(self, rope, cell_m=self._settings.cell_m, touches_itself=True)
+            for rope in self.scene.deformables
+            if isinstance(rope, Rope)
+        }
+        joints = {joint.body: joint for joint in self.scene.joints}
+        for body in self.scene.bodies:
             joint = joints.get(body.name)
+            if body.name in self.handles:
+                continue
             if isinstance(joint, Hinge):
-                self.handles[body.name] = self._hinged(body, joint)
+                self._hinged(body, joint)
             elif isinstance(joint, Tether):
-                self.handles[body.name] = self._tethered(body, joint)
+                self._tethered(body, joint)
             else:
-                self.handles[body.name] = self._free(body)
+                # Without a contact, a body still has a place.
+                for _ in self._surfaces.get(body.name, [None]):
+                    self._free(body)
         self._set_contacts()
         self._filter_collisions()
 
     def _set_parameters(self) -> None:
         settings = self._settings
-        self.call("setGravity", 0.0, 0.0, -self._scene.gravity_m_per_s2 * self._scale)
+        self.call("setGravity", 0.0, 0.0, -self.scene.gravity_m_per_s2 * self.scale)
         self.call(
             "setPhysicsEngineParameter",
             fixedTimeStep=settings.timestep_s,
@@ -156,13 +193,13 @@ class WorldPyBullet:
         if settings.split_impulse == "all":
             self.call("setPhysicsEngineParameter", splitImpulsePenetrationThreshold=0.0)
 
-    def _shape(self, shape: Shape, offset_m: NDArray[np.float64], turn: Rotation) -> int:
-        """Return a collision shape whose body frame lies at a place in the frame of the link."""
+    def shape(self, shape: Shape, offset_m: NDArray[np.float64], frame: Frame) -> int:
+        """Return a collision shape whose body frame lies at a place [m] in a frame along the principal axes."""
         place = {
-            "collisionFramePosition": (self._scale * offset_m).tolist(),
-            "collisionFrameOrientation": turn.as_quat().tolist(),
+            "collisionFramePosition": (self.scale * offset_m).tolist(),
+            "collisionFrameOrientation": frame.axes.inv().as_quat().tolist(),
         }
-        scale = self._scale
+        scale = self.scale
         flags = pybullet.URDF_INITIALIZE_SAT_FEATURES if self._settings.polyhedral_features else 0
         if isinstance(shape, Box):
             half = [0.5 * scale * edge for edge in shape.size_m]
@@ -185,187 +222,197 @@ class WorldPyBullet:
         """Return Bullet's plane, or a box below the plane that reaches beyond every place of a body."""
         if self._settings.planes == "plane":
             return int(self.call("createCollisionShape", pybullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0], **place))
-        half = PLANE_SIZE * self._scale * self._scene.distance_limit_m
+        half = PLANE_SIZE * self.scale * self.scene.distance_limit_m
         place = place | {"collisionFramePosition": [0.0, 0.0, -half]}
         return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=[half] * 3, flags=flags, **place))
 
-    def _frame(self, body: RigidBody) -> tuple[NDArray[np.float64], Rotation, list[float]]:
-        """Return the centre of mass [m], the principal axes and the moments of inertia in units of a body."""
+    def frame(self, body: RigidBody) -> Frame:
+        """Return the mass properties of a body."""
         centre_m, inertia = mass_properties(body.shape, body.mass_kg)
         moments, axes = np.diag(inertia), np.eye(3)
         if np.abs(inertia - np.diag(moments)).max() > 1e-12 * np.abs(inertia).max():
             moments, axes = np.linalg.eigh(inertia)
             axes[:, 2] *= np.linalg.det(axes)
-        return centre_m, Rotation.from_matrix(axes), (self._scale**2 * moments).tolist()
+        return Frame(centre_m, Rotation.from_matrix(axes), (self.scale**2 * moments).tolist())
 
-    def _free(self, body: RigidBody) -> Handle:
-        """Add a free, fixed or driven body. Its base frame is that of the centre of mass."""
-        centre_m, axes, moments = self._frame(body)
-        mass_kg = {Motion.DYNAMIC: body.mass_kg, Motion.FIXED: 0.0, Motion.KINEMATIC: DRIVEN_MASS_KG}[body.motion]
-        pose = body.pose
-        number = self.call(
-            "createMultiBody",
-            baseMass=mass_kg,
-            baseCollisionShapeIndex=self._shape(body.shape, axes.inv().apply(-centre_m), axes.inv()),
-            basePosition=(self._scale * pose.to_world(centre_m)).tolist(),
-            baseOrientation=(pose.rotation * axes).as_quat().tolist(),
-            useMaximalCoordinates=int(not self._settings.reduced_coordinates),
-        )
-        handle = Handle(int(number), -1, centre_m, axes.inv())
-        if body.motion is Motion.KINEMATIC:
-            # Equal moments of inertia, so that the body does not tumble within a step.
-            moments = [self._scale**2 * DRIVEN_MASS_KG] * 3
+    def base_arguments(self, body: RigidBody, frame: Frame) -> dict[str, Any]:
+        """Return the arguments of `createMultiBody` for a body as base, whose frame is that of its centre of mass."""
+        masses = {Motion.DYNAMIC: body.mass_kg, Motion.FIXED: 0.0, Motion.KINEMATIC: DRIVEN_MASS_KG}
+        return {
+            "baseMass": masses[body.motion],
+            "baseCollisionShapeIndex": self.shape(body.shape, frame.axes.inv().apply(-frame.centre_m), frame),
+            "basePosition": (self.scale * body.pose.to_world(frame.centre_m)).tolist(),
+            "baseOrientation": (body.pose.rotation * frame.axes).as_quat().tolist(),
+        }
+
+    def add_handle(self, body: RigidBody, number: int, link: int) -> Handle:
+        """Enter a body as a link of a multibody, or as a copy of a body that is entered already."""
+        frame = self.frame(body)
+        handle = Handle(number, link, frame.centre_m, frame.axes.inv())
+        if self.handles.setdefault(body.name, handle) is not handle:
+            self.copies.setdefault(body.name, []).append(handle)
+        return handle
+
+    def _free(self, body: RigidBody) -> None:
+        """Add a free, fixed or driven body."""
+        frame = self.frame(body)
+        base = self.base_arguments(body, frame)
+        maximal = int(not self._settings.reduced_coordinates)
+        handle = self.add_handle(body, int(self.call("createMultiBody", **base, useMaximalCoordinates=maximal)), -1)
+        # A driven body has equal moments of inertia, so that it does not tumble within a step.
+        moments = frame.moments if body.motion is Motion.DYNAMIC else [self.scale**2 * DRIVEN_MASS_KG] * 3
         if body.motion is not Motion.FIXED:
-            self.set_dynamics(handle, mass=mass_kg, localInertiaDiagonal=moments)
+            self.set_dynamics(handle, mass=base["baseMass"], localInertiaDiagonal=moments)
         if body.motion is Motion.DYNAMIC:
             spin = np.asarray(body.angular_velocity_rad_per_s)
-            speed = np.asarray(body.linear_velocity_m_per_s) + np.cross(spin, pose.rotation.apply(centre_m))
-            self.call("resetBaseVelocity", handle.body, (self._scale * speed).tolist(), spin.tolist())
-        return handle
+            speed = np.asarray(body.linear_velocity_m_per_s) + np.cross(spin, body.pose.rotation.apply(frame.centre_m))
+            self.call("resetBaseVelocity", handle.body, (self.scale * speed).tolist(), spin.tolist())
 
     def set_dynamics(self, handle: Handle, **named: Any) -> None:
         """Change dynamic properties of a body or a link."""
         self.call("changeDynamics", handle.body, handle.link, **named)
 
-    def _hinged(self, body: RigidBody, joint: Hinge) -> Handle:
+    def _hinged(self, body: RigidBody, joint: Hinge) -> None:
         """Add a body as the link of a revolute joint. The link's frame lies at the anchor, along the principal axes."""
-        centre_m, axes, moments = self._frame(body)
-        link = body.pose.rotation * axes
-        arm_m = link.inv().apply(body.pose.to_world(centre_m) - joint.anchor_m)
+        frame = self.frame(body)
+        link = body.pose.rotation * frame.axes
+        arm_m = link.inv().apply(body.pose.to_world(frame.centre_m) - joint.anchor_m)
+        shape = self.shape(body.shape, link.inv().apply(np.subtract(body.pose.position_m, joint.anchor_m)), frame)
         number = self.call(
             "createMultiBody",
             baseMass=0.0,
-            basePosition=(self._scale * np.asarray(joint.anchor_m)).tolist(),
+            basePosition=(self.scale * np.asarray(joint.anchor_m)).tolist(),
             linkMasses=[body.mass_kg],
-            linkCollisionShapeIndices=[
-                self._shape(body.shape, arm_m + axes.inv().apply(-centre_m), axes.inv()),
-            ],
+            linkCollisionShapeIndices=[shape],
             linkVisualShapeIndices=[-1],
             linkPositions=[[0.0, 0.0, 0.0]],
             linkOrientations=[link.as_quat().tolist()],
-            linkInertialFramePositions=[(self._scale * arm_m).tolist()],
+            linkInertialFramePositions=[(self.scale * arm_m).tolist()],
             linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]],
             linkParentIndices=[0],
             linkJointTypes=[pybullet.JOINT_REVOLUTE],
             linkJointAxis=[link.inv().apply(joint.axis).tolist()],
         )
-        handle = Handle(int(number), 0, centre_m, axes.inv())
-        self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=moments)
-        self._free_joints(handle)
+        handle = self.add_handle(body, int(number), 0)
+        self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=frame.moments)
         rate = float(np.asarray(body.angular_velocity_rad_per_s) @ joint.axis)
         self.call("resetJointState", handle.body, 0, targetValue=0.0, targetVelocity=rate)
-        self.call(
-            "setJointMotorControl2",
-            handle.body,
-            0,
-            controlMode=pybullet.VELOCITY_CONTROL,
-            targetVelocity=0.0,
-            force=0.0,
-        )
-        return handle
+        self.free_joints(handle.body, 1, spherical=())
 
-    def _tethered(self, body: RigidBody, joint: Tether) -> Handle:
+    def _tethered(self, body: RigidBody, joint: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
-        centre_m, axes, moments = self._frame(body)
+        frame = self.frame(body)
         anchor = np.asarray(joint.anchor_m)
         along = np.asarray(body.pose.position_m) - anchor
         apart_m = float(np.linalg.norm(along))
         string = Rotation.align_vectors([along], [[0.0, 0.0, 1.0]])[0]
-        link = body.pose.rotation * axes
+        link = body.pose.rotation * frame.axes
         light = STRING_MASS * body.mass_kg
-        arm_m = axes.inv().apply(centre_m)
-        origin = [0.0, 0.0, 0.0]
+        arm_m = frame.axes.inv().apply(frame.centre_m)
+        origin, unturned = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]
         number = self.call(
             "createMultiBody",
             baseMass=0.0,
-            basePosition=(self._scale * anchor).tolist(),
+            basePosition=(self.scale * anchor).tolist(),
             linkMasses=[light, light, body.mass_kg],
-            linkCollisionShapeIndices=[-1, -1, self._shape(body.shape, np.zeros(3), axes.inv())],
+            linkCollisionShapeIndices=[-1, -1, self.shape(body.shape, np.zeros(3), frame)],
             linkVisualShapeIndices=[-1, -1, -1],
-            linkPositions=[origin, [0.0, 0.0, self._scale * apart_m], origin],
-            linkOrientations=[
-                string.as_quat().tolist(),
-                [0.0, 0.0, 0.0, 1.0],
-                (string.inv() * link).as_quat().tolist(),
-            ],
-            linkInertialFramePositions=[origin, origin, (self._scale * arm_m).tolist()],
-            linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * 3,
+            linkPositions=[origin, [0.0, 0.0, self.scale * apart_m], origin],
+            linkOrientations=[string.as_quat().tolist(), unturned, (string.inv() * link).as_quat().tolist()],
+            linkInertialFramePositions=[origin, origin, (self.scale * arm_m).tolist()],
+            linkInertialFrameOrientations=[unturned] * 3,
             linkParentIndices=[0, 1, 2],
             linkJointTypes=[pybullet.JOINT_SPHERICAL, pybullet.JOINT_PRISMATIC, pybullet.JOINT_SPHERICAL],
             linkJointAxis=[[0.0, 0.0, 1.0]] * 3,
         )
-        handle = Handle(int(number), 2, centre_m, axes.inv())
-        self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=moments)
-        inertia = light * (self._scale * joint.length_m) ** 2
+        handle = self.add_handle(body, int(number), 2)
+        self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=frame.moments)
+        inertia = light * (self.scale * joint.length_m) ** 2
         for light_link in (0, 1):
             self.call("changeDynamics", handle.body, light_link, mass=light, localInertiaDiagonal=[inertia] * 3)
-        self._free_joints(handle)
+        self.free_joints(handle.body, 3, spherical=(0, 2))
         # Bullet ignores limits of which the lower one is above the upper one, and needs both.
-        self.call(
-            "changeDynamics",
-            handle.body,
-            1,
-            jointLowerLimit=-1e6,
-            jointUpperLimit=self._scale * (joint.length_m - apart_m),
-        )
-        for ball_joint in (0, 2):
-            self.call(
-                "setJointMotorControlMultiDof",
-                handle.body,
-                ball_joint,
-                pybullet.POSITION_CONTROL,
-                targetPosition=[0.0, 0.0, 0.0, 1.0],
-                positionGain=0.0,
-                velocityGain=0.0,
-                force=[0.0, 0.0, 0.0],
-            )
-        self.call(
-            "setJointMotorControl2",
-            handle.body,
-            1,
-            controlMode=pybullet.VELOCITY_CONTROL,
-            targetVelocity=0.0,
-            force=0.0,
-        )
-        return handle
+        upper = self.scale * (joint.length_m - apart_m)
+        self.call("changeDynamics", handle.body, 1, jointLowerLimit=-1e6, jointUpperLimit=upper)
 
-    def _free_joints(self, handle: Handle) -> None:
-        """Remove Bullet's damping and speed limit of all joints of a body."""
-        for link in range(-1, handle.link + 1):
+    def free_joints(self, body: int, count: int, *, spherical: Collection[int]) -> None:
+        """Remove Bullet's damping, speed limit and motors of the joints of a multibody.
+
+        Args:
+            body: PyBullet's number of the multibody.
+            count: Number of its links.
+            spherical: Links on spherical joints.
+        """
+        for link in range(-1, count):
             self.call(
                 "changeDynamics",
-                handle.body,
+                body,
                 link,
                 jointDamping=0.0,
                 linearDamping=self._settings.linear_damping,
                 angularDamping=self._settings.angular_damping,
                 maxJointVelocity=FASTEST_JOINT,
             )
+        motor = {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0, "force": 0.0}
+        still = {"targetPosition": [0.0, 0.0, 0.0, 1.0], "positionGain": 0.0, "velocityGain": 0.0}
+        position = pybullet.POSITION_CONTROL
+        for link in range(count):
+            if link in spherical:
+                self.call("setJointMotorControlMultiDof", body, link, position, force=[0.0, 0.0, 0.0], **still)
+            else:
+                self.call("setJointMotorControl2", body, link, **motor)
 
     def _set_contacts(self) -> None:
-        friction, restitution = frictions(self._scene), restitutions(self._scene)
-        late = impact_bodies(self._scene) if self._settings.late_impacts else set()
+        late = impact_bodies(self.scene) if self._settings.late_impacts else set()
         awake = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
-        for body in self._scene.bodies:
-            self.set_dynamics(
-                self.handles[body.name],
-                lateralFriction=friction.get(body.name, 0.0),
-                restitution=restitution.get(body.name, 0.0),
-                rollingFriction=0.0,
-                spinningFriction=0.0,
-                linearDamping=self._settings.linear_damping,
-                angularDamping=self._settings.angular_damping,
-                frictionAnchor=int(self._settings.friction_anchors),
-                contactProcessingThreshold=0.0 if body.name in late else EARLY_CONTACTS,
-                activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self._settings.sleeping else awake,
-            )
+        for name in (*self.handles, *self.ropes):
+            for surface in self._surfaces.get(name, [Surface(frozenset(), 0.0, 0.0)]):
+                for number, link in self._colliders(name, surface):
+                    self.call(
+                        "changeDynamics",
+                        number,
+                        link,
+                        lateralFriction=surface.friction,
+                        restitution=surface.restitution,
+                        rollingFriction=0.0,
+                        spinningFriction=0.0,
+                        linearDamping=self._settings.linear_damping,
+                        angularDamping=self._settings.angular_damping,
+                        frictionAnchor=int(self._settings.friction_anchors),
+                        contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
+                        activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self._settings.sleeping else awake,
+                    )
+
+    def _colliders(self, name: str, surface: Surface) -> list[tuple[int, int]]:
+        """Return PyBullet's numbers and links of a surface of a rigid body, or of the segments of a rope."""
+        if name in self.ropes:
+            rope = self.ropes[name]
+            return [(rope.body, link) for link in rope.links]
+        index = self._surfaces[name].index(surface) if name in self._surfaces else 0
+        handle = [self.handles[name], *self.copies.get(name, [])][index]
+        return [(handle.body, handle.link)]
+
+    def _towards(self, name: str, partner: str) -> list[tuple[int, int]]:
+        """Return PyBullet's numbers and links of a body's surface towards another body."""
+        return self._colliders(name, next(one for one in self._surfaces[name] if partner in one.partners))
 
     def _filter_collisions(self) -> None:
         """Let only the pairs of the scene's contacts collide."""
-        for handle in self.handles.values():
-            for link in range(-1, handle.link + 1):
-                self.call("setCollisionFilterGroupMask", handle.body, link, 0, 0)
-        for contact in self._scene.contacts:
-            for first, second in self._scene.colliding_pairs(contact):
-                one, other = self.handles[first], self.handles[second]
-                self.call("setCollisionFilterPair", one.body, other.body, one.link, other.link, 1)
+        for number in range(self.call("getNumBodies")):
+            for link in range(-1, self.call("getNumJoints", number)):
+                self.call("setCollisionFilterGroupMask", number, link, 0, 0)
+        held = {frozenset((one.deformable, one.to)) for one in self.scene.attachments}
+        for contact in self.scene.contacts:
+            for first, second in self.scene.colliding_pairs(contact):
+                if frozenset((first, second)) not in held:
+                    self._collide(product(self._towards(first, second), self._towards(second, first)))
+            for name in set(contact.first) & set(contact.second) & set(self.ropes):
+                # Neighbouring segments overlap in every shape of the rope.
+                links = self._towards(name, name)
+                self._collide(
+                    (links[i], links[j]) for i in range(len(links)) for j in range(i + CLEAR_SEGMENTS, len(links))
+                )
+
+    def _collide(self, pairs: Iterable[tuple[tuple[int, int], tuple[int, int]]]) -> None:
+        for (one, first), (other, second) in pairs:
+            self.call("setCollisionFilterPair", one, other, first, second, 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,11 @@ class SimulationPyBullet(Simulation):
         """Step the world. A driven body that was not driven since the last call stays where it is."""
         count = round(seconds / self._timestep_s)
         motions = {name: self._motion(name) for name in self._kinematic}
-        paths = [self._path(name, motion, count) for name, motion in motions.items()]
+        paths = [
+            self._path(handle, motion, count)
+            for name, motion in motions.items()
+            for handle in (self.world.handles[name], *self.world.copies.get(name, []))
+        ]
         client = self.world.client
         for step in range(count):
             for body, positions, quaternions, speeds, spins in paths:
@@ -92,14 +96,14 @@ class SimulationPyBullet(Simulation):
         still = np.zeros(6)
         return self._driven.get(name) or DrivenMotion(_pose(self._placed[name]), still, still)
 
-    def _path(self, name: str, motion: DrivenMotion, count: int) -> tuple[int, Rows, Rows, Rows, Rows]:
+    def _path(self, handle: Handle, motion: DrivenMotion, count: int) -> tuple[int, Rows, Rows, Rows, Rows]:
         """Return what Bullet gets of a driven body before each of the next steps.
 
         Returns:
             Number of the body, its positions [units], quaternions x y z w, and the mean velocities [units/s] and
             angular velocities [rad/s] of the steps, one row for each step.
         """
-        handle, step_s = self.world.handles[name], self._timestep_s
+        step_s = self._timestep_s
         times = step_s * np.arange(count + 1)[:, None]
         travel = motion.velocity * times + 0.5 * motion.acceleration * times**2
         turned = Rotation.from_rotvec(travel[:, 3:])
@@ -122,22 +126,31 @@ class SimulationPyBullet(Simulation):
     def _push(self, name: str, wrench: NDArray[np.float64]) -> None:
         """Apply a wrench for one step, after which Bullet forgets it."""
         handle = self.world.handles[name]
-        place = self._read(handle)[0]
+        place = self._read(handle.body, handle.link)[0]
         frame = pybullet.WORLD_FRAME
         force, torque = self._scale * wrench[:3], self._scale**2 * wrench[3:]
         self.world.call("applyExternalForce", handle.body, handle.link, force.tolist(), place, frame)
         self.world.call("applyExternalTorque", handle.body, handle.link, torque.tolist(), frame)
 
-    def _read(self, handle: Handle) -> tuple[Any, ...]:
-        """Return position, quaternion x y z w, velocity and angular velocity of Bullet's frame, in units."""
+    def _read(self, body: int, link: int) -> tuple[Any, ...]:
+        """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""
         client = self.world.client
-        if handle.link < 0:
-            place = pybullet.getBasePositionAndOrientation(handle.body, physicsClientId=client)
-            return (*place, *pybullet.getBaseVelocity(handle.body, physicsClientId=client))
+        if link < 0:
+            place = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+            return (*place, *pybullet.getBaseVelocity(body, physicsClientId=client))
         state = pybullet.getLinkState(
-            handle.body, handle.link, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+            body, link, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
         )
         return (state[0], state[1], state[6], state[7])
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Return the nodes of a rope, the ends of its segments [m], shape [segment_count + 1, 3]."""
+        return self.world.ropes[name].nodes_m(self._read, self._scale)
+
+    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]]:
+        """Return a reader of material points of a rope; see `World.track`."""
+        # A reset builds the rope anew, with the same numbers.
+        return self.world.ropes[name].track(points_m, self._read, self._scale)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
@@ -147,7 +160,7 @@ class SimulationPyBullet(Simulation):
                 state[:] = self._placed[name]
                 continue
             handle = self.world.handles[name]
-            place, quaternion, speed, spin = self._read(handle)
+            place, quaternion, speed, spin = self._read(handle.body, handle.link)
             rotation = Rotation.from_quat(quaternion) * handle.turn
             arm = rotation.apply(handle.offset_m)
             state[:3] = np.asarray(place) / self._scale - arm

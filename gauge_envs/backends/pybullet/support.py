@@ -4,19 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gauge_envs.backends.pybullet.contacts import frictions, restitutions
+from gauge_envs.backends.pybullet.contacts import surfaces
+from gauge_envs.backends.shared.attachments import rigid_attachments
+from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Motion, Scene, Tether
+from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody, Tether
 
 __all__ = ["unsupported_features"]
+
+UNSUPPORTED = {Cloth: "cloth", SoftBody: "a soft body", Rod: "a rod"}
 
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of a scene that this backend does not support."""
-    if scene.deformables:
-        names = [body.name for body in scene.deformables]
-        yield f"{names[0]!r} is deformable: this backend simulates rigid bodies only"
-        return
+    for kind, noun in UNSUPPORTED.items():
+        names = [body.name for body in scene.deformables if isinstance(body, kind)]
+        if names:
+            yield f"{names[0]!r} is {noun}: this backend simulates rigid bodies and ropes"
+    yield from _unsupported_joints(scene)
+    for rope in scene.deformables:
+        if isinstance(rope, Rope):
+            yield from _unsupported_rope(scene, rope)
+    try:
+        surfaces(scene)
+    except UnsupportedSceneError as error:
+        yield str(error)
+
+
+def _unsupported_joints(scene: Scene) -> Iterator[str]:
     jointed: set[str] = set()
     for joint in scene.joints:
         if joint.body in jointed:
@@ -29,8 +44,26 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
             yield f"{joint.body!r} starts at the anchor of its string, which then has no direction"
         if isinstance(joint, Tether) and not body.starts_at_rest:
             yield f"{joint.body!r} hangs on a string and has a start velocity: this backend starts strings at rest"
-    for find in (frictions, restitutions):
-        try:
-            find(scene)
-        except UnsupportedSceneError as error:
-            yield str(error)
+
+
+def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
+    """Yield what PyBullet's chains do not support of a rope: its ends must belong to one tree of joints."""
+    for attachment in scene.attachments:
+        if attachment.deformable == rope.name and attachment.to in {body.name for body in scene.deformables}:
+            yield f"{rope.name!r} is attached to {attachment.to!r}, which is not a rigid body"
+    try:
+        ends = attached_ends(rope, rigid_attachments(scene, rope.name))
+    except UnsupportedSceneError as error:
+        yield str(error)
+        return
+    held = [scene.body(attachment.body) for attachment in ends.values()]
+    driven = [body.name for body in held if body.motion is Motion.KINEMATIC]
+    if driven:
+        yield f"{rope.name!r} is attached to {driven[0]!r}, which is driven: chains start at fixed or dynamic bodies"
+    if len(held) == 2 and (held[0].motion is Motion.FIXED is held[1].motion or held[0] is held[1]):
+        yield f"{rope.name!r} is held at both ends, so that its chain is a loop, which this backend does not build"
+    jointed = {joint.body for joint in scene.joints}
+    others = {one.to for one in scene.attachments if one.deformable != rope.name}
+    for body in held:
+        if body.motion is Motion.DYNAMIC and body.name in jointed | others:
+            yield f"{body.name!r} is attached to {rope.name!r} and has another joint or rope"

@@ -9,7 +9,7 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.pybullet import backend as backend_module
-from gauge_envs.backends.pybullet.contacts import impact_bodies, products, restitutions
+from gauge_envs.backends.pybullet.contacts import impact_bodies, products, surfaces
 from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
 from gauge_envs.backends.pybullet.support import unsupported_features
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
@@ -42,12 +42,24 @@ def test_values_without_products_name_a_pair() -> None:
 
 def test_wall_is_representable() -> None:
     scene = load_experiment("WallBreaking-wood").scene
-    values = restitutions(scene)
+    values = {name: one.restitution for name, (one,) in surfaces(scene).items()}
     ball, bricks, _, _ = scene.contacts
     assert values["ball"] * values["brick-7"] == pytest.approx(ball.restitution, rel=1e-9)
     assert values["brick-7"] * values["brick-8"] < 1.1e-6
     assert bricks.restitution > 0.0  # The pair is sustained, so that its restitution has no effect.
     assert list(unsupported_features(scene)) == []
+
+
+def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
+    scene = load_experiment("RopeWinding-rubber").scene
+    found = surfaces(scene)
+    assert {name: len(copies) for name, copies in found.items() if len(copies) > 1} == {"beam": 2}
+    for contact in scene.contacts:
+        for one, other in scene.colliding_pairs(contact):
+            (first,) = [surface for surface in found[one] if other in surface.partners]
+            (second,) = [surface for surface in found[other] if one in surface.partners]
+            assert first.friction * second.friction == pytest.approx(contact.friction, rel=1e-9)
+    assert found["rope"][0].friction ** 2 == pytest.approx(0.467163, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -68,12 +80,13 @@ def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(name: str, la
         ("SlopeSlider-1-wood", "contact"),
         ("Pendulum-metal", "contact"),
         ("NewtonsCradle-metal", "joint_impact"),
+        ("RopeWinding-rubber", "rope"),
         ("WallBreaking-wood", "stack"),
     ],
 )
 def test_preset_follows_the_content_of_the_scene(name: str, preset: str) -> None:
     assert settings_for(load_experiment(name).scene).preset == preset
-    assert set(PRESETS) == {"contact", "joint_impact", "stack", "out_of_box"}
+    assert set(PRESETS) == {"contact", "joint_impact", "rope", "stack", "out_of_box"}
 
 
 @pytest.mark.parametrize("version", [(3, 11), (3, 12)])
