@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.engine import pybullet
-from gauge_envs.backends.pybullet.rope import Chain, RopePart, chain_of
+from gauge_envs.backends.pybullet.rope import RopePart, chain_of
 from gauge_envs.backends.shared.attachments import rigid_attachments
 from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.scene import Motion, RigidBody, Rope, Scene
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from gauge_envs.backends.pybullet.model import WorldPyBullet
 
 __all__ = ["RopeEnds", "add_rope", "rope_ends"]
+
+NO_SHAPE = -1
+"""Number of the shape of segments, which touch nothing."""
 
 UNTURNED = [0.0, 0.0, 0.0, 1.0]
 
@@ -95,14 +98,13 @@ class _Links:
         }
 
 
-def add_rope(world: WorldPyBullet, rope: Rope, *, cell_m: float, touches_itself: bool) -> RopePart:
+def add_rope(world: WorldPyBullet, rope: Rope, *, cell_m: float | None) -> RopePart:
     """Add a rope and the dynamic bodies on its ends, and enter these bodies in `world.handles`.
 
     Args:
         world: The world.
         rope: The rope.
-        cell_m: Desired length of a segment [m].
-        touches_itself: Whether parts of the chain may collide with each other.
+        cell_m: Desired length of a segment [m], or None for the default.
     """
     ends = rope_ends(world.scene, rope)
     chain = chain_of(rope, cell_m=cell_m, from_low=ends.from_low, scale=world.scale)
@@ -120,13 +122,12 @@ def add_rope(world: WorldPyBullet, rope: Rope, *, cell_m: float, touches_itself:
         place, base_moments = (np.zeros(3), Rotation.identity()), []
     else:
         base = _base(world, chain.start_m + 0.5 / chain.count * (chain.end_m - chain.start_m), chain.rotation)
-        base |= {"baseMass": chain.mass_kg, "baseCollisionShapeIndex": _segment_shape(world, rope, chain, 0.0)}
+        base["baseMass"] = chain.mass_kg
         place, base_moments = (np.array([0.0, 0.0, 0.5 * chain.length]), Rotation.identity()), chain.moments
     first = -1 if ends.root is None else 0
     centre = np.array([0.0, 0.0, 0.5 * chain.length])
     for _ in range(chain.count + min(first, 0)):
-        shape = _segment_shape(world, rope, chain, 0.5 * chain.length)
-        links.add(mass_kg=chain.mass_kg, shape=shape, place=place, centre=centre, moments=chain.moments)
+        links.add(mass_kg=chain.mass_kg, shape=NO_SHAPE, place=place, centre=centre, moments=chain.moments)
         place = (np.array([0.0, 0.0, chain.length]), Rotation.identity())
     if ends.tip is not None:
         frame = world.frame(ends.tip)
@@ -140,8 +141,7 @@ def add_rope(world: WorldPyBullet, rope: Rope, *, cell_m: float, touches_itself:
             centre=world.scale * arm,
             moments=frame.moments,
         )
-    flags = pybullet.URDF_USE_SELF_COLLISION if touches_itself else 0
-    body = int(world.call("createMultiBody", **base, **links.arguments(), flags=flags))
+    body = int(world.call("createMultiBody", **base, **links.arguments()))
     if base_moments:
         world.call("changeDynamics", body, -1, mass=base["baseMass"], localInertiaDiagonal=base_moments)
     for link, (mass_kg, moments) in enumerate(zip(links.masses, links.moments, strict=True)):
@@ -158,16 +158,3 @@ def _base(world: WorldPyBullet, place_m: NDArray[np.float64], rotation: Rotation
     """Return the arguments of a base without mass and shape."""
     position = (world.scale * place_m).tolist()
     return {"baseMass": 0.0, "basePosition": position, "baseOrientation": rotation.as_quat().tolist()}
-
-
-def _segment_shape(world: WorldPyBullet, rope: Rope, chain: Chain, centre: float) -> int:
-    """Return the capsule of a segment, whose round ends lie about the joints."""
-    return int(
-        world.call(
-            "createCollisionShape",
-            pybullet.GEOM_CAPSULE,
-            radius=world.scale * rope.radius_m,
-            height=chain.length,
-            collisionFramePosition=[0.0, 0.0, centre],
-        )
-    )

@@ -96,13 +96,10 @@ def _with_copies(
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[Contact, Pair]]:
-    """Yield the colliding pairs of a scene; a rope that touches itself is a pair with itself."""
-    ropes = {body.name for body in scene.deformables}
+    """Yield the colliding pairs of a scene."""
     for contact in scene.contacts:
         for pair in scene.colliding_pairs(contact):
             yield contact, pair
-        for name in sorted(ropes & set(contact.first) & set(contact.second)):
-            yield contact, (name, name)
 
 
 def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:

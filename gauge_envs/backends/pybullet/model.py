@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +52,6 @@ PLANE_SIZE = 2.0
 
 DRIVEN_MASS_KG = 1e6
 """Mass of a driven body, which contacts between two drives do not move: 1 N moves it by 2e-11 m in 1/180 s."""
-
-CLEAR_SEGMENTS = 3
-"""Distance along a rope, in segments, from which segments collide."""
 
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
@@ -146,7 +142,7 @@ class WorldPyBullet:
         self.copies: dict[str, list[Handle]] = {}
         self._surfaces = surfaces(self.scene)
         self.ropes = {
-            rope.name: add_rope(self, rope, cell_m=self._settings.cell_m, touches_itself=True)
+            rope.name: add_rope(self, rope, cell_m=self._settings.cell_m)
             for rope in self.scene.deformables
             if isinstance(rope, Rope)
         }
@@ -365,54 +361,36 @@ class WorldPyBullet:
     def _set_contacts(self) -> None:
         late = impact_bodies(self.scene) if self._settings.late_impacts else set()
         awake = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
-        for name in (*self.handles, *self.ropes):
-            for surface in self._surfaces.get(name, [Surface(frozenset(), 0.0, 0.0)]):
-                for number, link in self._colliders(name, surface):
-                    self.call(
-                        "changeDynamics",
-                        number,
-                        link,
-                        lateralFriction=surface.friction,
-                        restitution=surface.restitution,
-                        rollingFriction=0.0,
-                        spinningFriction=0.0,
-                        linearDamping=self._settings.linear_damping,
-                        angularDamping=self._settings.angular_damping,
-                        frictionAnchor=int(self._settings.friction_anchors),
-                        contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
-                        activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self._settings.sleeping else awake,
-                    )
+        for name in self.handles:
+            for surface, handle in self._surface_handles(name):
+                self.set_dynamics(
+                    handle,
+                    lateralFriction=surface.friction,
+                    restitution=surface.restitution,
+                    rollingFriction=0.0,
+                    spinningFriction=0.0,
+                    linearDamping=self._settings.linear_damping,
+                    angularDamping=self._settings.angular_damping,
+                    frictionAnchor=int(self._settings.friction_anchors),
+                    contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
+                    activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self._settings.sleeping else awake,
+                )
 
-    def _colliders(self, name: str, surface: Surface) -> list[tuple[int, int]]:
-        """Return PyBullet's numbers and links of a surface of a rigid body, or of the segments of a rope."""
-        if name in self.ropes:
-            rope = self.ropes[name]
-            return [(rope.body, link) for link in rope.links]
-        index = self._surfaces[name].index(surface) if name in self._surfaces else 0
-        handle = [self.handles[name], *self.copies.get(name, [])][index]
-        return [(handle.body, handle.link)]
+    def _surface_handles(self, name: str) -> list[tuple[Surface, Handle]]:
+        """Return the surfaces of a rigid body, each with its copy of the body."""
+        found = self._surfaces.get(name, [Surface(frozenset(), 0.0, 0.0)])
+        return list(zip(found, [self.handles[name], *self.copies.get(name, [])], strict=True))
 
-    def _towards(self, name: str, partner: str) -> list[tuple[int, int]]:
-        """Return PyBullet's numbers and links of a body's surface towards another body."""
-        return self._colliders(name, next(one for one in self._surfaces[name] if partner in one.partners))
+    def _towards(self, name: str, partner: str) -> Handle:
+        """Return the copy of a rigid body whose surface is that towards another body."""
+        return next(handle for surface, handle in self._surface_handles(name) if partner in surface.partners)
 
     def _filter_collisions(self) -> None:
         """Let only the pairs of the scene's contacts collide."""
         for number in range(self.call("getNumBodies")):
             for link in range(-1, self.call("getNumJoints", number)):
                 self.call("setCollisionFilterGroupMask", number, link, 0, 0)
-        held = {frozenset((one.deformable, one.to)) for one in self.scene.attachments}
         for contact in self.scene.contacts:
             for first, second in self.scene.colliding_pairs(contact):
-                if frozenset((first, second)) not in held:
-                    self._collide(product(self._towards(first, second), self._towards(second, first)))
-            for name in set(contact.first) & set(contact.second) & set(self.ropes):
-                # Neighbouring segments overlap in every shape of the rope.
-                links = self._towards(name, name)
-                self._collide(
-                    (links[i], links[j]) for i in range(len(links)) for j in range(i + CLEAR_SEGMENTS, len(links))
-                )
-
-    def _collide(self, pairs: Iterable[tuple[tuple[int, int], tuple[int, int]]]) -> None:
-        for (one, first), (other, second) in pairs:
-            self.call("setCollisionFilterPair", one, other, first, second, 1)
+                one, other = self._towards(first, second), self._towards(second, first)
+                self.call("setCollisionFilterPair", one.body, other.body, one.link, other.link, 1)

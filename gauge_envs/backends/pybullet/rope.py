@@ -13,12 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT
 from gauge_envs.backends.shared.lines import points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Rope
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["Chain", "RopePart", "chain_of"]
+
+SEGMENT_M = 0.0125
+"""Default length of a segment [m]."""
 
 Read = Callable[[int, int], tuple[Any, ...]]
 """Function of a body and a link that returns their position [units] and quaternion x y z w first."""
@@ -113,20 +117,19 @@ class Chain:
         )
 
 
-def chain_of(rope: Rope, *, cell_m: float, from_low: bool, scale: float) -> Chain:
+def chain_of(rope: Rope, *, cell_m: float | None, from_low: bool, scale: float) -> Chain:
     """Return the segments of a rope.
 
     A segment has the moments of inertia of its cylinder across the rope about all axes. The spin of a thin cylinder
-    about its own axis has no effect on a limp rope. Its inertia is so small that friction would speed it up without
-    bound.
+    about its own axis has no effect on a limp rope, and its small inertia would only make the chain less stable.
 
     Args:
         rope: The rope.
-        cell_m: Desired length of a segment [m].
+        cell_m: Desired length of a segment [m], or None for the default.
         from_low: Whether the chain starts at the low end.
         scale: Units per metre.
     """
-    count = max(2, round(rope.length_m / cell_m))
+    count = max(2, min(SEGMENT_LIMIT, round(rope.length_m / (cell_m or SEGMENT_M))))
     length_m = rope.length_m / count
     nodes_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     ends = (nodes_m[0], nodes_m[-1]) if from_low else (nodes_m[-1], nodes_m[0])

@@ -12,9 +12,13 @@ from typing import Any, Literal
 from pydantic import Field
 
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
+from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import ContactMode, Scene
 
-__all__ = ["PRESETS", "SettingsPyBullet", "settings_for"]
+__all__ = ["PRESETS", "SEGMENT_LIMIT", "SettingsPyBullet", "settings_for"]
+
+SEGMENT_LIMIT = 27
+"""Largest number of segments of a rope. PyBullet holds 128 coordinates: 4 for each, and 4 and 7 for bodies on the ends."""
 
 
 DEFAULT_ISLAND_SIZE = 128
@@ -52,7 +56,8 @@ class SettingsPyBullet(SteppedSettings):
         linear_damping: Bullet's damping of velocities; a body loses about this share in 1 s.
         angular_damping: Bullet's damping of angular velocities; a body loses about this share in 1 s.
         sleeping: Stop simulating bodies at rest.
-        cell_m: Desired length of the segments of a rope [m].
+        cell_m: Desired length of the segments of a rope [m]. None gives segments of 12.5 mm, longer ones for a rope of
+            more than 0.34 m. A rope has at most 27 segments, because PyBullet holds 128 coordinates of a chain.
     """
 
     units_per_m: float = Field(default=100.0, gt=0.0)
@@ -77,7 +82,7 @@ class SettingsPyBullet(SteppedSettings):
     linear_damping: float = Field(default=0.0, ge=0.0, le=1.0)
     angular_damping: float = Field(default=0.0, ge=0.0, le=1.0)
     sleeping: bool = False
-    cell_m: float = Field(default=0.0125, ge=5e-4, le=1.0)
+    cell_m: CellSize = None
 
 
 PRESETS: dict[str, SettingsPyBullet] = {
@@ -94,8 +99,7 @@ PRESETS: dict[str, SettingsPyBullet] = {
     # to the rebound: by 0.08 at 1/1800 s. Nothing is corrected instead; such bodies do not rest on each other.
     "joint_impact": SettingsPyBullet(preset="joint_impact", timestep_s=1 / 9000, contact_erp=0.0),
     # Ropes. A falling rope gains 2.5 % of its energy in the first swing, 6.5 % at 1/3600 s and 1.3 % at 1/18000 s,
-    # because Bullet integrates the inertia of turning segments explicitly. Segments of 12.5 mm, because PyBullet reads at most 128
-    # coordinates of a chain.
+    # because Bullet integrates the inertia of turning segments explicitly.
     "rope": SettingsPyBullet(preset="rope", timestep_s=1 / 9000, contact_erp=0.02),
     # 20 dynamic bodies or more. With warm starting from all of the last step's impulses, a wall of 118 bricks creeps by
     # 0.013 mm in 0.5 s at 20 iterations. With Bullet's share of 0.1 it creeps by 1 mm at 50 iterations. One step
@@ -128,7 +132,10 @@ STACK_BODY_COUNT = 20
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPyBullet:
     """Return the settings for a scene, with a user's changes; see `resolve_settings`."""
-    return resolve_settings("pybullet", PRESETS, preset=_preset_for(scene), changes=changes)
+    settings = resolve_settings("pybullet", PRESETS, preset=_preset_for(scene), changes=changes)
+    if settings.cell_m is not None:
+        check_cells("pybullet", scene, settings.cell_m, node_limit=SEGMENT_LIMIT + 1)
+    return settings
 
 
 def _preset_for(scene: Scene) -> str:

@@ -47,7 +47,9 @@ def _unsupported_joints(scene: Scene) -> Iterator[str]:
 
 
 def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
-    """Yield what PyBullet's chains do not support of a rope: its ends must belong to one tree of joints."""
+    """Yield what PyBullet's chains do not support of a rope: contacts, and ends outside one tree of joints."""
+    if any(rope.name in (*contact.first, *contact.second) for contact in scene.contacts):
+        yield f"{rope.name!r} touches other bodies or itself: chains of light segments in contact diverge in Bullet"
     for attachment in scene.attachments:
         if attachment.deformable == rope.name and attachment.to in {body.name for body in scene.deformables}:
             yield f"{rope.name!r} is attached to {attachment.to!r}, which is not a rigid body"

@@ -11,17 +11,21 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
+from gauge_envs.errors import ParameterError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
+    Attachment,
     Box,
     Contact,
     ContactMode,
     ConvexUnion,
     Motion,
     Pose,
+    Region,
     RigidBody,
+    Rope,
     Scene,
     Sphere,
     Tether,
@@ -74,7 +78,8 @@ def failures(*only: str) -> list[str]:
 
 
 def test_laws_without_contact_and_the_contract() -> None:
-    assert failures("free-*", "pendulum-*", "hinge-*", "tether-*", "reset-*", "restore-hinge", "determinism") == []
+    only = ("free-*", "pendulum-*", "hinge-*", "tether-*", "rope-*", "reset-*", "restore-hinge", "determinism")
+    assert failures(*only) == []
 
 
 def test_laws_of_contact() -> None:
@@ -106,6 +111,35 @@ def test_slide_has_coulombs_acceleration() -> None:
     assert 1e-3 * fitted_acceleration(times, along_mm) == pytest.approx(expected, rel=0.01)
     assert result.settings["units_per_m"] == 100.0
     assert result.versions.keys() >= {"pybullet"}
+
+
+@pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
+def test_pairs_without_products_have_their_own_friction(motion: Motion) -> None:
+    slope = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, 30.0, 0.0))
+    frictions = {"smooth": 0.1, "rough": 0.3}
+    places = [slope.to_world(np.array([-0.3, 0.2 * index, 0.035])) for index in range(len(frictions))]
+    cubes = tuple(
+        replace(
+            solid(name, Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.0)),
+            pose=Pose(position_m=tuple(place.tolist()), quaternion=slope.quaternion),
+        )
+        for name, place in zip(frictions, places, strict=True)
+    )
+    board = replace(solid("board", Box(size_m=(1.2, 0.6, 0.02)), (0, 0, 1), motion=motion), pose=slope)
+    far = solid("far", Box(size_m=(0.1, 0.1, 0.1)), (9.0, 0.0, 0.0), motion=Motion.FIXED)
+    contacts = tuple(
+        Contact(first=(name,), second=("board",), friction=value, restitution=0.0) for name, value in frictions.items()
+    )
+    # No values of bodies have these three products.
+    contacts += (Contact(first=tuple(frictions), second=("far",), friction=0.2, restitution=0.0),)
+    simulation = ENGINE.build(Scene(bodies=(*cubes, board, far), contacts=contacts, duration_s=1.0))
+    simulation.reset(0)
+    start = simulation.body_states(list(frictions))[:, :3]
+    simulation.advance(0.3)
+    moved = np.linalg.norm(simulation.body_states(list(frictions))[:, :3] - start, axis=1)
+    simulation.close()
+    for distance, friction in zip(moved, frictions.values(), strict=True):
+        assert distance == pytest.approx(0.5 * 0.3**2 * G * (0.5 - friction * np.cos(np.pi / 6)), rel=0.01)
 
 
 def test_two_bodies_in_one_world_do_not_depend_on_another_world() -> None:
@@ -151,6 +185,85 @@ def test_string_pulls_at_its_length_and_does_not_push() -> None:
     simulation.close()
     assert max(lengths) < 0.3 * 1.005
     assert min(lengths) < 0.24  # Slack at the start, at a distance of 0.224 m.
+
+
+ROPE = Rope(
+    name="rope",
+    pose=Pose(position_m=(0.0, 0.0, 1.0)),
+    length_m=0.3,
+    radius_m=0.002,
+    mass_kg=0.01,
+    young_modulus_pa=1e6,
+)
+BOB = Sphere(radius_m=0.02)
+LOW, HIGH = Region(axis="x", side="low"), Region(axis="x", side="high")
+
+
+@pytest.mark.parametrize("held", ["low", "high"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_bob_on_a_light_rope_is_a_pendulum(held: str, order: int) -> None:
+    """The bob's centre is at the rope's length plus its radius from the fixed end; 3 % of the mass is the rope's."""
+    fixed, free = (LOW, HIGH) if held == "low" else (HIGH, LOW)
+    # The free end of the rope is 5 degrees off the lowest point.
+    pitch = 85.0 if held == "low" else -85.0
+    rope = replace(ROPE, pose=Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, pitch, 0.0)))
+    down = rope.pose.rotation.apply([1.0 if held == "low" else -1.0, 0.0, 0.0])
+    bob = solid("bob", BOB, tuple((np.array([0.0, 0.0, 1.0]) + 0.17 * down).tolist()), mass_kg=10.0)
+    frame = solid("frame", Box(size_m=(0.1, 0.1, 0.1)), (0.0, 0.0, 3.0), motion=Motion.FIXED)
+    attachments = (
+        Attachment(deformable="rope", region=fixed, to="frame"),
+        Attachment(deformable="rope", region=free, to="bob"),
+    )
+    scene = Scene(bodies=(bob, frame), deformables=(rope,), attachments=attachments[::order], duration_s=2.0)
+    simulation = ENGINE.build(scene)
+    simulation.reset(0)
+    picked = [0, 13, -1]
+    read = simulation.track("rope", simulation.nodes("rope")[picked])
+    place = []
+    for _ in range(270):
+        simulation.advance(1 / 180)
+        place.append(simulation.body_states(["bob"])[0, 0])
+    nodes = simulation.nodes("rope")
+    simulation_points = read()
+    simulation.close()
+    assert nodes.shape == (25, 3)
+    assert simulation_points == pytest.approx(nodes[picked], abs=1e-9)
+    assert np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum() == pytest.approx(0.3, rel=1e-9)
+    pivot = -0.15 * down[0]
+    assert abs(place[0] - pivot) == pytest.approx(0.32 * np.sin(np.radians(5.0)), rel=0.01)
+    crossings = np.flatnonzero(np.diff(np.sign(np.array(place) - pivot)) != 0)
+    assert len(crossings) >= 2
+    assert np.diff(crossings).mean() / 180 == pytest.approx(np.pi * np.sqrt(0.32 / G), rel=0.01)
+
+
+def test_free_rope_falls() -> None:
+    simulation = ENGINE.build(Scene(bodies=(), deformables=(ROPE,), duration_s=1.0))
+    simulation.reset(0)
+    start = simulation.nodes("rope")
+    simulation.advance(0.2)
+    fallen = simulation.nodes("rope") - start
+    simulation.close()
+    assert fallen == pytest.approx(np.broadcast_to([0.0, 0.0, -0.5 * G * 0.2**2], start.shape), abs=2e-4)
+
+
+def test_segments_have_a_limit() -> None:
+    scene = Scene(bodies=(), deformables=(ROPE,), duration_s=1.0)
+    with pytest.raises(ParameterError, match="'cell_m' is 5 mm, which gives 'rope' about 61 nodes, more than 28"):
+        ENGINE.build(scene, {"cell_m": 0.005})
+    simulation = ENGINE.build(replace(scene, deformables=(replace(ROPE, length_m=1.0),)))
+    assert simulation.nodes("rope").shape == (28, 3)
+    simulation.close()
+
+
+def test_rope_in_a_loop_or_on_a_driven_body_is_declined() -> None:
+    bodies = tuple(
+        solid(name, BOB, (place, 0.0, 1.0), motion=Motion.FIXED) for name, place in (("a", -1.0), ("b", 1.0))
+    )
+    ends = tuple(Attachment(deformable="rope", region=region, to=name) for name, region in (("a", LOW), ("b", HIGH)))
+    scene = Scene(bodies=bodies, deformables=(ROPE,), attachments=ends, duration_s=1.0)
+    assert "held at both ends" in ENGINE.supports(scene).missing[0]
+    driven = replace(scene, bodies=(replace(bodies[0], motion=Motion.KINEMATIC), bodies[1]))
+    assert "which is driven" in ENGINE.supports(driven).missing[0]
 
 
 def test_string_without_a_direction_or_with_a_start_velocity_is_declined() -> None:
