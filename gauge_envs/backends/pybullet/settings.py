@@ -18,7 +18,7 @@ from gauge_envs.scene import ContactMode, Scene
 __all__ = ["PRESETS", "SEGMENT_LIMIT", "SettingsPyBullet", "settings_for"]
 
 SEGMENT_LIMIT = 27
-"""Largest number of segments of a rope. PyBullet holds 128 coordinates: 4 for each, and 4 and 7 for bodies on the ends."""
+"""Largest number of segments of a rope. PyBullet holds 128 coordinates of a chain, of which each has 4."""
 
 
 DEFAULT_ISLAND_SIZE = 128
