@@ -21,7 +21,7 @@ LAST_PYTHON_WITH_WHEELS = (3, 11)
 
 
 class BackendPyBullet(Backend):
-    """PyBullet on the CPU, in double precision. Rigid scenes only.
+    """PyBullet on the CPU, in double precision: rigid bodies, joints, and ropes without contacts.
 
     Bullet keeps contact forces between steps and cannot save them. A restore therefore repeats the episode.
 

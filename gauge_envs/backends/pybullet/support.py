@@ -12,15 +12,19 @@ from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody, Tether
 
 __all__ = ["unsupported_features"]
 
-UNSUPPORTED = {Cloth: "cloth", SoftBody: "a soft body", Rod: "a rod"}
+UNSUPPORTED = {
+    Cloth: "is cloth, and the bending springs of Bullet's cloth have no stiffness while it is flat",
+    SoftBody: "is a soft body, and this backend simulates rigid bodies and ropes",
+    Rod: "is a rod, and Bullet's chains have no bending stiffness",
+}
 
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of a scene that this backend does not support."""
-    for kind, noun in UNSUPPORTED.items():
+    for kind, reason in UNSUPPORTED.items():
         names = [body.name for body in scene.deformables if isinstance(body, kind)]
         if names:
-            yield f"{names[0]!r} is {noun}: this backend simulates rigid bodies and ropes"
+            yield f"{names[0]!r} {reason}"
     yield from _unsupported_joints(scene)
     for rope in scene.deformables:
         if isinstance(rope, Rope):
