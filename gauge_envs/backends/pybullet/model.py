@@ -17,6 +17,7 @@ from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, surfac
 from gauge_envs.backends.pybullet.engine import pybullet, silent
 from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.backends.pybullet.soft import add_soft_body
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     Box,
@@ -28,6 +29,7 @@ from gauge_envs.scene import (
     Rope,
     Scene,
     Shape,
+    SoftBody,
     Sphere,
     Tether,
 )
@@ -102,6 +104,7 @@ class WorldPyBullet:
         handles: The bodies in PyBullet, by name.
         copies: Copies of bodies with several surfaces, by name, without the first one.
         ropes: The ropes in PyBullet, by name.
+        soft: The soft bodies in PyBullet, by name.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
@@ -119,8 +122,6 @@ class WorldPyBullet:
 
     def rebuild(self) -> None:
         """Return to the start of the scene, as after construction."""
-        with silent():
-            self.call("resetSimulation")
         self._build()
 
     def close(self) -> None:
@@ -137,6 +138,8 @@ class WorldPyBullet:
             self._add_all()
 
     def _add_all(self) -> None:
+        soft = [body for body in self.scene.deformables if isinstance(body, SoftBody)]
+        self.call("resetSimulation", pybullet.RESET_USE_DEFORMABLE_WORLD if soft else 0)
         self._set_parameters()
         self.handles: dict[str, Handle] = {}
         self.copies: dict[str, list[Handle]] = {}
@@ -159,6 +162,10 @@ class WorldPyBullet:
                 # Without a contact, a body still has a place.
                 for _ in self._surfaces.get(body.name, [None]):
                     self._free(body)
+        self.soft = {
+            body.name: add_soft_body(self, body, self._folder / f"{body.name}.vtk", cell_m=self._settings.cell_m)
+            for body in soft
+        }
         self._set_contacts()
         self._filter_collisions()
 
@@ -389,7 +396,7 @@ class WorldPyBullet:
         """Let only the pairs of the scene's contacts collide."""
         for number in range(self.call("getNumBodies")):
             for link in range(-1, self.call("getNumJoints", number)):
-                self.call("setCollisionFilterGroupMask", number, link, 0, 0)
+                self.call("setCollisionFilterGroupMask", self.call("getBodyUniqueId", number), link, 0, 0)
         for contact in self.scene.contacts:
             for first, second in self.scene.colliding_pairs(contact):
                 one, other = self._towards(first, second), self._towards(second, first)

@@ -13,9 +13,12 @@ from pydantic import Field
 
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
-from gauge_envs.scene import ContactMode, Scene
+from gauge_envs.scene import ContactMode, Scene, SoftBody
 
 __all__ = ["PRESETS", "SEGMENT_LIMIT", "SettingsPyBullet", "settings_for"]
+
+NODE_LIMIT = 20_000
+"""Largest number of nodes of a soft body; larger ones take minutes for a simulated second."""
 
 SEGMENT_LIMIT = 27
 """Largest number of segments of a rope. PyBullet holds 128 coordinates of a chain, of which each has 4."""
@@ -56,8 +59,9 @@ class SettingsPyBullet(SteppedSettings):
         linear_damping: Bullet's damping of velocities; a body loses about this share in 1 s.
         angular_damping: Bullet's damping of angular velocities; a body loses about this share in 1 s.
         sleeping: Stop simulating bodies at rest.
-        cell_m: Desired length of the segments of a rope [m]. None gives segments of 12.5 mm, longer ones for a rope of
-            more than 0.34 m. A rope has at most 27 segments, because PyBullet holds 128 coordinates of a chain.
+        cell_m: Desired edge of the cells of a soft body, of six tetrahedra each, and length of the segments of a rope
+            [m]. None gives 12.5 mm, longer segments for a rope of more than 0.34 m. A rope has at most 27 segments,
+            because PyBullet holds 128 coordinates of a chain.
     """
 
     units_per_m: float = Field(default=100.0, gt=0.0)
@@ -101,6 +105,8 @@ PRESETS: dict[str, SettingsPyBullet] = {
     # Ropes. A falling rope gains 2.5 % of its energy in the first swing, 6.5 % at 1/3600 s and 1.3 % at 1/18000 s,
     # because Bullet integrates the inertia of turning segments explicitly.
     "rope": SettingsPyBullet(preset="rope", timestep_s=1 / 9000, contact_erp=0.02),
+    # Soft bodies. At 1/900 s the stiffer foam diverges.
+    "soft": SettingsPyBullet(preset="soft", timestep_s=1 / 1800),
     # 20 dynamic bodies or more. With warm starting from all of the last step's impulses, a wall of 118 bricks creeps by
     # 0.013 mm in 0.5 s at 20 iterations. With Bullet's share of 0.1 it creeps by 1 mm at 50 iterations. One step
     # corrects 2 % of a penetration, so that a ball on a string gains at most 0.02 in restitution.
@@ -134,13 +140,16 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
     """Return the settings for a scene, with a user's changes; see `resolve_settings`."""
     settings = resolve_settings("pybullet", PRESETS, preset=_preset_for(scene), changes=changes)
     if settings.cell_m is not None:
-        check_cells("pybullet", scene, settings.cell_m, node_limit=SEGMENT_LIMIT + 1)
+        soft = any(isinstance(body, SoftBody) for body in scene.deformables)
+        check_cells("pybullet", scene, settings.cell_m, node_limit=NODE_LIMIT if soft else SEGMENT_LIMIT + 1)
     return settings
 
 
 def _preset_for(scene: Scene) -> str:
     if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
         return "stack"
+    if any(isinstance(body, SoftBody) for body in scene.deformables):
+        return "soft"
     if scene.deformables:
         return "rope"
     jointed = {joint.body for joint in scene.joints}

@@ -144,11 +144,15 @@ class SimulationPyBullet(Simulation):
         return (state[0], state[1], state[6], state[7])
 
     def nodes(self, name: str) -> NDArray[np.float64]:
-        """Return the nodes of a rope, the ends of its segments [m], shape [segment_count + 1, 3]."""
+        """Return the nodes of a rope or soft body [m], shape [node_count, 3]."""
+        if name in self.world.soft:
+            return self.world.soft[name].nodes_m(self.world)
         return self.world.ropes[name].nodes_m(self._read, self._scale)
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]]:
-        """Return a reader of material points of a rope; see `World.track`."""
+    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+        """Return a reader of material points of a rope, or None for a soft body; see `World.track`."""
+        if name in self.world.soft:
+            return None
         # A reset builds the rope anew, with the same numbers.
         return self.world.ropes[name].track(points_m, self._read, self._scale)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gauge_envs.backends.pybullet.contacts import surfaces
-from gauge_envs.backends.shared.attachments import rigid_attachments
+from gauge_envs.backends.shared.attachments import attachment_problems, rigid_attachments
 from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody, Tether
@@ -14,7 +14,6 @@ __all__ = ["unsupported_features"]
 
 UNSUPPORTED = {
     Cloth: "is cloth, and the bending springs of Bullet's cloth have no stiffness while it is flat",
-    SoftBody: "is a soft body, and this backend simulates rigid bodies and ropes",
     Rod: "is a rod, and Bullet's chains have no bending stiffness",
 }
 
@@ -26,6 +25,7 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
         if names:
             yield f"{names[0]!r} {reason}"
     yield from _unsupported_joints(scene)
+    yield from _unsupported_soft_bodies(scene)
     for rope in scene.deformables:
         if isinstance(rope, Rope):
             yield from _unsupported_rope(scene, rope)
@@ -73,3 +73,20 @@ def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
     for body in held:
         if body.motion is Motion.DYNAMIC and body.name in jointed | others:
             yield f"{body.name!r} is attached to {rope.name!r} and has another joint or rope"
+
+
+def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
+    """Yield what this backend does not build of soft bodies: contacts, bonds, and moving rigid bodies beside them."""
+    soft = {body.name for body in scene.deformables if isinstance(body, SoftBody)}
+    if not soft:
+        return
+    touching = sorted(soft & {name for contact in scene.contacts for name in (*contact.first, *contact.second)})
+    if touching:
+        yield f"{touching[0]!r} touches other bodies: this backend builds soft bodies without contacts"
+    yield from attachment_problems(scene, not_to_dynamic=SoftBody)
+    bonded = [attachment for attachment in scene.attachments if attachment.deformable in soft and attachment.to in soft]
+    if bonded:
+        yield f"{bonded[0].deformable!r} is attached to {bonded[0].to!r}: this backend builds no bonds of soft bodies"
+    others = [body.name for body in (*scene.dynamic_bodies, *scene.deformables) if body.name not in soft]
+    if others:
+        yield f"{others[0]!r} moves beside {min(soft)!r}: this backend builds soft bodies alone"
