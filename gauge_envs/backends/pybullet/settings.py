@@ -7,6 +7,7 @@ its numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import ceil, log2, sqrt
 from typing import Any, Literal
 
 from pydantic import Field
@@ -16,6 +17,15 @@ from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import ContactMode, Scene, SoftBody
 
 __all__ = ["PRESETS", "SEGMENT_LIMIT", "SettingsPyBullet", "settings_for"]
+
+SOFT_CELL_M = 1.0 / 60.0
+"""Default edge of the cells of a soft body, of six tetrahedra each [m]."""
+
+STABLE_SHARE = 0.6
+"""Largest step of soft bodies over the time of a wave through a tetrahedron.
+
+Foam at rest is stable at 0.7 and diverges at 1.1. Compressed tetrahedra need shorter steps.
+"""
 
 NODE_LIMIT = 20_000
 """Largest number of nodes of a soft body; larger ones take minutes for a simulated second."""
@@ -60,8 +70,8 @@ class SettingsPyBullet(SteppedSettings):
         angular_damping: Bullet's damping of angular velocities; a body loses about this share in 1 s.
         sleeping: Stop simulating bodies at rest.
         cell_m: Desired edge of the cells of a soft body, of six tetrahedra each, and length of the segments of a rope
-            [m]. None gives 12.5 mm, longer segments for a rope of more than 0.34 m. A rope has at most 27 segments,
-            because PyBullet holds 128 coordinates of a chain.
+            [m]. None gives cells of 16.7 mm and segments of 12.5 mm, longer ones for a rope of more than 0.34 m. A rope
+            has at most 27 segments, because PyBullet holds 128 coordinates of a chain.
     """
 
     units_per_m: float = Field(default=100.0, gt=0.0)
@@ -105,8 +115,9 @@ PRESETS: dict[str, SettingsPyBullet] = {
     # Ropes. A falling rope gains 2.5 % of its energy in the first swing, 6.5 % at 1/3600 s and 1.3 % at 1/18000 s,
     # because Bullet integrates the inertia of turning segments explicitly.
     "rope": SettingsPyBullet(preset="rope", timestep_s=1 / 9000, contact_erp=0.02),
-    # Soft bodies. At 1/900 s the stiffer foam diverges.
-    "soft": SettingsPyBullet(preset="soft", timestep_s=1 / 1800),
+    # Soft bodies. Elastic forces are explicit, so that the step must be shorter than the time of a sound wave through a
+    # tetrahedron. It is halved until it is at most STABLE_SHARE of that time, unless the user gives it.
+    "soft": SettingsPyBullet(preset="soft", timestep_s=1 / 4500),
     # 20 dynamic bodies or more. With warm starting from all of the last step's impulses, a wall of 118 bricks creeps by
     # 0.013 mm in 0.5 s at 20 iterations. With Bullet's share of 0.1 it creeps by 1 mm at 50 iterations. One step
     # corrects 2 % of a penetration, so that a ball on a string gains at most 0.02 in restitution.
@@ -138,7 +149,12 @@ STACK_BODY_COUNT = 20
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPyBullet:
     """Return the settings for a scene, with a user's changes; see `resolve_settings`."""
-    settings = resolve_settings("pybullet", PRESETS, preset=_preset_for(scene), changes=changes)
+    preset = _preset_for(scene)
+    settings = resolve_settings("pybullet", PRESETS, preset=preset, changes=changes)
+    if settings.preset == "soft" and "timestep_s" not in (changes or {}):
+        limit_s = STABLE_SHARE * _wave_time_s(scene, settings.cell_m or SOFT_CELL_M)
+        halvings = max(0, ceil(log2(settings.timestep_s / limit_s)))
+        settings = settings.model_copy(update={"timestep_s": settings.timestep_s / 2**halvings})
     if settings.cell_m is not None:
         soft = any(isinstance(body, SoftBody) for body in scene.deformables)
         check_cells("pybullet", scene, settings.cell_m, node_limit=NODE_LIMIT if soft else SEGMENT_LIMIT + 1)
@@ -157,3 +173,17 @@ def _preset_for(scene: Scene) -> str:
     if any(jointed & set(pair) for contact in impacts for pair in scene.colliding_pairs(contact)):
         return "joint_impact"
     return "contact"
+
+
+def _wave_time_s(scene: Scene, cell_m: float) -> float:
+    """Return the shortest time of a pressure wave through a tetrahedron of a soft body [s].
+
+    The height of a tetrahedron is the edge of its cell over the square root of 2.
+    """
+    speeds = []
+    for body in scene.deformables:
+        if isinstance(body, SoftBody):
+            poisson = body.poisson_ratio
+            modulus = body.young_modulus_pa * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
+            speeds.append(sqrt(modulus * body.shape.volume_m3 / body.mass_kg))
+    return cell_m / (sqrt(2.0) * max(speeds, default=1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.pybullet.engine import pybullet
+from gauge_envs.backends.pybullet.settings import SOFT_CELL_M
 from gauge_envs.backends.shared.attachments import rigid_attachments
-from gauge_envs.scene import Motion, SoftBody
+from gauge_envs.scene import Motion, Region, SoftBody
 from gauge_envs.scene.meshes import nodes_in, tetrahedra
 
 if TYPE_CHECKING:
     from gauge_envs.backends.pybullet.model import WorldPyBullet
 
 __all__ = ["SoftPart", "add_soft_body"]
-
-CELL_M = 0.0125
-"""Default edge of the cells, of six tetrahedra each [m]."""
 
 WORLD = -1
 """Number of the body that holds anchors in the world."""
@@ -54,7 +53,8 @@ def add_soft_body(world: WorldPyBullet, body: SoftBody, file: Path, *, cell_m: f
         file: File to write its mesh to, the only form in which PyBullet takes tetrahedra.
         cell_m: Desired edge of the cells [m], or None for the default.
     """
-    nodes_m = _write_mesh(file, body, cell_m or CELL_M, world.scale)
+    attachments = rigid_attachments(world.scene, body.name)
+    nodes_m = _write_mesh(file, body, [one.region for one in attachments], cell_m or SOFT_CELL_M, world.scale)
     shear = body.young_modulus_pa / (2.0 * (1.0 + body.poisson_ratio))
     bulk = 2.0 * shear * body.poisson_ratio / (1.0 - 2.0 * body.poisson_ratio)
     number = world.call(
@@ -71,7 +71,7 @@ def add_soft_body(world: WorldPyBullet, body: SoftBody, file: Path, *, cell_m: f
         NeoHookeanDamping=0.0,
         useSelfCollision=0,
     )
-    for attachment in rigid_attachments(world.scene, body.name):
+    for attachment in attachments:
         handle = world.handles[attachment.body]
         for node in nodes_in(nodes_m, attachment.region).tolist():
             if attachment.motion is Motion.FIXED:
@@ -83,12 +83,21 @@ def add_soft_body(world: WorldPyBullet, body: SoftBody, file: Path, *, cell_m: f
     return SoftPart(int(number))
 
 
-def _write_mesh(file: Path, body: SoftBody, cell_m: float, scale: float) -> NDArray[np.float64]:
+def _places_m(edge_m: float, axis: str, regions: Sequence[Region], cell_m: float) -> NDArray[np.float64]:
+    """Return the places of nodes along an edge [m], with a layer of cells for each attached region of some depth."""
+    depth = {region.side: region.depth_m for region in regions if region.axis == axis}
+    low, high = -0.5 * edge_m + depth.get("low", 0.0), 0.5 * edge_m - depth.get("high", 0.0)
+    inner = np.linspace(low, high, max(1, round((high - low) / cell_m)) + 1)
+    return np.unique(np.concatenate([[-0.5 * edge_m], inner, [0.5 * edge_m]]))
+
+
+def _write_mesh(
+    file: Path, body: SoftBody, regions: Sequence[Region], cell_m: float, scale: float
+) -> NDArray[np.float64]:
     """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
-    counts = [max(1, round(edge / cell_m)) + 1 for edge in body.shape.size_m]
-    axes = [np.linspace(-0.5 * e, 0.5 * e, n) for e, n in zip(body.shape.size_m, counts, strict=True)]
+    axes = [_places_m(edge, axis, regions, cell_m) for edge, axis in zip(body.shape.size_m, "xyz", strict=True)]
     nodes_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = tetrahedra((counts[0], counts[1], counts[2]))
+    cells = tetrahedra((len(axes[0]), len(axes[1]), len(axes[2])))
     lines = ["# vtk DataFile Version 2.0", "soft body", "ASCII", "DATASET UNSTRUCTURED_GRID"]
     lines.append(f"POINTS {len(nodes_m)} double")
     lines += [f"{x!r} {y!r} {z!r}" for x, y, z in (scale * nodes_m).tolist()]

@@ -12,6 +12,9 @@ from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody, Tether
 
 __all__ = ["unsupported_features"]
 
+INCOMPRESSIBLE = 0.45
+"""Poisson's ratio from which a soft body is declined."""
+
 UNSUPPORTED = {
     Cloth: "is cloth, and the bending springs of Bullet's cloth have no stiffness while it is flat",
     Rod: "is a rod, and Bullet's chains have no bending stiffness",
@@ -87,6 +90,19 @@ def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
     bonded = [attachment for attachment in scene.attachments if attachment.deformable in soft and attachment.to in soft]
     if bonded:
         yield f"{bonded[0].deformable!r} is attached to {bonded[0].to!r}: this backend builds no bonds of soft bodies"
+    for body in scene.deformables:
+        if isinstance(body, SoftBody):
+            yield from _unsupported_solid(scene, body)
     others = [body.name for body in (*scene.dynamic_bodies, *scene.deformables) if body.name not in soft]
     if others:
         yield f"{others[0]!r} moves beside {min(soft)!r}: this backend builds soft bodies alone"
+
+
+def _unsupported_solid(scene: Scene, body: SoftBody) -> Iterator[str]:
+    """Yield what the mesh of a soft body cannot represent."""
+    if body.poisson_ratio >= INCOMPRESSIBLE:
+        yield f"{body.name!r} has Poisson's ratio {body.poisson_ratio:g}: linear tetrahedra lock above {INCOMPRESSIBLE}"
+    for axis, edge_m in zip("xyz", body.shape.size_m, strict=True):
+        depths = [one.region.depth_m for one in rigid_attachments(scene, body.name) if one.region.axis == axis]
+        if sum(depths) >= edge_m:
+            yield f"{body.name!r} is attached over all of its length: reduce the regions' depth_m"

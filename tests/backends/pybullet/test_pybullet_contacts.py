@@ -108,12 +108,34 @@ def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(name: str, la
         ("Pendulum-metal", "contact"),
         ("NewtonsCradle-metal", "joint_impact"),
         ("RopeWinding-rubber", "rope"),
+        ("FoamTwisting-soft", "soft"),
         ("WallBreaking-wood", "stack"),
     ],
 )
 def test_preset_follows_the_content_of_the_scene(name: str, preset: str) -> None:
     assert settings_for(load_experiment(name).scene).preset == preset
-    assert set(PRESETS) == {"contact", "joint_impact", "rope", "stack", "out_of_box"}
+    assert set(PRESETS) == {"contact", "joint_impact", "rope", "soft", "stack", "out_of_box"}
+
+
+def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> None:
+    scene = load_experiment("FoamStretching-soft").scene
+    # A pressure wave of 87 m/s takes 136 us through 16.7 mm / sqrt(2).
+    assert settings_for(scene).timestep_s == 1 / 18000
+    assert settings_for(scene, {"cell_m": 0.0334}).timestep_s == 1 / 9000
+    assert settings_for(scene, {"timestep_s": 1 / 1800}).timestep_s == 1 / 1800
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("FoamBending-soft", "'foam' touches other bodies"),
+        ("CantileverBeam-soft", "'cube-2' is attached to 'cube-1': this backend builds no bonds"),
+        ("StickStack-soft", "'rod' is a rod"),
+        ("TextileBending-satin", "is cloth"),
+    ],
+)
+def test_deformable_bodies_that_are_not_built_are_declined(name: str, reason: str) -> None:
+    assert any(reason in one for one in unsupported_features(load_experiment(name).scene))
 
 
 @pytest.mark.parametrize("version", [(3, 11), (3, 12)])

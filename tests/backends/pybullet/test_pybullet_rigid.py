@@ -27,6 +27,7 @@ from gauge_envs.scene import (
     RigidBody,
     Rope,
     Scene,
+    SoftBody,
     Sphere,
     Tether,
 )
@@ -83,7 +84,18 @@ def test_laws_without_contact_and_the_contract() -> None:
 
 
 def test_laws_of_contact() -> None:
-    only = ("slide*", "hold", "rebound-0.5", "rebound-slow", "rebound-sustained", "carry-*", "contact-*", "rest-convex")
+    only = (
+        "slide*",
+        "hold",
+        "velocity-of-origin",
+        "start-velocity-of-origin",
+        "rebound-0.5",
+        "rebound-slow",
+        "rebound-sustained",
+        "carry-*",
+        "contact-*",
+        "rest-convex",
+    )
     assert failures(*only) == []
 
 
@@ -173,6 +185,19 @@ def test_driven_body_without_a_new_drive_stays() -> None:
     simulation.close()
 
 
+def test_gravity_does_not_move_a_driven_body_within_a_step() -> None:
+    box = Box(size_m=(0.1, 0.1, 0.1))
+    plate = solid("plate", box, (0.0, 0.0, -0.05), motion=Motion.KINEMATIC)
+    contact = Contact(first=("cube",), second=("plate",), friction=0.5, restitution=0.0)
+    scene = Scene(bodies=(solid("cube", box, (0.0, 0.0, 0.05)), plate), contacts=(contact,), duration_s=1.0)
+    simulation = ENGINE.build(scene, {"timestep_s": 1 / 180})
+    simulation.reset(0)
+    simulation.advance(1.0)
+    # The plate would yield at g h = 54 mm/s, and the cube would sink until the correction of its depth is as fast.
+    assert simulation.body_states(["cube"])[0, 2] == pytest.approx(0.05, abs=2e-5)
+    simulation.close()
+
+
 def test_string_pulls_at_its_length_and_does_not_push() -> None:
     ball = solid("bob", Sphere(radius_m=0.02), (0.1, 0.0, 0.8))
     scene = Scene(bodies=(ball,), joints=(Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=0.3),), duration_s=2.0)
@@ -218,7 +243,9 @@ def test_bob_on_a_light_rope_is_a_pendulum(held: str, order: int) -> None:
     simulation = ENGINE.build(scene)
     simulation.reset(0)
     picked = [0, 13, -1]
-    read = simulation.track("rope", simulation.nodes("rope")[picked])
+    start = simulation.nodes("rope")
+    assert start == pytest.approx(rope.pose.to_world(np.linspace([-0.15, 0, 0], [0.15, 0, 0], 25)), abs=1e-9)
+    read = simulation.track("rope", start[picked])
     place = []
     for _ in range(270):
         simulation.advance(1 / 180)
@@ -234,6 +261,61 @@ def test_bob_on_a_light_rope_is_a_pendulum(held: str, order: int) -> None:
     crossings = np.flatnonzero(np.diff(np.sign(np.array(place) - pivot)) != 0)
     assert len(crossings) >= 2
     assert np.diff(crossings).mean() / 180 == pytest.approx(np.pi * np.sqrt(0.32 / G), rel=0.01)
+
+
+def test_laws_of_foam() -> None:
+    assert failures("foam-*") == []
+
+
+def foam_between_plates() -> Scene:
+    foam = SoftBody(
+        name="foam",
+        shape=Box(size_m=(0.05, 0.05, 0.2)),
+        pose=Pose(position_m=(0.0, 0.0, 1.0)),
+        mass_kg=0.05,
+        young_modulus_pa=1e4,
+        poisson_ratio=0.3,
+    )
+    plates = tuple(
+        solid(name, Box(size_m=(0.06, 0.06, 0.01)), (0.0, 0.0, height), motion=motion)
+        for name, height, motion in (("low", 0.9, Motion.FIXED), ("high", 1.1, Motion.KINEMATIC))
+    )
+    attachments = tuple(
+        Attachment(deformable="foam", region=Region(axis="z", side=plate.name, depth_m=0.012), to=plate.name)
+        for plate in plates
+    )
+    return Scene(bodies=plates, deformables=(foam,), attachments=attachments, duration_s=1.0)
+
+
+def test_attached_layers_of_foam_follow_their_plates_and_runs_repeat() -> None:
+    scene = foam_between_plates()
+    simulation = ENGINE.build(scene)
+
+    def rollout() -> np.ndarray:
+        simulation.reset(0)
+        for step in range(18):
+            place = Pose(position_m=(0.0, 0.0, 1.1 + 0.1 * step / 180))
+            simulation.drive("high", place, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]), np.zeros(6))
+            simulation.advance(1 / 180)
+        return simulation.nodes("foam")
+
+    simulation.reset(0)
+    start = simulation.nodes("foam")
+    end = rollout()
+    again = rollout()
+    simulation.close()
+    height = start[:, 2]
+    # 11 cells of 16 mm between the attached layers.
+    assert sorted({round(z, 9) for z in height if z < 0.93}) == pytest.approx([0.9, 0.912, 0.928], abs=1e-9)
+    assert end[height < 0.9121] == pytest.approx(start[height < 0.9121], abs=1e-9)
+    assert (end - start)[height > 1.0879] == pytest.approx(np.broadcast_to([0, 0, 0.01], (32, 3)), abs=1e-6)
+    assert np.array_equal(end, again)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["FoamTwisting-soft", "FoamShearing-hard", "FoamCompressing-hard"])
+def test_foam_of_the_benchmark_stays_bounded(name: str) -> None:
+    assert run_episode(RunRequest(name, backend="pybullet")).outcome == "finished"
 
 
 def test_free_rope_falls() -> None:
