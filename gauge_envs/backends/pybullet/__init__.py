@@ -1,4 +1,4 @@
-"""PyBullet: rigid bodies by Bullet's sequential impulses, joints by Featherstone's algorithm."""
+"""PyBullet: sequential impulses for rigid bodies, Featherstone's algorithm for joints, tetrahedra for foam."""
 
 from gauge_envs.backends.pybullet.backend import BackendPyBullet
 

@@ -21,7 +21,9 @@ LAST_PYTHON_WITH_WHEELS = (3, 11)
 
 
 class BackendPyBullet(Backend):
-    """PyBullet on the CPU, in double precision: rigid bodies, joints, and ropes without contacts.
+    """PyBullet on the CPU, in double precision: rigid bodies, joints, and ropes and soft bodies without contacts.
+
+    A hanging bar of foam is 3 % too soft, and a swinging rope gains 2.5 % of its energy.
 
     Bullet keeps contact forces between steps and cannot save them. A restore therefore repeats the episode.
 
