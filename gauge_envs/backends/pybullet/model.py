@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.chains import add_rope
 from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, surfaces
 from gauge_envs.backends.pybullet.engine import pybullet, silent
+from gauge_envs.backends.pybullet.frames import Frame, Handle
 from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.soft import add_soft_body
@@ -35,7 +35,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.meshes import mass_properties
 
-__all__ = ["Handle", "WorldPyBullet"]
+__all__ = ["WorldPyBullet"]
 
 SOLVERS = {
     "sequential_impulse": "CONSTRAINT_SOLVER_LCP_SI",
@@ -57,38 +57,6 @@ DRIVEN_MASS_KG = 1e6
 
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
-
-
-@dataclass(frozen=True)
-class Handle:
-    """A body in PyBullet.
-
-    Attributes:
-        body: PyBullet's number of the body.
-        link: Number of its link; -1 is the base.
-        offset_m: Position of Bullet's frame, which is that of the centre of mass, in the body frame [m].
-        turn: Rotation from Bullet's frame to the body frame.
-    """
-
-    body: int
-    link: int
-    offset_m: NDArray[np.float64]
-    turn: Rotation
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Mass properties of a body.
-
-    Attributes:
-        centre_m: Centre of mass in the body frame [m].
-        axes: Rotation from the principal axes, which Bullet's frame has, to the body frame.
-        moments: Principal moments of inertia [kg units^2].
-    """
-
-    centre_m: NDArray[np.float64]
-    axes: Rotation
-    moments: list[float]
 
 
 class WorldPyBullet:

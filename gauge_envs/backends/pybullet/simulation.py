@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.pybullet.engine import pybullet
-from gauge_envs.backends.pybullet.model import Handle, WorldPyBullet
+from gauge_envs.backends.pybullet.frames import Handle
+from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.scene import Motion, Pose, Scene
