@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.engine import pybullet
 from gauge_envs.backends.pybullet.rope import RopePart, chain_of
+from gauge_envs.backends.pybullet.world import BulletWorld
 from gauge_envs.backends.shared.attachments import rigid_attachments
 from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.scene import Motion, RigidBody, Rope, Scene
-
-if TYPE_CHECKING:
-    from gauge_envs.backends.pybullet.model import WorldPyBullet
 
 __all__ = ["RopeEnds", "add_rope", "rope_ends"]
 
@@ -98,7 +96,7 @@ class _Links:
         }
 
 
-def add_rope(world: WorldPyBullet, rope: Rope, *, cell_m: float | None) -> RopePart:
+def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePart:
     """Add a rope and the dynamic bodies on its ends, and enter these bodies in `world.handles`.
 
     Args:
@@ -154,7 +152,7 @@ def add_rope(world: WorldPyBullet, rope: Rope, *, cell_m: float | None) -> RopeP
     return chain.part(rope.name, body, first)
 
 
-def _base(world: WorldPyBullet, place_m: NDArray[np.float64], rotation: Rotation) -> dict[str, Any]:
+def _base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) -> dict[str, Any]:
     """Return the arguments of a base without mass and shape."""
     position = (world.scale * place_m).tolist()
     return {"baseMass": 0.0, "basePosition": position, "baseOrientation": rotation.as_quat().tolist()}

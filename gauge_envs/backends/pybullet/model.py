@@ -3,63 +3,38 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.chains import add_rope
 from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, surfaces
 from gauge_envs.backends.pybullet.engine import pybullet, silent
-from gauge_envs.backends.pybullet.frames import Frame, Handle
-from gauge_envs.backends.pybullet.pieces import write_convex_pieces
+from gauge_envs.backends.pybullet.frames import Handle
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.soft import add_soft_body
-from gauge_envs.errors import BackendError
+from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld
 from gauge_envs.scene import (
-    Box,
-    Cylinder,
     Hinge,
     Motion,
-    Plane,
     RigidBody,
     Rope,
     Scene,
-    Shape,
     SoftBody,
-    Sphere,
     Tether,
 )
-from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["WorldPyBullet"]
 
-SOLVERS = {
-    "sequential_impulse": "CONSTRAINT_SOLVER_LCP_SI",
-    "projected_gauss_seidel": "CONSTRAINT_SOLVER_LCP_PGS",
-    "dantzig": "CONSTRAINT_SOLVER_LCP_DANTZIG",
-}
-
-FASTEST_JOINT = 1e9
-"""Bullet's limit on the speed of joints in units per second; its default of 100 is 1 m/s at 100 units per metre."""
-
 EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
-
-PLANE_SIZE = 2.0
-"""Half the edge of the box for a plane, over the largest distance of a body from the world's origin."""
-
-DRIVEN_MASS_KG = 1e6
-"""Mass of a driven body, which contacts between two drives do not move: 1 N moves it by 2e-11 m in 1/180 s."""
 
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
 
 
-class WorldPyBullet:
+class WorldPyBullet(BulletWorld):
     """A PyBullet world at the start of a scene.
 
     Args:
@@ -67,53 +42,33 @@ class WorldPyBullet:
         settings: Numerical settings.
 
     Attributes:
-        scene: The scene.
-        scale: Units per metre.
-        handles: The bodies in PyBullet, by name.
-        copies: Copies of bodies with several surfaces, by name, without the first one.
         ropes: The ropes in PyBullet, by name.
         soft: The soft bodies in PyBullet, by name.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
-        self.scene, self.scale = scene, settings.units_per_m
-        self._settings = settings
-        with silent():
-            self.client = pybullet.connect(pybullet.DIRECT)
-        if self.client < 0:
-            raise BackendError("PyBullet opens no further world in this process: close simulations that are not used")
+        super().__init__(scene, settings)
         self._build()
-
-    def call(self, function: str, *arguments: Any, **named: Any) -> Any:
-        """Call a function of PyBullet in this world."""
-        return getattr(pybullet, function)(*arguments, physicsClientId=self.client, **named)
 
     def rebuild(self) -> None:
         """Return to the start of the scene, as after construction."""
         self._build()
 
-    def close(self) -> None:
-        """Free the world. A second call does nothing."""
-        if self.client >= 0:
-            with silent():
-                self.call("disconnect")
-            self.client = -1
-
     def _build(self) -> None:
         # PyBullet reads the files of convex pieces until all bodies exist.
         with tempfile.TemporaryDirectory() as folder, silent():
-            self._folder = Path(folder)
+            self.folder = Path(folder)
             self._add_all()
 
     def _add_all(self) -> None:
         soft = [body for body in self.scene.deformables if isinstance(body, SoftBody)]
         self.call("resetSimulation", pybullet.RESET_USE_DEFORMABLE_WORLD if soft else 0)
         self._set_parameters()
-        self.handles: dict[str, Handle] = {}
-        self.copies: dict[str, list[Handle]] = {}
+        self.handles.clear()
+        self.copies.clear()
         self._surfaces = surfaces(self.scene)
         self.ropes = {
-            rope.name: add_rope(self, rope, cell_m=self._settings.cell_m)
+            rope.name: add_rope(self, rope, cell_m=self.settings.cell_m)
             for rope in self.scene.deformables
             if isinstance(rope, Rope)
         }
@@ -131,14 +86,14 @@ class WorldPyBullet:
                 for _ in self._surfaces.get(body.name, [None]):
                     self._free(body)
         self.soft = {
-            body.name: add_soft_body(self, body, self._folder / f"{body.name}.vtk", cell_m=self._settings.cell_m)
+            body.name: add_soft_body(self, body, self.folder / f"{body.name}.vtk", cell_m=self.settings.cell_m)
             for body in soft
         }
         self._set_contacts()
         self._filter_collisions()
 
     def _set_parameters(self) -> None:
-        settings = self._settings
+        settings = self.settings
         self.call("setGravity", 0.0, 0.0, -self.scene.gravity_m_per_s2 * self.scale)
         self.call(
             "setPhysicsEngineParameter",
@@ -164,71 +119,11 @@ class WorldPyBullet:
         if settings.split_impulse == "all":
             self.call("setPhysicsEngineParameter", splitImpulsePenetrationThreshold=0.0)
 
-    def shape(self, shape: Shape, offset_m: NDArray[np.float64], frame: Frame) -> int:
-        """Return a collision shape whose body frame lies at a place [m] in a frame along the principal axes."""
-        place = {
-            "collisionFramePosition": (self.scale * offset_m).tolist(),
-            "collisionFrameOrientation": frame.axes.inv().as_quat().tolist(),
-        }
-        scale = self.scale
-        flags = pybullet.URDF_INITIALIZE_SAT_FEATURES if self._settings.polyhedral_features else 0
-        if isinstance(shape, Box):
-            half = [0.5 * scale * edge for edge in shape.size_m]
-            return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=half, flags=flags, **place))
-        if isinstance(shape, Sphere):
-            return int(self.call("createCollisionShape", pybullet.GEOM_SPHERE, radius=scale * shape.radius_m, **place))
-        if isinstance(shape, Plane):
-            return self._plane(flags, place)
-        if isinstance(shape, Cylinder):
-            radius, length = scale * shape.radius_m, scale * shape.length_m
-            return int(self.call("createCollisionShape", pybullet.GEOM_CYLINDER, radius=radius, height=length, **place))
-        pieces = [(scale * np.asarray(piece)) for piece in shape.pieces_m]
-        if len(pieces) == 1:
-            vertices = pieces[0].tolist()
-            return int(self.call("createCollisionShape", pybullet.GEOM_MESH, vertices=vertices, flags=flags, **place))
-        path = write_convex_pieces(self._folder / f"{len(list(self._folder.iterdir()))}.obj", pieces)
-        return int(self.call("createCollisionShape", pybullet.GEOM_MESH, fileName=str(path), flags=flags, **place))
-
-    def _plane(self, flags: int, place: dict[str, Any]) -> int:
-        """Return Bullet's plane, or a box below the plane that reaches beyond every place of a body."""
-        if self._settings.planes == "plane":
-            return int(self.call("createCollisionShape", pybullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0], **place))
-        half = PLANE_SIZE * self.scale * self.scene.distance_limit_m
-        place = place | {"collisionFramePosition": [0.0, 0.0, -half]}
-        return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=[half] * 3, flags=flags, **place))
-
-    def frame(self, body: RigidBody) -> Frame:
-        """Return the mass properties of a body."""
-        centre_m, inertia = mass_properties(body.shape, body.mass_kg)
-        moments, axes = np.diag(inertia), np.eye(3)
-        if np.abs(inertia - np.diag(moments)).max() > 1e-12 * np.abs(inertia).max():
-            moments, axes = np.linalg.eigh(inertia)
-            axes[:, 2] *= np.linalg.det(axes)
-        return Frame(centre_m, Rotation.from_matrix(axes), (self.scale**2 * moments).tolist())
-
-    def base_arguments(self, body: RigidBody, frame: Frame) -> dict[str, Any]:
-        """Return the arguments of `createMultiBody` for a body as base, whose frame is that of its centre of mass."""
-        masses = {Motion.DYNAMIC: body.mass_kg, Motion.FIXED: 0.0, Motion.KINEMATIC: DRIVEN_MASS_KG}
-        return {
-            "baseMass": masses[body.motion],
-            "baseCollisionShapeIndex": self.shape(body.shape, frame.axes.inv().apply(-frame.centre_m), frame),
-            "basePosition": (self.scale * body.pose.to_world(frame.centre_m)).tolist(),
-            "baseOrientation": (body.pose.rotation * frame.axes).as_quat().tolist(),
-        }
-
-    def add_handle(self, body: RigidBody, number: int, link: int) -> Handle:
-        """Enter a body as a link of a multibody, or as a copy of a body that is entered already."""
-        frame = self.frame(body)
-        handle = Handle(number, link, frame.centre_m, frame.axes.inv())
-        if self.handles.setdefault(body.name, handle) is not handle:
-            self.copies.setdefault(body.name, []).append(handle)
-        return handle
-
     def _free(self, body: RigidBody) -> None:
         """Add a free, fixed or driven body."""
         frame = self.frame(body)
         base = self.base_arguments(body, frame)
-        maximal = int(not self._settings.reduced_coordinates)
+        maximal = int(not self.settings.reduced_coordinates)
         handle = self.add_handle(body, int(self.call("createMultiBody", **base, useMaximalCoordinates=maximal)), -1)
         # A driven body has equal moments of inertia, so that it does not tumble within a step.
         moments = frame.moments if body.motion is Motion.DYNAMIC else [self.scale**2 * DRIVEN_MASS_KG] * 3
@@ -238,10 +133,6 @@ class WorldPyBullet:
             spin = np.asarray(body.angular_velocity_rad_per_s)
             speed = np.asarray(body.linear_velocity_m_per_s) + np.cross(spin, body.pose.rotation.apply(frame.centre_m))
             self.call("resetBaseVelocity", handle.body, (self.scale * speed).tolist(), spin.tolist())
-
-    def set_dynamics(self, handle: Handle, **named: Any) -> None:
-        """Change dynamic properties of a body or a link."""
-        self.call("changeDynamics", handle.body, handle.link, **named)
 
     def _hinged(self, body: RigidBody, joint: Hinge) -> None:
         """Add a body as the link of a revolute joint. The link's frame lies at the anchor, along the principal axes."""
@@ -306,35 +197,8 @@ class WorldPyBullet:
         upper = self.scale * (joint.length_m - apart_m)
         self.call("changeDynamics", handle.body, 1, jointLowerLimit=-1e6, jointUpperLimit=upper)
 
-    def free_joints(self, body: int, count: int, *, spherical: Collection[int]) -> None:
-        """Remove Bullet's damping, speed limit and motors of the joints of a multibody.
-
-        Args:
-            body: PyBullet's number of the multibody.
-            count: Number of its links.
-            spherical: Links on spherical joints.
-        """
-        for link in range(-1, count):
-            self.call(
-                "changeDynamics",
-                body,
-                link,
-                jointDamping=0.0,
-                linearDamping=self._settings.linear_damping,
-                angularDamping=self._settings.angular_damping,
-                maxJointVelocity=FASTEST_JOINT,
-            )
-        motor = {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0, "force": 0.0}
-        still = {"targetPosition": [0.0, 0.0, 0.0, 1.0], "positionGain": 0.0, "velocityGain": 0.0}
-        position = pybullet.POSITION_CONTROL
-        for link in range(count):
-            if link in spherical:
-                self.call("setJointMotorControlMultiDof", body, link, position, force=[0.0, 0.0, 0.0], **still)
-            else:
-                self.call("setJointMotorControl2", body, link, **motor)
-
     def _set_contacts(self) -> None:
-        late = impact_bodies(self.scene) if self._settings.late_impacts else set()
+        late = impact_bodies(self.scene) if self.settings.late_impacts else set()
         awake = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
         for name in self.handles:
             for surface, handle in self._surface_handles(name):
@@ -344,11 +208,11 @@ class WorldPyBullet:
                     restitution=surface.restitution,
                     rollingFriction=0.0,
                     spinningFriction=0.0,
-                    linearDamping=self._settings.linear_damping,
-                    angularDamping=self._settings.angular_damping,
-                    frictionAnchor=int(self._settings.friction_anchors),
+                    linearDamping=self.settings.linear_damping,
+                    angularDamping=self.settings.angular_damping,
+                    frictionAnchor=int(self.settings.friction_anchors),
                     contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
-                    activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self._settings.sleeping else awake,
+                    activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self.settings.sleeping else awake,
                 )
 
     def _surface_handles(self, name: str) -> list[tuple[Surface, Handle]]:

@@ -46,7 +46,6 @@ class SettingsPyBullet(SteppedSettings):
     Attributes:
         units_per_m: Bullet's units of length in one metre. Its margins, slop and thresholds are absolute numbers for
             bodies of about one unit: convex hulls are larger than the scene's solids by a margin of 0.001 units.
-        solver: Constraint solver: sequential impulses, or one of Bullet's solvers of a linear complementarity problem.
         solver_iterations: Largest number of iterations of the solver in one step.
         residual_threshold: Squared residual at which the solver stops before its last iteration.
         erp: Share of a position error of a joint's limit, such as a string's length, that one step corrects.
@@ -75,7 +74,6 @@ class SettingsPyBullet(SteppedSettings):
     """
 
     units_per_m: float = Field(default=100.0, gt=0.0)
-    solver: Literal["sequential_impulse", "projected_gauss_seidel", "dantzig"] = "sequential_impulse"
     solver_iterations: int = Field(default=50, ge=1)
     residual_threshold: float = Field(default=0.0, ge=0.0)
     erp: float = Field(default=0.2, ge=0.0, le=1.0)

@@ -5,23 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.pybullet.engine import pybullet
 from gauge_envs.backends.pybullet.settings import SOFT_CELL_M
+from gauge_envs.backends.pybullet.world import BulletWorld
 from gauge_envs.backends.shared.attachments import rigid_attachments
 from gauge_envs.scene import Motion, Region, SoftBody
 from gauge_envs.scene.meshes import nodes_in, tetrahedra
 
-if TYPE_CHECKING:
-    from gauge_envs.backends.pybullet.model import WorldPyBullet
-
 __all__ = ["SoftPart", "add_soft_body"]
 
-WORLD = -1
+GROUND = -1
 """Number of the body that holds anchors in the world."""
 
 
@@ -35,13 +32,13 @@ class SoftPart:
 
     body: int
 
-    def nodes_m(self, world: WorldPyBullet) -> NDArray[np.float64]:
+    def nodes_m(self, world: BulletWorld) -> NDArray[np.float64]:
         """Return the nodes [m], shape [node_count, 3]."""
         flags = pybullet.MESH_DATA_SIMULATION_MESH
         return np.array(world.call("getMeshData", self.body, -1, flags=flags)[1]) / world.scale
 
 
-def add_soft_body(world: WorldPyBullet, body: SoftBody, file: Path, *, cell_m: float | None) -> SoftPart:
+def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None) -> SoftPart:
     """Add a soft body and attach its regions; rigid bodies exist already.
 
     Bullet's energy is the stable Neo-Hookean one, which equals linear elasticity at small strain for mu' = 4/3 mu and
@@ -75,7 +72,7 @@ def add_soft_body(world: WorldPyBullet, body: SoftBody, file: Path, *, cell_m: f
         handle = world.handles[attachment.body]
         for node in nodes_in(nodes_m, attachment.region).tolist():
             if attachment.motion is Motion.FIXED:
-                world.call("createSoftBodyAnchor", number, node, WORLD, -1)
+                world.call("createSoftBodyAnchor", number, node, GROUND, -1)
                 continue
             place_m = attachment.pose.to_body(body.pose.to_world(nodes_m[node]))
             place = handle.turn.apply(place_m - handle.offset_m)

@@ -35,9 +35,9 @@ from gauge_envs.scene import (
 pytest.importorskip("pybullet")
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.pybullet import model
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
+from gauge_envs.backends.pybullet.world import BulletWorld
 from gauge_envs.checks.conformance import Status, run_checks
 from gauge_envs.evaluation.metrics import fitted_acceleration
 
@@ -378,9 +378,9 @@ def test_out_of_box_is_the_engine_as_it_starts(monkeypatch: pytest.MonkeyPatch) 
     """
     scene = load_experiment("NonsmoothContact-1-wood").scene
     kept = {"fixedTimeStep", "numSubSteps", "deterministicOverlappingPairs", "enableFileCaching"}
-    call = model.WorldPyBullet.call
+    call = BulletWorld.call
 
-    def without_parameters(self: model.WorldPyBullet, function: str, *arguments: object, **named: object) -> object:
+    def without_parameters(self: BulletWorld, function: str, *arguments: object, **named: object) -> object:
         if function == "setPhysicsEngineParameter":
             named = {name: value for name, value in named.items() if name in kept}
         return call(self, function, *arguments, **named)
@@ -394,7 +394,7 @@ def test_out_of_box_is_the_engine_as_it_starts(monkeypatch: pytest.MonkeyPatch) 
     changes = [{}, {"reduced_coordinates": False}]
     given = [rollout(**one) for one in changes]
     differs = rollout(reduced_coordinates=False, warm_starting=0.85)
-    monkeypatch.setattr(model.WorldPyBullet, "call", without_parameters)
+    monkeypatch.setattr(BulletWorld, "call", without_parameters)
     assert all(np.array_equal(rollout(**one), positions) for one, positions in zip(changes, given, strict=True))
     assert not np.array_equal(differs, given[1])
 
