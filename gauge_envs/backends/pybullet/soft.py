@@ -69,14 +69,10 @@ def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: flo
         useSelfCollision=0,
     )
     for attachment in attachments:
-        handle = world.handles[attachment.body]
+        # An anchor keeps the node where it now is in the frame of the body.
+        held_by = GROUND if attachment.motion is Motion.FIXED else world.handles[attachment.body].body
         for node in nodes_in(nodes_m, attachment.region).tolist():
-            if attachment.motion is Motion.FIXED:
-                world.call("createSoftBodyAnchor", number, node, GROUND, -1)
-                continue
-            place_m = attachment.pose.to_body(body.pose.to_world(nodes_m[node]))
-            place = handle.turn.apply(place_m - handle.offset_m)
-            world.call("createSoftBodyAnchor", number, node, handle.body, -1, (world.scale * place).tolist())
+            world.call("createSoftBodyAnchor", number, node, held_by, -1)
     return SoftPart(int(number))
 
 
