@@ -1,0 +1,172 @@
+"""Contact constants of bodies from those of pairs. Bullet multiplies the values of the two bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import linprog
+
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Contact, ContactMode, Motion, Scene
+
+__all__ = ["Surface", "impact_bodies", "products", "surfaces"]
+
+Pair = tuple[str, str]
+
+SMALLEST_VALUE = 1e-6
+"""Largest product that stands for a value of 0. A ball then rebounds with a millionth of its speed."""
+
+RELATIVE_ERROR = 1e-6
+"""Largest error of a product, over the value of the pair."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Contact constants of a body towards some of the bodies with which it collides.
+
+    Attributes:
+        partners: Names of these bodies.
+        friction: Coefficient of friction of the body.
+        restitution: Coefficient of restitution of the body.
+    """
+
+    partners: frozenset[str]
+    friction: float
+    restitution: float
+
+
+def surfaces(scene: Scene) -> dict[str, list[Surface]]:
+    """Return the surfaces of each colliding body, whose products are the values of all pairs.
+
+    A body has one surface if values of bodies have these products. If not, bodies that contacts do not move get several
+    surfaces, each towards other bodies. The engine has a copy of the body for each surface.
+
+    Raises:
+        UnsupportedSceneError: The values of pairs of two dynamic bodies are no products.
+    """
+    pairs = list(_pairs(scene))
+    friction = {pair: contact.friction for contact, pair in pairs}
+    # Restitution has no effect on a sustained pair.
+    restitution = {pair: contact.restitution if contact.mode is ContactMode.IMPACT else 0.0 for contact, pair in pairs}
+    partners: dict[str, set[str]] = {}
+    for one, other in friction:
+        partners.setdefault(one, set()).add(other)
+        partners.setdefault(other, set()).add(one)
+    try:
+        values = products(friction, "friction"), products(restitution, "restitution")
+    except UnsupportedSceneError:
+        unmoved = {body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC}
+        return _with_copies(friction, restitution, partners, unmoved)
+    return {name: [Surface(frozenset(others), values[0][name], values[1][name])] for name, others in partners.items()}
+
+
+def _with_copies(
+    friction: Mapping[Pair, float],
+    restitution: Mapping[Pair, float],
+    partners: Mapping[str, set[str]],
+    unmoved: set[str],
+) -> dict[str, list[Surface]]:
+    """Return surfaces with several ones for bodies that contacts do not move."""
+
+    def solved(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
+        movable = {pair: value for pair, value in pairs.items() if not unmoved & set(pair)}
+        # A pair with a partner of its own, of value 1, lets each body have any positive value.
+        free = {(name, f"{name} alone"): 1.0 for name in partners if name not in unmoved}
+        return products(movable | free, noun)
+
+    values = solved(friction, "friction"), solved(restitution, "restitution")
+    found = {
+        name: [Surface(frozenset(others), values[0][name], values[1][name])]
+        for name, others in partners.items()
+        if name not in unmoved
+    }
+    for name in sorted(unmoved & set(partners)):
+        groups: dict[tuple[float, float], set[str]] = {}
+        for other in sorted(partners[name]):
+            pair = (name, other) if (name, other) in friction else (other, name)
+            constants = friction[pair] / values[0][other], restitution[pair] / values[1][other]
+            # Values of equal bodies differ in the last digits.
+            first, second = (float(f"{value:.12g}") for value in constants)
+            groups.setdefault((first, second), set()).add(other)
+        found[name] = [Surface(frozenset(others), *constants) for constants, others in groups.items()]
+    return found
+
+
+def _pairs(scene: Scene) -> Iterator[tuple[Contact, Pair]]:
+    """Yield the colliding pairs of a scene."""
+    for contact in scene.contacts:
+        for pair in scene.colliding_pairs(contact):
+            yield contact, pair
+
+
+def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
+    """Return a value of each body, not negative, whose products are the values of pairs.
+
+    A product of at most `SMALLEST_VALUE` stands for 0: two bricks that do not rebound from each other may rebound
+    from a ball. The logarithms of the values solve a linear program, which keeps them small.
+
+    Args:
+        pairs: Value of each pair, not negative.
+        noun: What the values are, for messages.
+
+    Raises:
+        UnsupportedSceneError: No values have these products. The message names a pair.
+    """
+    names = list(dict.fromkeys(name for pair in pairs for name in pair))
+    positive = {pair: value for pair, value in pairs.items() if value > 0.0}
+    active = list(dict.fromkeys(name for pair in positive for name in pair))
+    # A body of which all pairs have the value 0 has the value 0, and so satisfies them.
+    zero = [pair for pair, value in pairs.items() if value == 0.0 and set(pair) <= set(active)]
+    found = dict.fromkeys(names, 0.0)
+    if not active:
+        return found
+    # Each logarithm has a bound on its size as a second unknown, and the sum of the bounds is least.
+    count = len(active)
+    one = sparse.identity(count)
+    result = linprog(
+        np.repeat([0.0, 1.0], count),
+        A_ub=sparse.vstack([_sums(zero, active), sparse.bmat([[one, -one], [-one, -one]])]),
+        b_ub=np.concatenate([np.full(len(zero), np.log(SMALLEST_VALUE)), np.zeros(2 * count)]),
+        A_eq=_sums(positive, active),
+        b_eq=np.log(list(positive.values())),
+        bounds=(None, None),
+        method="highs",
+    )
+    if result.x is None:
+        first, second = next(iter(positive))
+        raise UnsupportedSceneError(
+            f"pair {first!r} and {second!r} has the {noun} {positive[first, second]:.6g}: Bullet multiplies the values "
+            "of two bodies, and no values of bodies have the products of this scene"
+        )
+    return found | dict(zip(active, np.exp(result.x[:count]).tolist(), strict=True))
+
+
+def _sums(pairs: Mapping[Pair, float] | list[Pair], names: list[str]) -> sparse.csr_array:
+    """Return a row for each pair that adds its two values, beside columns of zeros, [pair_count, 2 name_count]."""
+    column = {name: index for index, name in enumerate(names)}
+    columns = [column[name] for pair in pairs for name in pair]
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    return sparse.csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(pairs), 2 * len(names)))
+
+
+def impact_bodies(scene: Scene) -> set[str]:
+    """Return bodies such that every pair that rebounds has one of them, and few other pairs do.
+
+    Bullet decides for each body, not for each pair, whether contacts act before bodies touch.
+    """
+    sustained: set[str] = set()
+    impacts: list[Pair] = []
+    for contact in scene.contacts:
+        pairs = list(scene.colliding_pairs(contact))
+        if contact.mode is ContactMode.IMPACT:
+            impacts += pairs
+        else:
+            sustained.update(name for pair in pairs for name in pair)
+    found = {name for pair in impacts for name in pair if name not in sustained}
+    for first, second in impacts:
+        if not {first, second} & found:
+            found.add(first)
+    return found

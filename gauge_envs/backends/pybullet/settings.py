@@ -1,0 +1,187 @@
+"""Numerical settings of the PyBullet backend: its presets and the choice of a preset for a scene.
+
+The content of a scene determines its preset; scores have no influence. A comment at each preset gives the rationale of
+its numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import ceil, log2, sqrt
+from typing import Any, Literal
+
+from pydantic import Field
+
+from gauge_envs.backends.settings import SteppedSettings, resolve_settings
+from gauge_envs.backends.shared.cells import CellSize, check_cells
+from gauge_envs.scene import ContactMode, Scene, SoftBody
+
+__all__ = ["PRESETS", "SEGMENT_LIMIT", "SettingsPyBullet", "settings_for"]
+
+SOFT_CELL_M = 1.0 / 60.0
+"""Default edge of the cells of a soft body, of six tetrahedra each [m]."""
+
+STABLE_SHARE = 0.6
+"""Largest step of soft bodies over the time of a wave through a tetrahedron.
+
+Foam at rest is stable at 0.7 and diverges at 1.1. Compressed tetrahedra need shorter steps.
+"""
+
+NODE_LIMIT = 20_000
+"""Largest number of nodes of a soft body; larger ones take minutes for a simulated second."""
+
+SEGMENT_LIMIT = 27
+"""Largest number of segments of a rope. PyBullet holds 128 coordinates of a chain, of which each has 4."""
+
+
+DEFAULT_ISLAND_SIZE = 128
+"""Number of constraints up to which Bullet by default solves separate groups of bodies together."""
+
+
+class SettingsPyBullet(SteppedSettings):
+    """Settings of one PyBullet simulation. The defaults are those of preset `contact`.
+
+    Lengths and speeds named in units are in Bullet's unit of length, which `units_per_m` defines.
+
+    Attributes:
+        units_per_m: Bullet's units of length in one metre. Its margins, slop and thresholds are absolute numbers for
+            bodies of about one unit: convex hulls are larger than the scene's solids by a margin of 0.001 units.
+        solver_iterations: Largest number of iterations of the solver in one step.
+        residual_threshold: Squared residual at which the solver stops before its last iteration.
+        erp: Share of a position error of a joint's limit, such as a string's length, that one step corrects.
+        contact_erp: Share of a penetration that one step corrects.
+        friction_erp: Share of a slip that one step corrects, used with `friction_anchors`.
+        global_cfm: Softness of all constraints.
+        warm_starting: Share of the last step's contact impulses with which the solver starts.
+        cone_friction: Couple the two directions of friction in a cone; otherwise each one has its own limit.
+        friction_anchors: Hold a resting contact at its first point.
+        split_impulse: Penetrations that are corrected without a change of velocity: all, only those deeper than 0.04
+            units, or none. Bodies in reduced coordinates, on joints or driven, are always corrected by velocity.
+        rebound_threshold: Speed of approach in units per second below which nothing rebounds.
+        contact_slop: Penetration in units that is not corrected.
+        late_impacts: Start an impact when the bodies overlap. Otherwise Bullet brakes them shortly before they touch,
+            and restitution then acts on the braked speed.
+        planes: Shape of planes: Bullet's plane, or a box larger than the scene, on which more contact points are found.
+        polyhedral_features: Collide boxes and convex hulls face by face, with all contact points at once.
+        reduced_coordinates: Simulate free bodies by Featherstone's algorithm, as PyBullet does by default.
+        island_size: Smallest number of constraints that the solver takes together.
+        linear_damping: Bullet's damping of velocities; a body loses about this share in 1 s.
+        angular_damping: Bullet's damping of angular velocities; a body loses about this share in 1 s.
+        sleeping: Stop simulating bodies at rest.
+        cell_m: Desired edge of the cells of a soft body, of six tetrahedra each, and length of the segments of a rope
+            [m]. None gives cells of 16.7 mm and segments of 12.5 mm, longer ones for a rope of more than 0.34 m. A rope
+            has at most 27 segments, because PyBullet holds 128 coordinates of a chain.
+    """
+
+    units_per_m: float = Field(default=100.0, gt=0.0)
+    solver_iterations: int = Field(default=50, ge=1)
+    residual_threshold: float = Field(default=0.0, ge=0.0)
+    erp: float = Field(default=0.2, ge=0.0, le=1.0)
+    contact_erp: float = Field(default=0.2, ge=0.0, le=1.0)
+    friction_erp: float = Field(default=0.2, ge=0.0, le=1.0)
+    global_cfm: float = Field(default=0.0, ge=0.0)
+    warm_starting: float = Field(default=1.0, ge=0.0, le=1.0)
+    cone_friction: bool = True
+    friction_anchors: bool = False
+    split_impulse: Literal["all", "deep", "none"] = "all"
+    rebound_threshold: float = Field(default=0.0, ge=0.0)
+    contact_slop: float = Field(default=1e-5, ge=0.0)
+    late_impacts: bool = True
+    planes: Literal["box", "plane"] = "box"
+    polyhedral_features: bool = True
+    reduced_coordinates: bool = False
+    island_size: int = Field(default=1, ge=0)
+    linear_damping: float = Field(default=0.0, ge=0.0, le=1.0)
+    angular_damping: float = Field(default=0.0, ge=0.0, le=1.0)
+    sleeping: bool = False
+    cell_m: CellSize = None
+
+
+PRESETS: dict[str, SettingsPyBullet] = {
+    # Bodies in contact, and free joints. All reasons were measured on closed forms:
+    # - units_per_m: convex solids float by 0.01 mm; by 1 mm at 1 unit per metre.
+    # - late_impacts, split_impulse: e = 0.5 gives 0.5001. With Bullet's speculative contacts and the correction of
+    #   penetrations by velocity it gives 0.58 at 1/1800 s and 0.69 at 1/9000 s.
+    # - planes: a box on a leaning plane slides within 0.01 %; on Bullet's plane 2.5 % too slowly at 1/1800 s.
+    # - timestep_s: a cylinder rolls within 0.5 %; within 1.8 % at 1/1800 s, since its contact points lag behind.
+    #   A tumbling brick keeps its angular momentum within 0.24 % in 0.5 s; 1.2 % at 1/1800 s.
+    # - residual_threshold: Bullet's 1e-7 depends on the unit of length; 0 always takes all iterations.
+    "contact": SettingsPyBullet(preset="contact", timestep_s=1 / 9000),
+    # Bodies on joints that collide. Split impulses do not act on them, so that a correction of penetrations would add
+    # to the rebound: by 0.08 at 1/1800 s. Nothing is corrected instead; such bodies do not rest on each other.
+    "joint_impact": SettingsPyBullet(preset="joint_impact", timestep_s=1 / 9000, contact_erp=0.0),
+    # Ropes. A falling rope gains 2.5 % of its energy in the first swing, 6.5 % at 1/3600 s and 1.3 % at 1/18000 s,
+    # because Bullet integrates the inertia of turning segments explicitly.
+    "rope": SettingsPyBullet(preset="rope", timestep_s=1 / 9000, contact_erp=0.02),
+    # Soft bodies. Elastic forces are explicit, so that the step must be shorter than the time of a sound wave through a
+    # tetrahedron. It is halved until it is at most STABLE_SHARE of that time, unless the user gives it.
+    "soft": SettingsPyBullet(preset="soft", timestep_s=1 / 4500),
+    # 20 dynamic bodies or more. With warm starting from all of the last step's impulses, a wall of 118 bricks creeps by
+    # 0.013 mm in 0.5 s at 20 iterations. With Bullet's share of 0.1 it creeps by 1 mm at 50 iterations. One step
+    # corrects 2 % of a penetration, so that a ball on a string gains at most 0.02 in restitution.
+    "stack": SettingsPyBullet(preset="stack", timestep_s=1 / 1800, solver_iterations=20, contact_erp=0.02),
+    # PyBullet as it starts, with damping and its plane; the step is the paper's. Pairs are evaluated in a fixed order
+    # (deterministicOverlappingPairs), without which two runs differ.
+    "out_of_box": SettingsPyBullet(
+        preset="out_of_box",
+        timestep_s=1 / 180,
+        units_per_m=1.0,
+        residual_threshold=1e-7,
+        contact_erp=0.08,
+        warm_starting=0.1,
+        split_impulse="deep",
+        rebound_threshold=0.2,
+        late_impacts=False,
+        planes="plane",
+        polyhedral_features=False,
+        reduced_coordinates=True,
+        island_size=DEFAULT_ISLAND_SIZE,
+        linear_damping=0.04,
+        angular_damping=0.04,
+    ),
+}
+
+STACK_BODY_COUNT = 20
+"""Number of dynamic bodies from which a scene counts as a stack."""
+
+
+def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPyBullet:
+    """Return the settings for a scene, with a user's changes; see `resolve_settings`."""
+    preset = _preset_for(scene)
+    settings = resolve_settings("pybullet", PRESETS, preset=preset, changes=changes)
+    if settings.preset == "soft" and "timestep_s" not in (changes or {}):
+        limit_s = STABLE_SHARE * _wave_time_s(scene, settings.cell_m or SOFT_CELL_M)
+        halvings = max(0, ceil(log2(settings.timestep_s / limit_s)))
+        settings = settings.model_copy(update={"timestep_s": settings.timestep_s / 2**halvings})
+    if settings.cell_m is not None:
+        soft = any(isinstance(body, SoftBody) for body in scene.deformables)
+        check_cells("pybullet", scene, settings.cell_m, node_limit=NODE_LIMIT if soft else SEGMENT_LIMIT + 1)
+    return settings
+
+
+def _preset_for(scene: Scene) -> str:
+    if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
+        return "stack"
+    if any(isinstance(body, SoftBody) for body in scene.deformables):
+        return "soft"
+    if scene.deformables:
+        return "rope"
+    jointed = {joint.body for joint in scene.joints}
+    impacts = (contact for contact in scene.contacts if contact.mode is ContactMode.IMPACT)
+    if any(jointed & set(pair) for contact in impacts for pair in scene.colliding_pairs(contact)):
+        return "joint_impact"
+    return "contact"
+
+
+def _wave_time_s(scene: Scene, cell_m: float) -> float:
+    """Return the shortest time of a pressure wave through a tetrahedron of a soft body [s].
+
+    The height of a tetrahedron is the edge of its cell over the square root of 2.
+    """
+    speeds = []
+    for body in scene.deformables:
+        if isinstance(body, SoftBody):
+            poisson = body.poisson_ratio
+            modulus = body.young_modulus_pa * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
+            speeds.append(sqrt(modulus * body.shape.volume_m3 / body.mass_kg))
+    return cell_m / (sqrt(2.0) * max(speeds, default=1.0))

@@ -1,0 +1,188 @@
+"""A PyBullet simulation: driving, stepping and reading of its state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.pybullet.engine import pybullet
+from gauge_envs.backends.pybullet.frames import Handle
+from gauge_envs.backends.pybullet.model import WorldPyBullet
+from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import vector
+
+__all__ = ["SimulationPyBullet"]
+
+
+Rows = list[list[float]]
+
+
+class SimulationPyBullet(Simulation):
+    """A scene in PyBullet.
+
+    Args:
+        scene: The scene.
+        settings: Numerical settings in force.
+
+    Attributes:
+        settings: Numerical settings in force.
+        world: The world in PyBullet.
+    """
+
+    def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
+        self.settings = settings.model_dump(mode="json")
+        self.world = WorldPyBullet(scene, settings)
+        self._scene = scene
+        self._scale = settings.units_per_m
+        self._timestep_s = settings.timestep_s
+        self._kinematic = [body.name for body in scene.bodies if body.motion is Motion.KINEMATIC]
+        self._start()
+
+    def _start(self) -> None:
+        self._driven: dict[str, DrivenMotion] = {}
+        self._wrenches: dict[str, NDArray[np.float64]] = {}
+        # Fixed and driven bodies are where they were put; Bullet has nothing to add.
+        self._placed = {
+            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
+            for body in self._scene.bodies
+            if body.motion is not Motion.DYNAMIC
+        }
+
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start in a new world. Bullet draws no random numbers, so the seed has no effect."""
+        self.world.rebuild()
+        self._start()
+
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
+        self._driven[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
+        self._placed[body] = _row(pose, velocity)
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
+        self._wrenches[body] = np.array(wrench)
+
+    def advance(self, seconds: float) -> None:
+        """Step the world. A driven body that was not driven since the last call stays where it is."""
+        count = round(seconds / self._timestep_s)
+        motions = {name: self._motion(name) for name in self._kinematic}
+        paths = [
+            self._path(handle, motion, count)
+            for name, motion in motions.items()
+            for handle in (self.world.handles[name], *self.world.copies.get(name, []))
+        ]
+        client = self.world.client
+        for step in range(count):
+            for body, positions, quaternions, speeds, spins in paths:
+                pybullet.resetBasePositionAndOrientation(
+                    body, positions[step], quaternions[step], physicsClientId=client
+                )
+                pybullet.resetBaseVelocity(body, speeds[step], spins[step], physicsClientId=client)
+            for name, wrench in self._wrenches.items():
+                self._push(name, wrench)
+            pybullet.stepSimulation(physicsClientId=client)
+        for name, motion in motions.items():
+            self._placed[name] = _row(motion.pose(seconds), motion.velocity_at(seconds))
+        self._driven.clear()
+
+    def _motion(self, name: str) -> DrivenMotion:
+        """Return the motion of a driven body; without a call of `drive`, it stays where it is."""
+        still = np.zeros(6)
+        return self._driven.get(name) or DrivenMotion(_pose(self._placed[name]), still, still)
+
+    def _path(self, handle: Handle, motion: DrivenMotion, count: int) -> tuple[int, Rows, Rows, Rows, Rows]:
+        """Return what Bullet gets of a driven body before each of the next steps.
+
+        Returns:
+            Number of the body, its positions [units], quaternions x y z w, and the mean velocities [units/s] and
+            angular velocities [rad/s] of the steps, one row for each step.
+        """
+        step_s = self._timestep_s
+        times = step_s * np.arange(count + 1)[:, None]
+        travel = motion.velocity * times + 0.5 * motion.acceleration * times**2
+        turned = Rotation.from_rotvec(travel[:, 3:])
+        rotations = turned[:-1] * motion.start.rotation
+        arms = rotations.apply(handle.offset_m)
+        spins = (turned[1:] * turned[:-1].inv()).as_rotvec() / step_s
+        speeds = np.diff(travel[:, :3], axis=0) / step_s + np.cross(spins, arms)
+        # Bullet adds gravity to the velocity of every body that can move.
+        speeds[:, 2] += self._scene.gravity_m_per_s2 * step_s
+        positions = np.asarray(motion.start.position_m) + travel[:-1, :3] + arms
+        quaternions = (rotations * handle.turn.inv()).as_quat()
+        return (
+            handle.body,
+            (self._scale * positions).tolist(),
+            quaternions.tolist(),
+            (self._scale * speeds).tolist(),
+            spins.tolist(),
+        )
+
+    def _push(self, name: str, wrench: NDArray[np.float64]) -> None:
+        """Apply a wrench for one step, after which Bullet forgets it."""
+        handle = self.world.handles[name]
+        place = self._read(handle.body, handle.link)[0]
+        frame = pybullet.WORLD_FRAME
+        force, torque = self._scale * wrench[:3], self._scale**2 * wrench[3:]
+        self.world.call("applyExternalForce", handle.body, handle.link, force.tolist(), place, frame)
+        self.world.call("applyExternalTorque", handle.body, handle.link, torque.tolist(), frame)
+
+    def _read(self, body: int, link: int) -> tuple[Any, ...]:
+        """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""
+        client = self.world.client
+        if link < 0:
+            place = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+            return (*place, *pybullet.getBaseVelocity(body, physicsClientId=client))
+        state = pybullet.getLinkState(
+            body, link, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+        )
+        return (state[0], state[1], state[6], state[7])
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Return the nodes of a rope or soft body [m], shape [node_count, 3]."""
+        if name in self.world.soft:
+            return self.world.soft[name].nodes_m(self.world)
+        return self.world.ropes[name].nodes_m(self._read, self._scale)
+
+    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+        """Return a reader of material points of a rope, or None for a soft body; see `World.track`."""
+        if name in self.world.soft:
+            return None
+        # A reset builds the rope anew, with the same numbers.
+        return self.world.ropes[name].track(points_m, self._read, self._scale)
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
+        states = np.empty((len(names), 13))
+        for state, name in zip(states, names, strict=True):
+            if name in self._placed:
+                state[:] = self._placed[name]
+                continue
+            handle = self.world.handles[name]
+            place, quaternion, speed, spin = self._read(handle.body, handle.link)
+            rotation = Rotation.from_quat(quaternion) * handle.turn
+            arm = rotation.apply(handle.offset_m)
+            state[:3] = np.asarray(place) / self._scale - arm
+            state[3:7] = rotation.as_quat(scalar_first=True)
+            state[7:10] = np.asarray(speed) / self._scale - np.cross(spin, arm)
+            state[10:] = spin
+        return states
+
+    def close(self) -> None:
+        """Free the world. A second call does nothing."""
+        self.world.close()
+
+
+def _pose(row: NDArray[np.float64]) -> Pose:
+    w, x, y, z = row[3:7].tolist()
+    return Pose(position_m=vector(row[:3]), quaternion=(w, x, y, z))
+
+
+def _row(pose: Pose, velocity: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([*pose.position_m, *pose.quaternion, *velocity])

@@ -1,0 +1,149 @@
+"""Contact constants of bodies from those of pairs, by products. Needs no engine."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+
+import pytest
+
+from gauge_envs import load_experiment
+from gauge_envs.backends.pybullet import backend as backend_module
+from gauge_envs.backends.pybullet.contacts import impact_bodies, products, surfaces
+from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
+from gauge_envs.backends.pybullet.support import unsupported_features
+from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
+from gauge_envs.scene import Contact, Motion, Pose, RigidBody, Scene, Sphere
+
+
+def test_products_of_bodies_are_the_values_of_pairs() -> None:
+    pairs = {("a", "b"): 0.3, ("b", "c"): 0.1, ("c", "d"): 0.8, ("a", "d"): 2.4}
+    values = products(pairs, "friction")
+    assert {pair: values[pair[0]] * values[pair[1]] for pair in pairs} == pytest.approx(pairs, rel=1e-9)
+
+
+def test_pair_of_value_zero_gets_a_millionth_beside_a_positive_pair() -> None:
+    pairs = {("ball", "brick-1"): 0.22, ("ball", "brick-2"): 0.22, ("brick-1", "brick-2"): 0.0}
+    values = products(pairs, "restitution")
+    assert values["ball"] * values["brick-1"] == pytest.approx(0.22, rel=1e-9)
+    assert values["brick-1"] * values["brick-2"] <= 1.000001e-6
+
+
+def test_body_whose_pairs_are_all_zero_has_the_value_zero() -> None:
+    values = products({("cube", "board"): 0.0, ("cube", "ground"): 0.25}, "restitution")
+    assert values["board"] == 0.0
+    assert values["cube"] * values["ground"] == pytest.approx(0.25, rel=1e-9)
+
+
+def test_values_without_products_name_a_pair() -> None:
+    pairs = {("a", "b"): 0.5, ("c", "d"): 0.5, ("a", "c"): 0.5, ("b", "d"): 0.1}
+    with pytest.raises(UnsupportedSceneError, match=r"'a' and 'b' has the friction 0\.5"):
+        products(pairs, "friction")
+
+
+def test_wall_is_representable() -> None:
+    scene = load_experiment("WallBreaking-wood").scene
+    values = {name: one.restitution for name, (one,) in surfaces(scene).items()}
+    ball, bricks, _, _ = scene.contacts
+    assert values["ball"] * values["brick-7"] == pytest.approx(ball.restitution, rel=1e-9)
+    assert values["brick-7"] * values["brick-8"] < 1.1e-6
+    assert bricks.restitution > 0.0  # The pair is sustained, so that its restitution has no effect.
+    assert list(unsupported_features(scene)) == []
+
+
+def pair_contact(first: str, second: str, friction: float) -> Contact:
+    return Contact(first=(first,), second=(second,), friction=friction, restitution=0.0)
+
+
+def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
+    motions = {"one": "dynamic", "two": "dynamic", "board": "fixed", "plate": "kinematic"}
+    bodies = tuple(
+        RigidBody(
+            name=name,
+            shape=Sphere(radius_m=0.1),
+            motion=Motion(motion),
+            pose=Pose(position_m=(0.0, 0.0, 0.0)),
+            mass_kg=1.0,
+        )
+        for name, motion in motions.items()
+    )
+    contacts = (
+        pair_contact("one", "two", 0.5),
+        pair_contact("one", "board", 0.1),
+        pair_contact("two", "board", 0.9),
+        pair_contact("one", "plate", 0.3),
+        pair_contact("two", "plate", 0.3),
+    )
+    found = surfaces(Scene(bodies=bodies, contacts=contacts, duration_s=1.0))
+    assert [len(found[name]) for name in ("one", "two")] == [1, 1]
+    assert 3 <= len(found["board"]) + len(found["plate"]) <= 4
+    for contact in contacts:
+        (one,), (other,) = contact.first, contact.second
+        (first,) = [surface for surface in found[one] if other in surface.partners]
+        (second,) = [surface for surface in found[other] if one in surface.partners]
+        assert first.friction * second.friction == pytest.approx(contact.friction, rel=1e-9)
+
+
+def test_rope_in_contact_is_declined() -> None:
+    missing = list(unsupported_features(load_experiment("RopeWinding-rubber").scene))
+    assert missing == ["'rope' touches other bodies or itself: chains of light segments in contact diverge in Bullet"]
+
+
+@pytest.mark.parametrize(
+    ("name", "late"),
+    [
+        ("BouncingBall-rubber", {"ball", "ground"}),
+        ("SlopeSlider-1-wood", {"ground"}),
+        ("WallBreaking-wood", {"ball"}),
+    ],
+)
+def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(name: str, late: set[str]) -> None:
+    assert impact_bodies(load_experiment(name).scene) == late
+
+
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [
+        ("SlopeSlider-1-wood", "contact"),
+        ("Pendulum-metal", "contact"),
+        ("NewtonsCradle-metal", "joint_impact"),
+        ("RopeWinding-rubber", "rope"),
+        ("FoamTwisting-soft", "soft"),
+        ("WallBreaking-wood", "stack"),
+    ],
+)
+def test_preset_follows_the_content_of_the_scene(name: str, preset: str) -> None:
+    assert settings_for(load_experiment(name).scene).preset == preset
+    assert set(PRESETS) == {"contact", "joint_impact", "rope", "soft", "stack", "out_of_box"}
+
+
+def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> None:
+    scene = load_experiment("FoamStretching-soft").scene
+    # A pressure wave of 87 m/s takes 136 us through 16.7 mm / sqrt(2).
+    assert settings_for(scene).timestep_s == 1 / 18000
+    assert settings_for(scene, {"cell_m": 0.0334}).timestep_s == 1 / 9000
+    assert settings_for(scene, {"timestep_s": 1 / 1800}).timestep_s == 1 / 1800
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("FoamBending-soft", "'foam' touches other bodies"),
+        ("CantileverBeam-soft", "'cube-2' is attached to 'cube-1': this backend builds no bonds"),
+        ("StickStack-soft", "'rod' is a rod"),
+        ("TextileBending-satin", "is cloth"),
+    ],
+)
+def test_deformable_bodies_that_are_not_built_are_declined(name: str, reason: str) -> None:
+    assert any(reason in one for one in unsupported_features(load_experiment(name).scene))
+
+
+@pytest.mark.parametrize("version", [(3, 11), (3, 12)])
+def test_missing_engine_names_the_extra_and_the_python_with_wheels(
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
+) -> None:
+    monkeypatch.setattr(backend_module, "find_spec", lambda name: None if name == "pybullet" else find_spec(name))
+    monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
+    with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[pybullet\]'") as found:
+        backend_module.BackendPyBullet()
+    assert ("on Python 3.11" in str(found.value)) == (version == (3, 12))
