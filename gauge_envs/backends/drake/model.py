@@ -1,0 +1,188 @@
+"""Conversion of a scene to a Drake diagram: a multibody plant and its scene graph."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, HydroelasticContactRepresentation
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, ContactModel, DiscreteContactApproximation
+from pydrake.multibody.tree import RevoluteJoint, RotationalInertia, SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
+
+from gauge_envs.backends.drake.contacts import contact_constants
+from gauge_envs.backends.drake.settings import SettingsDrake
+from gauge_envs.backends.drake.shapes import collision_parts, corner_parts, proximity_properties
+from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.meshes import mass_properties
+
+__all__ = ["Model", "build_model", "rigid_transform"]
+
+APPROXIMATIONS = {
+    "tamsi": DiscreteContactApproximation.kTamsi,
+    "sap": DiscreteContactApproximation.kSap,
+    "similar": DiscreteContactApproximation.kSimilar,
+    "lagged": DiscreteContactApproximation.kLagged,
+}
+SURFACES = {
+    "polygon": HydroelasticContactRepresentation.kPolygon,
+    "triangle": HydroelasticContactRepresentation.kTriangle,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A scene in Drake.
+
+    Attributes:
+        diagram: The diagram of plant and scene graph.
+        plant: The multibody plant.
+        bodies: Drake's body of each dynamic or driven body, by name.
+        start: Discrete state at the start: positions, then velocities.
+    """
+
+    diagram: Any
+    plant: Any
+    bodies: dict[str, Any]
+    start: NDArray[np.float64]
+
+
+def rigid_transform(pose: Pose) -> RigidTransform:
+    """Return a pose as Drake's transform."""
+    return RigidTransform(RotationMatrix(pose.rotation.as_matrix()), np.asarray(pose.position_m))
+
+
+def build_model(scene: Scene, settings: SettingsDrake) -> Model:
+    """Build a diagram with a discrete plant, whose state is that of the scene's start."""
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, settings.timestep_s)
+    plant.SetUseSampledOutputPorts(False)
+    plant.set_contact_model(
+        ContactModel.kPoint if settings.contact_model == "point" else ContactModel.kHydroelasticWithFallback
+    )
+    plant.set_discrete_contact_approximation(APPROXIMATIONS[settings.approximation])
+    plant.set_contact_surface_representation(SURFACES[settings.surface])
+    plant.set_stiction_tolerance(settings.stiction_speed_m_per_s)
+    plant.set_sap_near_rigid_threshold(settings.near_rigid_threshold)
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -scene.gravity_m_per_s2])
+    free, driven = plant.AddModelInstance("free"), plant.AddModelInstance("driven")
+    plant.set_gravity_enabled(driven, False)
+
+    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    driven_mass_kg = settings.driven_mass_ratio * sum(body.mass_kg for body in scene.dynamic_bodies)
+    bodies = {}
+    for body in scene.bodies:
+        if body.motion is not Motion.FIXED:
+            instance = driven if body.motion is Motion.KINEMATIC else free
+            bodies[body.name] = _add_body(plant, instance, body, hinges.get(body.name), driven_mass_kg or 1.0)
+    geometries = _add_geometries(plant, scene, bodies, settings)
+    plant.Finalize()
+    _filter(scene_graph, scene, geometries)
+    diagram = builder.Build()
+    return Model(diagram=diagram, plant=plant, bodies=bodies, start=_start(plant, scene, bodies, hinges))
+
+
+def _add_body(plant: Any, instance: Any, body: RigidBody, hinge: Hinge | None, driven_mass_kg: float) -> Any:
+    if body.motion is Motion.KINEMATIC:
+        reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
+        inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg, float(np.sqrt(2.5) * reach_m))
+        return plant.AddRigidBody(body.name, instance, inertia)
+    centre, moments = mass_properties(body.shape, body.mass_kg)
+    inertia = SpatialInertia.MakeFromCentralInertia(body.mass_kg, centre, _rotational_inertia(moments))
+    added = plant.AddRigidBody(body.name, instance, inertia)
+    if hinge is not None:
+        rotation = RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2)
+        anchor = RigidTransform(rotation, np.asarray(hinge.anchor_m))
+        plant.AddJoint(
+            RevoluteJoint(
+                name=body.name,
+                frame_on_parent=_frame(plant, f"{body.name}/anchor", plant.world_body(), anchor),
+                frame_on_child=_frame(
+                    plant, f"{body.name}/hinge", added, rigid_transform(body.pose).inverse() @ anchor
+                ),
+                axis=[0.0, 0.0, 1.0],
+                damping=0.0,
+            )
+        )
+    return added
+
+
+def _frame(plant: Any, name: str, body: Any, pose: RigidTransform) -> Any:
+    from pydrake.multibody.tree import FixedOffsetFrame
+
+    return plant.AddFrame(FixedOffsetFrame(name, body.body_frame(), pose))
+
+
+def _rotational_inertia(moments: NDArray[np.float64]) -> RotationalInertia:
+    return RotationalInertia(
+        Ixx=moments[0, 0], Iyy=moments[1, 1], Izz=moments[2, 2], Ixy=moments[0, 1], Ixz=moments[0, 2], Iyz=moments[1, 2]
+    )
+
+
+def _add_geometries(
+    plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake
+) -> list[dict[str, list[GeometryId]]]:
+    """Add the shapes of all bodies, once for each contact of the scene, so that pairs have constants of their own.
+
+    Returns:
+        For each contact, the geometries of each body in it by name.
+    """
+    found = []
+    for index, contact in enumerate(scene.contacts):
+        constants = contact_constants(contact, settings)
+        geometries: dict[str, list[GeometryId]] = {}
+        for name in dict.fromkeys((*contact.first, *contact.second)):
+            body = scene.body(name)
+            frame = bodies.get(name, plant.world_body())
+            offset = rigid_transform(body.pose) if body.motion is Motion.FIXED else RigidTransform()
+            parts = collision_parts(body.shape)
+            if settings.contact_model == "point" and body.motion is not Motion.FIXED:
+                parts += corner_parts(body.shape)
+            geometries[name] = [
+                plant.RegisterCollisionGeometry(
+                    frame,
+                    offset @ part.pose,
+                    part.shape,
+                    f"{name}/{index}/{number}",
+                    proximity_properties(body, part, constants, settings),
+                )
+                for number, part in enumerate(parts)
+            ]
+        found.append(geometries)
+    return found
+
+
+def _filter(scene_graph: Any, scene: Scene, geometries: list[dict[str, list[GeometryId]]]) -> None:
+    """Let the pairs of each contact collide and no others."""
+    manager = scene_graph.collision_filter_manager()
+    everything = [one for by_body in geometries for ids in by_body.values() for one in ids]
+    manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(everything)))
+    for contact, by_body in zip(scene.contacts, geometries, strict=True):
+        partners: dict[str, list[GeometryId]] = defaultdict(list)
+        for first, second in scene.colliding_pairs(contact):
+            partners[first].extend(by_body[second])
+        for first, others in partners.items():
+            manager.Apply(CollisionFilterDeclaration().AllowBetween(GeometrySet(by_body[first]), GeometrySet(others)))
+
+
+def _start(plant: Any, scene: Scene, bodies: dict[str, Any], hinges: dict[str, Hinge]) -> NDArray[np.float64]:
+    state = np.zeros(plant.num_multibody_states())
+    offset = plant.num_positions()
+    for body in scene.bodies:
+        if body.motion is Motion.FIXED:
+            continue
+        if body.name in hinges:
+            if not body.starts_at_rest:
+                first = plant.GetJointByName(body.name).velocity_start()
+                state[offset + first] = np.dot(body.angular_velocity_rad_per_s, hinges[body.name].axis)
+            continue
+        added = bodies[body.name]
+        first = added.floating_positions_start()
+        state[first : first + 7] = [*body.pose.quaternion, *body.pose.position_m]
+        first = offset + added.floating_velocities_start_in_v()
+        state[first : first + 6] = [*body.angular_velocity_rad_per_s, *body.linear_velocity_m_per_s]
+    return state
