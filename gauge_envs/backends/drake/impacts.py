@@ -21,7 +21,7 @@ __all__ = ["ImpactLaw", "impact_constants", "rebound"]
 ImpactLaw = Literal["relaxation", "hunt_crossley"]
 """`relaxation`: linear spring and damper of the SAP approximation. `hunt_crossley`: damping in proportion to depth."""
 
-PHASES = (np.arange(12) + 0.5) / 12.0
+PHASES: NDArray[np.float64] = (np.arange(12, dtype=np.float64) + 0.5) / 12.0
 """Depth at the first step that detects the contact, over the displacement of a step; the start decides it."""
 
 LARGEST_DISSIPATION = 1e6
@@ -40,8 +40,7 @@ def rebound(law: ImpactLaw, rate: float, dissipation: float) -> NDArray[np.float
         rate: Natural frequency of the contact times the step.
         dissipation: Relaxation time in steps, or Hunt-Crossley dissipation times the incoming speed.
     """
-    depth: NDArray[np.float64] = PHASES.copy()
-    speed: NDArray[np.float64] = -np.ones_like(depth)
+    depth, speed = PHASES.copy(), np.full(len(PHASES), -1.0)
     stiffness = rate**2
     leaving = np.zeros_like(depth, dtype=bool)
     for _ in range(int(STEPS / rate)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,10 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, ContactModel, D
 from pydrake.multibody.tree import RevoluteJoint, RotationalInertia, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
-from gauge_envs.backends.drake.contacts import contact_constants
+from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.drake.shapes import collision_parts, corner_parts, proximity_properties
-from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import Contact, Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["Model", "build_model", "rigid_transform"]
@@ -123,26 +123,34 @@ def _rotational_inertia(moments: NDArray[np.float64]) -> RotationalInertia:
     )
 
 
-def _add_geometries(
-    plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake
-) -> list[dict[str, list[GeometryId]]]:
-    """Add the shapes of all bodies, once for each contact of the scene, so that pairs have constants of their own.
+@dataclass(frozen=True)
+class _Group:
+    """Geometries of the contacts with equal constants, which share them.
 
-    Returns:
-        For each contact, the geometries of each body in it by name.
+    Attributes:
+        contacts: The contacts.
+        geometries: Geometries of each body in the contacts, by name.
     """
-    found = []
-    for index, contact in enumerate(scene.contacts):
-        constants = contact_constants(contact, settings)
-        geometries: dict[str, list[GeometryId]] = {}
-        for name in dict.fromkeys((*contact.first, *contact.second)):
+
+    contacts: list[Contact] = field(default_factory=list)
+    geometries: dict[str, list[GeometryId]] = field(default_factory=dict)
+
+
+def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake) -> list[_Group]:
+    """Add the shapes of all bodies, once for each group of contacts, so that every pair has its own constants."""
+    groups: dict[ContactConstants, _Group] = defaultdict(_Group)
+    for contact in scene.contacts:
+        groups[contact_constants(contact, settings)].contacts.append(contact)
+    for index, (constants, group) in enumerate(groups.items()):
+        names = (name for contact in group.contacts for name in (*contact.first, *contact.second))
+        for name in dict.fromkeys(names):
             body = scene.body(name)
             frame = bodies.get(name, plant.world_body())
             offset = rigid_transform(body.pose) if body.motion is Motion.FIXED else RigidTransform()
             parts = collision_parts(body.shape)
             if settings.contact_model == "point" and body.motion is not Motion.FIXED:
                 parts += corner_parts(body.shape)
-            geometries[name] = [
+            group.geometries[name] = [
                 plant.RegisterCollisionGeometry(
                     frame,
                     offset @ part.pose,
@@ -152,21 +160,22 @@ def _add_geometries(
                 )
                 for number, part in enumerate(parts)
             ]
-        found.append(geometries)
-    return found
+    return list(groups.values())
 
 
-def _filter(scene_graph: Any, scene: Scene, geometries: list[dict[str, list[GeometryId]]]) -> None:
+def _filter(scene_graph: Any, scene: Scene, groups: list[_Group]) -> None:
     """Let the pairs of each contact collide and no others."""
     manager = scene_graph.collision_filter_manager()
-    everything = [one for by_body in geometries for ids in by_body.values() for one in ids]
+    everything = [one for group in groups for ids in group.geometries.values() for one in ids]
     manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(everything)))
-    for contact, by_body in zip(scene.contacts, geometries, strict=True):
+    for group in groups:
         partners: dict[str, list[GeometryId]] = defaultdict(list)
-        for first, second in scene.colliding_pairs(contact):
-            partners[first].extend(by_body[second])
+        for contact in group.contacts:
+            for first, second in scene.colliding_pairs(contact):
+                partners[first].extend(group.geometries[second])
         for first, others in partners.items():
-            manager.Apply(CollisionFilterDeclaration().AllowBetween(GeometrySet(by_body[first]), GeometrySet(others)))
+            ours = GeometrySet(group.geometries[first])
+            manager.Apply(CollisionFilterDeclaration().AllowBetween(ours, GeometrySet(others)))
 
 
 def _start(plant: Any, scene: Scene, bodies: dict[str, Any], hinges: dict[str, Hinge]) -> NDArray[np.float64]:

@@ -77,7 +77,7 @@ PRESETS: dict[str, SettingsDrake] = {
     "impact": SettingsDrake(preset="impact", timestep_s=1 / 72000, **IMPACT),
     "impact_chain": SettingsDrake(preset="impact_chain", timestep_s=1 / 36000, **IMPACT),
     "contact_free": SettingsDrake(preset="contact_free", timestep_s=1 / 9000),
-    "stack": SettingsDrake(preset="stack", timestep_s=1 / 1800),
+    "stack": SettingsDrake(preset="stack", timestep_s=1 / 900, contact_model="point"),
     "tamsi": SettingsDrake(preset="tamsi", timestep_s=1 / 3600, approximation="tamsi"),
     "sap": SettingsDrake(preset="sap", timestep_s=1 / 3600, approximation="sap"),
     "similar": SettingsDrake(preset="similar", timestep_s=1 / 3600, approximation="similar"),
