@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any
@@ -39,6 +41,13 @@ class BackendDrake(Backend):
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of `SettingsDrake`."""
+        _start_quietly()
         from gauge_envs.backends.drake.simulation import SimulationDrake
 
         return SimulationDrake(scene, settings_for(scene, settings))
+
+
+@cache
+def _start_quietly() -> None:
+    """Keep Drake from logging a warning about deformable bodies for every half-space."""
+    logging.getLogger("drake").setLevel(logging.ERROR)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gauge_envs.backends.drake.impacts import ImpactLaw, impact_constants
-from gauge_envs.backends.drake.settings import SettingsDrake
-from gauge_envs.scene import Contact, ContactMode
+from gauge_envs.backends.drake.settings import SettingsDrake, impact_speed_m_per_s
+from gauge_envs.scene import Contact, ContactMode, Scene
 
 __all__ = ["ContactConstants", "contact_constants"]
 
@@ -33,8 +33,12 @@ class ContactConstants:
     dissipation_s_per_m: float
 
 
-def contact_constants(contact: Contact, settings: SettingsDrake) -> ContactConstants:
-    """Return the constants of a contact of the scene."""
+def contact_constants(scene: Scene, contact: Contact, settings: SettingsDrake) -> ContactConstants:
+    """Return the constants of a contact of the scene.
+
+    Impacts against bodies that are not dynamic are taken as vertical: gravity reduces their rebound, and the
+    dissipation is reduced to make up for it.
+    """
     step_s = settings.timestep_s
     if contact.mode is ContactMode.SUSTAINED:
         return ContactConstants(
@@ -43,11 +47,12 @@ def contact_constants(contact: Contact, settings: SettingsDrake) -> ContactConst
             relaxation_s=settings.sustained_relaxation_steps * step_s,
             dissipation_s_per_m=settings.sustained_dissipation_s_per_m,
         )
+    speed = settings.impact_speed_m_per_s or impact_speed_m_per_s(scene)
+    dynamic = {body.name for body in scene.dynamic_bodies}
+    has_support = not dynamic.issuperset({*contact.first, *contact.second})
+    weight = scene.gravity_m_per_s2 * step_s / speed if has_support else 0.0
     law: ImpactLaw = "relaxation" if settings.approximation == "sap" else "hunt_crossley"
-    rate, dissipation = impact_constants(law, contact.restitution, settings.impact_rate)
-    speed = settings.impact_speed_m_per_s
-    if speed is None:
-        raise ValueError("settings of a scene have an impact speed: use settings_for")
+    rate, dissipation = impact_constants(law, contact.restitution, settings.impact_rate, weight)
     return ContactConstants(
         friction=contact.friction,
         frequency_rad_per_s=rate / step_s,

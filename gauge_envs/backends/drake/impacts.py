@@ -3,8 +3,8 @@
 Drake has no coefficient of restitution. A contact is a spring with a dissipation, integrated by an implicit scheme that
 dissipates too. The functions here repeat that scheme for one contact normal and solve for the constants.
 
-Times are in steps and lengths in step times impact speed. The spring then has one constant, the rate a: the natural
-frequency of the mass on the spring times the step.
+Times are in steps and speeds in incoming speeds. The spring then has one constant, the rate: the natural frequency of
+the mass on the spring times the step.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-__all__ = ["ImpactLaw", "impact_constants", "rebound"]
+__all__ = ["PHASES", "ImpactLaw", "impact_constants", "rebound"]
 
 ImpactLaw = Literal["relaxation", "hunt_crossley"]
 """`relaxation`: linear spring and damper of the SAP approximation. `hunt_crossley`: damping in proportion to depth."""
@@ -25,76 +25,80 @@ PHASES: NDArray[np.float64] = (np.arange(12, dtype=np.float64) + 0.5) / 12.0
 """Depth at the first step that detects the contact, over the displacement of a step; the start decides it."""
 
 LARGEST_DISSIPATION = 1e6
-"""Largest relaxation time [steps] or dissipation times impact speed; it stands for no rebound at all."""
-
+"""Largest relaxation time [steps] or dissipation times incoming speed; it stands for no rebound at all."""
 
 STEPS = 30.0
 """Steps times the rate after which a contact counts as lasting; without dissipation it takes pi."""
 
 
-def rebound(law: ImpactLaw, rate: float, dissipation: float) -> NDArray[np.float64]:
-    """Return the ratio of outgoing to incoming speed for each phase of the first step, shape [phase_count].
+def rebound(law: ImpactLaw, rate: float, dissipation: float, weight: float = 0.0) -> NDArray[np.float64]:
+    """Return the ratio of outgoing to incoming speed at the surface for each phase, shape [phase_count].
 
     Args:
         law: Law of dissipation.
         rate: Natural frequency of the contact times the step.
         dissipation: Relaxation time in steps, or Hunt-Crossley dissipation times the incoming speed.
+        weight: Speed that gravity adds towards the surface in a step, over the incoming speed.
     """
     depth, speed = PHASES.copy(), np.full(len(PHASES), -1.0)
     stiffness = rate**2
-    leaving = np.zeros_like(depth, dtype=bool)
+    leaving: NDArray[np.bool_] = np.zeros(len(PHASES), dtype=bool)
     for _ in range(int(STEPS / rate)):
+        free = speed - weight
         if law == "relaxation":
-            after = (speed + stiffness * depth) / (1.0 + stiffness * (1.0 + dissipation))
-            after = np.maximum(after, speed)
+            after = (free + stiffness * depth) / (1.0 + stiffness * (1.0 + dissipation))
+            after = np.maximum(after, free)
         else:
-            after = _hunt_crossley(depth, speed, stiffness, dissipation)
+            after = _hunt_crossley(depth, free, stiffness, dissipation)
         speed = np.where(leaving, speed, after)
         depth = np.where(leaving, depth, depth - speed)
         leaving |= depth <= 0.0
         if leaving.all():
             break
-    return np.where(leaving, np.maximum(speed, 0.0), 0.0)
+    return np.where(leaving, np.sqrt(speed**2 - 2.0 * weight * np.minimum(depth, 0.0)), 0.0)
 
 
 def _hunt_crossley(
     depth: NDArray[np.float64], speed: NDArray[np.float64], stiffness: float, dissipation: float
 ) -> NDArray[np.float64]:
-    """Return the speed v that solves v = v0 + (k x - k v)(1 - d v) where both factors are positive, else v0."""
-    quadratic = -stiffness * dissipation
+    """Return the speed v that solves v = v0 + k (x - v) (1 - d v) where both factors are positive, else v0."""
     linear = 1.0 + stiffness * (1.0 + dissipation * depth)
-    constant = -(speed + stiffness * depth)
-    # The smaller root of d k v^2 - (1 + k + d k x) v + v0 + k x makes both factors positive.
-    after = -2.0 * constant / (linear + np.sqrt(np.maximum(linear**2 - 4.0 * quadratic * constant, 0.0)))
+    constant = speed + stiffness * depth
+    # The smaller root of k d v^2 - (1 + k + k d x) v + v0 + k x = 0 makes both factors positive.
+    root = np.sqrt(np.maximum(linear**2 - 4.0 * stiffness * dissipation * constant, 0.0))
+    after = 2.0 * constant / (linear + root)
     return np.where((depth > after) & (dissipation * after < 1.0), np.maximum(after, speed), speed)
 
 
 @lru_cache(maxsize=256)
-def impact_constants(law: ImpactLaw, restitution: float, rate: float) -> tuple[float, float]:
-    """Return the rate and the dissipation with which a contact has a coefficient of restitution.
+def impact_constants(law: ImpactLaw, restitution: float, rate: float, weight: float = 0.0) -> tuple[float, float]:
+    """Return the rate and the dissipation with which a contact has a coefficient of restitution, the mean of phases.
 
-    The rate is that given, unless the scheme alone dissipates more: then it is reduced until a contact without
-    dissipation has the restitution.
+    The rate is that given, unless the scheme alone dissipates more. Then it is reduced until a contact without
+    dissipation and gravity has the restitution, at most 0.999.
 
     Args:
         law: Law of dissipation.
         restitution: Coefficient of restitution, 0 to 1.
         rate: Highest rate.
+        weight: Speed that gravity adds towards the surface in a step, over the incoming speed.
 
     Returns:
         Rate, and relaxation time in steps or Hunt-Crossley dissipation times the incoming speed.
     """
 
-    def excess(rate: float, dissipation: float) -> float:
-        return float(rebound(law, rate, dissipation).mean()) - restitution
+    def excess(dissipation: float) -> float:
+        return float(rebound(law, rate, dissipation, weight).mean()) - restitution
 
-    if excess(rate, 0.0) < 0.0:
-        reachable = min(restitution, 0.999)
-        slow = brentq(lambda r: float(rebound(law, r, 0.0).mean()) - reachable, 1e-4, rate, xtol=1e-9)
-        return float(slow), 0.0
-    if excess(rate, LARGEST_DISSIPATION) > 0.0:
-        return rate, LARGEST_DISSIPATION
+    if excess(0.0) < 0.0:
+        reached = min(restitution, 0.999)
+        lowest = 2e-4
+        if float(rebound(law, rate, 0.0).mean()) < reached:
+            rate = float(brentq(lambda slow: float(rebound(law, slow, 0.0).mean()) - reached, lowest, rate, xtol=1e-9))
+        return rate, 0.0
     largest = 1.0
-    while excess(rate, largest) > 0.0:
+    while excess(largest) > 0.0:
         largest *= 4.0
-    return rate, float(brentq(lambda d: excess(rate, d), 0.0, largest, xtol=1e-9))
+        if largest > LARGEST_DISSIPATION:
+            return rate, LARGEST_DISSIPATION
+    return rate, float(brentq(excess, 0.0, largest, xtol=1e-9))

@@ -140,7 +140,7 @@ def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: 
     """Add the shapes of all bodies, once for each group of contacts, so that every pair has its own constants."""
     groups: dict[ContactConstants, _Group] = defaultdict(_Group)
     for contact in scene.contacts:
-        groups[contact_constants(contact, settings)].contacts.append(contact)
+        groups[contact_constants(scene, contact, settings)].contacts.append(contact)
     for index, (constants, group) in enumerate(groups.items()):
         names = (name for contact in group.contacts for name in (*contact.first, *contact.second))
         for name in dict.fromkeys(names):
