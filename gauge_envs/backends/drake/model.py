@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, HydroelasticContactRepresentation
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, ContactModel, DiscreteContactApproximation
-from pydrake.multibody.tree import RevoluteJoint, RotationalInertia, SpatialInertia
+from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, RotationalInertia, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
@@ -112,8 +112,6 @@ def _add_body(plant: Any, instance: Any, body: RigidBody, hinge: Hinge | None, d
 
 
 def _frame(plant: Any, name: str, body: Any, pose: RigidTransform) -> Any:
-    from pydrake.multibody.tree import FixedOffsetFrame
-
     return plant.AddFrame(FixedOffsetFrame(name, body.body_frame(), pose))
 
 

@@ -63,6 +63,8 @@ class SettingsDrake(SteppedSettings):
     tether_rate: float = Field(default=0.2, gt=0.0, le=1.0)
 
 
+# A linear contact has one restitution at all speeds. At this rate the phase of the first step in contact changes it by
+# 0.005. A relaxation time of 20 steps keeps balls with sustained contacts from rebounding by more than 0.05.
 IMPACT: dict[str, Any] = {
     "approximation": "sap",
     "contact_model": "point",
@@ -72,17 +74,28 @@ IMPACT: dict[str, Any] = {
 }
 
 PRESETS: dict[str, SettingsDrake] = {
+    # Slides are within 0.001 % of Coulomb's law, and a pile of boxes sinks by less than 0.4 mm. `sap` and `similar` lift a
+    # sliding box by up to (mu v)^2 / 2g, and `tamsi` does not converge in piles at a rate of 3. At a rate of 8, `lagged`
+    # makes slides 3.5 % too slow.
     "default": SettingsDrake(preset="default", timestep_s=1 / 3600),
+    # The acceleration of a rolling cylinder is 6 % too low at 1/1800 s and 0.5 % here, in proportion to the step.
     "rolling": SettingsDrake(preset="rolling", timestep_s=1 / 9000),
+    # With a restitution of 0.2, gravity during the contact takes 0.007 of it at half the frequency.
     "impact": SettingsDrake(preset="impact", timestep_s=1 / 72000, **IMPACT),
+    # Gravity has no part in horizontal impacts, so longer contacts do.
     "impact_chain": SettingsDrake(preset="impact_chain", timestep_s=1 / 36000, **IMPACT),
+    # The energy of a pendulum oscillates by 0.04 %.
     "contact_free": SettingsDrake(preset="contact_free", timestep_s=1 / 9000),
+    # The contact surfaces of a wall of 118 bricks have 17 000 faces, which take 220 s for a simulated second.
     "stack": SettingsDrake(preset="stack", timestep_s=1 / 900, contact_model="point"),
+    # One approximation each, otherwise as `default`.
     "tamsi": SettingsDrake(preset="tamsi", timestep_s=1 / 3600, approximation="tamsi"),
     "sap": SettingsDrake(preset="sap", timestep_s=1 / 3600, approximation="sap"),
     "similar": SettingsDrake(preset="similar", timestep_s=1 / 3600, approximation="similar"),
     "lagged": SettingsDrake(preset="lagged", timestep_s=1 / 3600, approximation="lagged"),
     "point": SettingsDrake(preset="point", timestep_s=1 / 3600, contact_model="point"),
+    # Drake's documented defaults, at the rate of the paper's rigid runs; only masses, shapes and friction come from the
+    # scene.
     "out_of_box": SettingsDrake(preset="out_of_box", timestep_s=1 / 180, drake_material=True),
 }
 
@@ -90,6 +103,7 @@ LARGE_STACK = 20
 """Number of dynamic bodies from which a scene gets the cheaper preset `stack`."""
 
 SLOWEST_IMPACT_M_PER_S = 0.01
+"""Smallest speed at which impacts have the scene's restitution [m/s]."""
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsDrake:

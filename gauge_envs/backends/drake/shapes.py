@@ -9,6 +9,8 @@ import pydrake.geometry as geometry
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
 
 from gauge_envs.backends.drake.contacts import ContactConstants
 from gauge_envs.backends.drake.settings import SettingsDrake
@@ -113,9 +115,6 @@ def inner_radius_m(shape: Shape) -> float:
 
 
 def _piece_inner_radius_m(points_m: NDArray[np.float64]) -> float:
-    from scipy.optimize import linprog
-    from scipy.spatial import ConvexHull
-
     planes = ConvexHull(points_m).equations
     # The largest ball inside: its centre is further from each face than its radius.
     found = linprog(
