@@ -74,8 +74,8 @@ IMPACT: dict[str, Any] = {
 }
 
 PRESETS: dict[str, SettingsDrake] = {
-    # Slides are within 0.001 % of Coulomb's law, and a pile of boxes sinks by less than 0.4 mm. `sap` and `similar` lift
-    # a sliding box by up to (mu v)^2 / 2g, and `tamsi` does not converge in piles at a rate of 3. At a rate of 8,
+    # Slides are within 0.001 % of Coulomb's law, and a pile of boxes sinks by less than 0.4 mm. `sap` and `similar`
+    # lift a sliding box by up to (mu v)^2 / 2g, and `tamsi` does not converge in piles at a rate of 3. At a rate of 8,
     # `lagged` makes slides 3.5 % too slow.
     "default": SettingsDrake(preset="default", timestep_s=1 / 3600),
     # The acceleration of a rolling cylinder is 6 % too low at 1/1800 s and 0.5 % here, in proportion to the step.
