@@ -24,6 +24,9 @@ CYLINDER_SIDES = 96
 CORNER_RADIUS_M = 1e-6
 """Radius of the spheres at corners [m]; it is a height error."""
 
+POINTS_PER_FACE = 5
+"""Contact points of a face in point contact, which share its stiffness: four corners and one of the whole shape."""
+
 UNMOVED_KG = 1e9
 """Mass that gives fixed and driven bodies a stiffness beside which that of a dynamic body counts alone [kg]."""
 
@@ -80,6 +83,8 @@ def proximity_properties(
         return properties
     mass_kg = body.mass_kg if body.motion is Motion.DYNAMIC else UNMOVED_KG
     stiffness = mass_kg * constants.frequency_rad_per_s**2
+    if settings.contact_model == "point" and isinstance(body.shape, Box | ConvexUnion):
+        stiffness /= POINTS_PER_FACE
     geometry.AddContactMaterial(
         properties,
         dissipation=constants.dissipation_s_per_m,

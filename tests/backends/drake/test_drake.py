@@ -117,6 +117,42 @@ def test_linear_dissipation_has_the_restitution_at_any_speed_and_hunt_crossley_a
     assert slow > 0.7
 
 
+@pytest.mark.parametrize(
+    ("speed", "mass_kg", "expected"),
+    [(2.8, 0.001, 0.577), (2.8, 10.0, 0.577), (6.0, 0.1, 0.5775), (1.0, 0.1, 0.5754), (0.3, 0.1, 0.5692)],
+)
+def test_the_page_has_the_restitution_of_impacts_of_other_speeds(speed: float, mass_kg: float, expected: float) -> None:
+    step_s = 1 / 72000
+    start = (0.0, 0.0, 0.03 + 1.5 * step_s * speed)
+    ball = solid("ball", Sphere(radius_m=0.03), start, linear_velocity_m_per_s=(0.0, 0.0, -speed), mass_kg=mass_kg)
+    contact = Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.577, mode=ContactMode.IMPACT)
+    scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.1)
+    simulation = DRAKE.build(scene, {"impact_speed_m_per_s": 2.8})
+    assert simulation.settings["preset"] == "impact"
+    for _ in range(18):
+        simulation.advance(1 / 180)
+        height, outgoing = simulation.body_states(["ball"])[0, [2, 9]]
+        if outgoing > 0.0 and height > 0.03:
+            break
+    assert np.sqrt(outgoing**2 + 2.0 * G * (height - 0.03)) / speed == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("preset", ["default", "point"])
+@pytest.mark.parametrize("restitution", [0.2, 0.5, 0.8])
+def test_a_box_that_lands_flat_rebounds(preset: str, restitution: float) -> None:
+    box = solid("box", Box(size_m=(0.1, 0.05, 0.02)), (0.0, 0.0, 0.21))
+    contact = Contact(
+        first=("box",), second=("ground",), friction=0.3, restitution=restitution, mode=ContactMode.IMPACT
+    )
+    simulation = DRAKE.build(Scene(bodies=(GROUND, box), contacts=(contact,), duration_s=1.0), {"preset": preset})
+    heights = []
+    for _ in range(70):
+        simulation.advance(1 / 180)
+        heights.append(simulation.body_states(["box"])[0, 2] - 0.01)
+    landed = int(np.argmax(np.diff(heights) > 0.0))
+    assert np.sqrt(max(heights[landed:]) / 0.2) == pytest.approx(restitution, rel=0.015)
+
+
 def test_gravity_during_the_contact_is_made_up_for() -> None:
     weight = G / 72000 / 2.8
     fitted = impact_constants("relaxation", 0.2, 0.03, weight)
