@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -17,17 +18,13 @@ from pydrake.systems.framework import DiagramBuilder
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.drake.shapes import collision_parts, corner_parts, proximity_properties
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Contact, Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["Model", "build_model", "rigid_transform"]
 
-APPROXIMATIONS = {
-    "tamsi": DiscreteContactApproximation.kTamsi,
-    "sap": DiscreteContactApproximation.kSap,
-    "similar": DiscreteContactApproximation.kSimilar,
-    "lagged": DiscreteContactApproximation.kLagged,
-}
+APPROXIMATIONS = {"tamsi": "kTamsi", "sap": "kSap", "similar": "kSimilar", "lagged": "kLagged"}
 SURFACES = {
     "polygon": HydroelasticContactRepresentation.kPolygon,
     "triangle": HydroelasticContactRepresentation.kTriangle,
@@ -64,7 +61,7 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     plant.set_contact_model(
         ContactModel.kPoint if settings.contact_model == "point" else ContactModel.kHydroelasticWithFallback
     )
-    plant.set_discrete_contact_approximation(APPROXIMATIONS[settings.approximation])
+    plant.set_discrete_contact_approximation(_approximation(settings.approximation))
     plant.set_contact_surface_representation(SURFACES[settings.surface])
     plant.set_stiction_tolerance(settings.stiction_speed_m_per_s)
     plant.set_sap_near_rigid_threshold(settings.near_rigid_threshold)
@@ -84,6 +81,16 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     _filter(scene_graph, scene, geometries)
     diagram = builder.Build()
     return Model(diagram=diagram, plant=plant, bodies=bodies, start=_start(plant, scene, bodies, hinges))
+
+
+def _approximation(name: str) -> DiscreteContactApproximation:
+    known = {key: value for key, value in APPROXIMATIONS.items() if hasattr(DiscreteContactApproximation, value)}
+    if name not in known:
+        raise ParameterError(
+            f"Drake setting 'approximation' is {name!r}, which Drake {version('drake')} does not have: "
+            f"choose one of {', '.join(known)}, or install Drake 1.51"
+        )
+    return getattr(DiscreteContactApproximation, known[name])
 
 
 def _add_body(plant: Any, instance: Any, body: RigidBody, hinge: Hinge | None, driven_mass_kg: float) -> Any:
