@@ -79,7 +79,7 @@ PRESETS: dict[str, SettingsDrake] = {
     # up to (mu v)^2 / 2g. `tamsi` does not converge in piles at a rate of 3, and Drake 1.58 has dropped it. `lagged`
     # makes bodies stick if contacts are too stiff: the prism at a rate of 4, or at 1 with the surface `polygon`.
     "default": SettingsDrake(preset="default", timestep_s=1 / 3600),
-    # The acceleration of a rolling cylinder is about 6 % too low at 1/1800 s and 0.9 % here; at a rate of 1 it is 1.2 %.
+    # A rolling cylinder accelerates 5 % too slowly at 1/1800 s and 0.9 % here; at a rate of 1 it is 1.2 %.
     "rolling": SettingsDrake(preset="rolling", timestep_s=1 / 9000, sustained_rate=2.0),
     # With a restitution of 0.2, gravity during the contact takes 0.007 of it at half the frequency.
     "impact": SettingsDrake(preset="impact", timestep_s=1 / 72000, **IMPACT),
