@@ -41,13 +41,13 @@ class BackendDrake(Backend):
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of `SettingsDrake`."""
-        _start_quietly()
         from gauge_envs.backends.drake.simulation import SimulationDrake
 
+        _start_quietly()
         return SimulationDrake(scene, settings_for(scene, settings))
 
 
 @cache
 def _start_quietly() -> None:
-    """Keep Drake from logging a warning about deformable bodies for every half-space."""
+    """Keep Drake from logging a warning about deformable bodies for half-spaces. Its import resets the level."""
     logging.getLogger("drake").setLevel(logging.ERROR)
