@@ -15,7 +15,7 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
-DISTRIBUTION = {"pxr": "usd-core", "warp": "warp-lang"}
+DISTRIBUTION = {"pydrake": "drake", "pxr": "usd-core", "warp": "warp-lang"}
 """Distributions whose module has another name."""
 
 INDIRECT = {
@@ -94,6 +94,7 @@ def test_extras_are_imported_at_first_use() -> None:
     extras = set().union(*EXTRAS.values()) - BASE
     at_once = {file: names & extras for file, (_, names) in FILES.items() if names & extras}
     own = (
+        "backends/drake/",
         "backends/newton/",
         "backends/physx/",
         "backends/pybullet/",

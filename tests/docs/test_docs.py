@@ -208,6 +208,7 @@ FACADES = [
     for package in pkgutil.walk_packages(gauge_envs.__path__, "gauge_envs.")
     if package.ispkg
     and package.name not in ("gauge_envs.cli", "gauge_envs.backends.newton", "gauge_envs.backends.rapier")
+    and package.name not in ("gauge_envs.cli", "gauge_envs.backends.newton", "gauge_envs.backends.drake")
 ]
 """Packages, whose `__all__` is what users import. The command is on its own page, and Newton's settings are on its."""
 
@@ -242,7 +243,7 @@ def test_no_public_name_is_on_the_pages_twice() -> None:
     assert [name for (_, name), count in Counter(objects).items() if count > 1] == []
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "newton", "physx", "pybullet", "rapier"])
+@pytest.mark.parametrize("engine", ["mujoco", "drake", "newton", "physx", "pybullet", "rapier"])
 def test_the_page_of_an_engine_lists_its_presets(engine: str) -> None:
     presets = importlib.import_module(f"gauge_envs.backends.{engine}.settings").PRESETS
     page = (DOCS / "engines" / f"{engine}.md").read_text(encoding="utf-8")
