@@ -110,13 +110,19 @@ def measure(engine: str, preset: str, folder: Path, variants: Sequence[str]) -> 
     folder.mkdir(parents=True, exist_ok=True)
     ratios_file = folder / "ratios.json"
     ratios = json.loads(ratios_file.read_text(encoding="utf-8")) if ratios_file.is_file() else {}
+    declined_file = folder / "declined.json"
+    declined = json.loads(declined_file.read_text(encoding="utf-8")) if declined_file.is_file() else {}
     for variant in variants:
         if variant in ratios:
             continue
         started = time.perf_counter()
         _, reference_s = episode("mujoco", "", variant) if variant in TIMED else (None, 0.0)
         result, wall_s = episode(engine, preset, variant)
-        write_result(result, folder / result_file_name(result))
+        if result.error is None:
+            write_result(result, folder / result_file_name(result))
+        else:
+            declined[variant] = {"outcome": result.outcome.value, "reason": result.error}
+            write_whole(declined_file, json.dumps(declined, indent=1).encode())
         ratios[variant] = wall_s / reference_s if reference_s and result.error is None else None
         write_whole(ratios_file, json.dumps(ratios, indent=1).encode())
         print(f"{name_of(engine, preset)}: {variant} {result.outcome.value}, {time.perf_counter() - started:.0f} s")
@@ -163,9 +169,15 @@ def record(engine: str, preset: str, folder: Path) -> dict[str, Any]:
         | {"energy loss": measured_value(by_check["pendulum-energy"])}
         | {f"slide {name.rsplit('-', 1)[1]}": acceleration_ratio(results[name]) for name in SLIDES}
         | {"rebound": rebound_ratio(results[BALL])},
-        "episodes": {name: episode_record(one) for name, one in results.items()},
+        "episodes": {name: episode_record(one) for name, one in results.items()} | not_run(folder),
         "wall_ratios": ratios,
     }
+
+
+def not_run(folder: Path) -> dict[str, Any]:
+    """Return the episodes of a configuration that did not run, with their reasons."""
+    file = folder / "declined.json"
+    return dict(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else {}
 
 
 def engine_versions(results: Iterable[Result]) -> dict[str, str]:

@@ -120,7 +120,7 @@ def list_table(rows: Sequence[dict[str, Any]]) -> Table:
         columns=(
             Column("id", "id"),
             Column("group", "group", wide_only=True),
-            Column("observable", "observable"),
+            Column("observable", "observable", wide_only=True),
             Column("frames", "frames", is_number=True, wide_only=True),
             Column("grade", "grade"),
             Column("imported", "imported trials", lambda known: "yes" if known else "no", wide_only=True),
@@ -132,7 +132,10 @@ def list_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _usable_text(backends: dict[str, list[str]]) -> str:
-    return ", ".join(name for name, lacks in backends.items() if not lacks) or "none"
+    usable = [name for name, lacks in backends.items() if not lacks]
+    if len(usable) == len(backends) > 2:
+        return f"all {len(usable)}"
+    return ", ".join(usable) or "none"
 
 
 def backend_rows(*, isolate: bool = False) -> list[dict[str, Any]]:
