@@ -27,14 +27,17 @@ from numpy.typing import NDArray
 
 __all__ = [
     "MEGABYTE",
+    "MOST_TOML_BYTES",
     "check_json_size",
     "child_refusal",
     "data_folder",
+    "file_folders",
     "json_document",
     "json_ready",
     "locked",
     "npz_arrays",
     "npz_names",
+    "outside_reason",
     "printable",
     "read_regular",
     "toml_document",
@@ -44,10 +47,14 @@ __all__ = [
 
 MEGABYTE = 10**6
 
+OUTSIDE_VARIABLE = "GAUGE_OUTSIDE_FILES"
+"""Environment variable that, with the value 1, lets files name files outside their folder."""
+
 MOST_JSON_CONTAINERS = 1_000_000
 """Largest count of objects and lists of a JSON file; each takes up to 64 bytes of memory, and 3 bytes of the file."""
 
 MOST_TOML_BYTES = 2 * MEGABYTE
+"""Largest size of a TOML file."""
 
 MOST_KEY_DOTS = 64
 """Largest count of dots in a key of a TOML file; the parser's time grows with the square of the count."""
@@ -121,6 +128,34 @@ def _check_regular(file: Path, status: os.stat_result, most_bytes: int) -> None:
     if status.st_size > most_bytes:
         size, limit = status.st_size / MEGABYTE, most_bytes / MEGABYTE
         raise OSError(errno.EFBIG, f"it has {size:.6g} MB, the limit is {limit:g} MB", str(file))
+
+
+def file_folders(file: Path) -> tuple[Path, ...]:
+    """Return the folders in which files that a file names must be; empty where `GAUGE_OUTSIDE_FILES=1` allows all.
+
+    They are the folder that holds the file and, for a link, that of its target.
+    """
+    if os.environ.get(OUTSIDE_VARIABLE) == "1":
+        return ()
+    return tuple(dict.fromkeys((file.parent.resolve(), file.resolve().parent)))
+
+
+def outside_reason(named: Path, by: Path) -> str:
+    """Return why a file that another one names must not be read; empty if it may be.
+
+    A file of strangers could otherwise read any file of this machine.
+
+    Args:
+        named: The file.
+        by: The file that names it.
+    """
+    folders = file_folders(by)
+    if not folders or any(named.resolve().is_relative_to(folder) for folder in folders):
+        return ""
+    return (
+        f"{printable(str(named))} is outside the folder of {by.name}: move it there, or set {OUTSIDE_VARIABLE}=1 "
+        "if you trust the file"
+    )
 
 
 def check_json_size(content: bytes) -> None:
@@ -229,7 +264,7 @@ def _npz_member(archive: zipfile.ZipFile, name: str, left: int, most_bytes: int)
     return np.frombuffer(bytes(data), dtype=dtype).reshape(shape, order="F" if is_fortran else "C")
 
 
-def child_refusal(script: Path, *arguments: str, content: bytes = b"") -> str | None:
+def child_refusal(script: Path, *arguments: str, content: bytes = b"", cpu_s: int = CHILD_CPU_S) -> str | None:
     """Run a script on a file of a stranger in a child process with limits of memory and time.
 
     Use it for a library that offers no limit of its own. The script loads the file as the library does. It exits with
@@ -239,11 +274,12 @@ def child_refusal(script: Path, *arguments: str, content: bytes = b"") -> str | 
         script: Script that needs no module of this package.
         arguments: Arguments of the script.
         content: Standard input of the script.
+        cpu_s: Limit of its processor time [s].
 
     Returns:
         Why the file must not be loaded; None for a file that stays within the limits.
     """
-    command = [sys.executable, "-P", "-c", CHILD_START, str(CHILD_MEMORY), str(CHILD_CPU_S), str(script), *arguments]
+    command = [sys.executable, "-P", "-c", CHILD_START, str(CHILD_MEMORY), str(cpu_s), str(script), *arguments]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"}
     try:
         done = subprocess.run(
@@ -258,7 +294,7 @@ def child_refusal(script: Path, *arguments: str, content: bytes = b"") -> str | 
     if done.returncode == CHILD_REFUSED:
         return done.stdout.decode(errors="replace").strip()
     if -done.returncode in (getattr(signal, "SIGXCPU", 0), getattr(signal, "SIGKILL", 0)):
-        return f"loading it takes more than {CHILD_CPU_S} s of processor time"
+        return f"loading it takes more than {cpu_s} s of processor time"
     return f"loading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory, or the library crashes on it"
 
 

@@ -108,6 +108,40 @@ Crash = fails_on_plastic("crash", segfault)
 Exit = fails_on_plastic("exit", lambda: sys.exit(5))
 HardExit = fails_on_plastic("hard-exit", lambda: os._exit(6))
 Hang = fails_on_plastic("hang", lambda: time.sleep(1000))
+
+
+def fails_on_contact(backend_name, fail):
+    """A backend that calls a function while it builds a scene with contacts."""
+
+    class Failing(BackendMuJoCo):
+        name = backend_name
+
+        def build(self, scene, settings=None):
+            if scene.contacts:
+                fail()
+            return super().build(scene, settings)
+
+    return Failing
+
+
+ContactCrash = fails_on_contact("contact-crash", segfault)
+ContactExit = fails_on_contact("contact-exit", lambda: sys.exit(5))
+ContactHardExit = fails_on_contact("contact-hard-exit", lambda: os._exit(6))
+ContactHang = fails_on_contact("contact-hang", lambda: time.sleep(1000))
+ContactGreedy = fails_on_contact("contact-greedy", lambda: (bytearray(10**9), time.sleep(1000)))
+
+
+class FallCrash(BackendMuJoCo):
+    name = "fall-crash"
+
+    def build(self, scene, settings=None):
+        simulation = super().build(scene, settings)
+        if any(body.name.startswith("ball") for body in scene.bodies):
+            simulation.__class__ = type("Dies", (SimulationMuJoCo,), {"advance": lambda self, seconds: segfault()})
+        return simulation
+
+
+Greedy = fails_on_plastic("greedy", lambda: (bytearray(10**9), time.sleep(1000)))
 '''
 
 BACKENDS = {
@@ -125,6 +159,13 @@ BACKENDS = {
     "exit": "Exit",
     "hard-exit": "HardExit",
     "hang": "Hang",
+    "greedy": "Greedy",
+    "fall-crash": "FallCrash",
+    "contact-crash": "ContactCrash",
+    "contact-exit": "ContactExit",
+    "contact-hard-exit": "ContactHardExit",
+    "contact-hang": "ContactHang",
+    "contact-greedy": "ContactGreedy",
 }
 
 

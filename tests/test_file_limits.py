@@ -16,11 +16,14 @@ import pytest
 from pxr import Sdf, Usd
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TrajectoryFileError
+from gauge_envs.checks.sanity.target import configuration
+from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TaskFileError, TrajectoryFileError
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.files import MEGABYTE, json_document, npz_arrays, read_regular, toml_document, write_whole
+from gauge_envs.references.convergence import ConvergenceTable
+from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.usd import source
@@ -57,6 +60,11 @@ READERS: dict[str, Callable[[Path], object]] = {
     "scene.xml": lambda file: load_experiment_from_asset(NAME, file),
     "own.toml": load_experiment_file,
     "band.csv": csv_header,
+    "settings.toml": configuration,
+    "settings.json": configuration,
+    "robot.xml": configuration,
+    "sensitivities.json": lambda file: read_sensitivities(file, 0),
+    "convergence.csv": ConvergenceTable.read,
 }
 
 
@@ -70,6 +78,107 @@ def test_only_regular_files_of_limited_size_are_read(
     with pytest.raises(GaugeError) as caught:
         READERS[name](file)
     assert reason in str(caught.value) and str(file) in str(caught.value)
+
+
+# --- files that files name -------------------------------------------------------------------------------------------
+
+SECRET = "root-of-all-evil"
+
+OWN = """
+name = "crate"
+title = "A crate"
+usd = "{usd}"
+frames = 19
+recorded = ["cube"]
+score = {{ observable = "position" }}
+provenance = {{ all = "nominal: a test" }}
+{band}
+"""
+
+BAND = """
+[band]
+file = "{file}"
+grade = "trials"
+sigma_source = "trials"
+coordinates = ["x", "y", "z"]
+trial_count = 3
+source = "a test"
+"""
+
+COMPOSED = {
+    "reference": 'def "World" (\n  references = @{0}@</World>\n) {{}}\n',
+    "payload": 'def "World" (\n  payload = @{0}@</World>\n) {{}}\n',
+    "sublayer": "(\n  subLayers = [@{0}@]\n)\n",
+    "clip": 'def "World" (\n  clips = {{ dictionary default = {{ asset[] assetPaths = [@{0}@] }} }}\n) {{}}\n',
+}
+
+
+@pytest.fixture
+def places(tmp_path: Path) -> SimpleNamespace:
+    """A folder of a stranger, with a file outside that is no layer and no table."""
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    secret = tmp_path / "secret.usda"
+    secret.write_text(f"#usda 1.0\n{SECRET}\n")
+    layer = (Path(source.__file__).parents[3] / "assets" / "usd" / f"{NAME}.usda").read_text(encoding="utf-8")
+    (inside / "scene.usda").write_text(layer, encoding="utf-8")
+    (inside / "link.usda").symlink_to(secret)
+    return SimpleNamespace(inside=inside, secret=secret)
+
+
+@pytest.mark.parametrize("name", ["../secret.usda", "{secret}", "link.usda"])
+@pytest.mark.parametrize("key", ["usd", "band.file"])
+def test_an_experiment_file_names_no_file_outside_its_folder(key: str, name: str, places: SimpleNamespace) -> None:
+    name = name.format(secret=places.secret)
+    file = places.inside / "own.toml"
+    usd, band = (name, "") if key == "usd" else ("scene.usda", BAND.format(file=name))
+    file.write_text(OWN.format(usd=usd, band=band))
+    with pytest.raises(TaskFileError, match=r"is outside the folder of own\.toml: move it there") as caught:
+        load_experiment_file(file)
+    assert key in str(caught.value) and SECRET not in str(caught.value)
+
+
+def test_files_outside_are_read_if_the_user_trusts_the_file(
+    places: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (places.inside / "scene.usda").rename(places.inside.parent / "scene.usda")
+    file = places.inside / "own.toml"
+    file.write_text(OWN.format(usd="../scene.usda", band=""))
+    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
+    assert load_experiment_file(file).frame_count == 19
+
+
+def test_a_link_to_an_experiment_file_finds_its_layer(places: SimpleNamespace) -> None:
+    (places.inside / "own.toml").write_text(OWN.format(usd="scene.usda", band=""))
+    whole = places.inside.parent / "whole"
+    whole.symlink_to(places.inside)
+    assert load_experiment_file(whole / "own.toml").frame_count == 19
+
+
+@pytest.mark.parametrize("name", ["../secret.usda", "{secret}", "./link.usda", "file:///etc/passwd"])
+@pytest.mark.parametrize("kind", COMPOSED)
+def test_a_layer_refers_to_no_file_outside_its_folder(kind: str, name: str, places: SimpleNamespace) -> None:
+    name = name.format(secret=places.secret)
+    file = places.inside / "own.usda"
+    file.write_text("#usda 1.0\n" + COMPOSED[kind].format(name))
+    with pytest.raises(AssetError) as caught:
+        from_usd(file)
+    assert f"it refers to {name!r}, outside its folder" in str(caught.value)
+    assert SECRET not in str(caught.value)
+
+
+def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(
+    places: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (places.inside / "parts").mkdir()
+    (places.inside / "scene.usda").rename(places.inside.parent / "scene.usda")
+    (places.inside / "parts" / "part.usda").write_text("#usda 1.0\n(\n  subLayers = [@../../scene.usda@]\n)\n")
+    file = places.inside / "own.usda"
+    file.write_text('#usda 1.0\n(\n  metersPerUnit = 1\n  upAxis = "Z"\n  subLayers = [@./parts/part.usda@]\n)\n')
+    with pytest.raises(AssetError, match=r"it refers to '../../scene\.usda', outside its folder"):
+        from_usd(file, duration_s=1.0)
+    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
+    assert from_usd(file, duration_s=1.0).bodies
 
 
 def test_a_file_that_grows_while_it_is_read_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

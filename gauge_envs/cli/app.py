@@ -11,7 +11,14 @@ import typer.core
 from gauge_envs.cli.checks import backend_app, sanity
 from gauge_envs.cli.data import assets_app, data_app
 from gauge_envs.cli.describe import list_, materials, show
-from gauge_envs.cli.output import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, plain_text, stderr_console
+from gauge_envs.cli.interrupts import (
+    EXIT_INTERRUPTED,
+    command_runs,
+    handle_interrupts,
+    report_interrupt,
+    was_interrupted,
+)
+from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
 from gauge_envs.cli.streams import reserved_stdout
@@ -44,18 +51,27 @@ class _Group(typer.core.TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
-        except GaugeError as error:
-            _print_error(str(error))
-            raise typer.Exit(EXIT_USAGE) from None
-        except OSError as error:
-            if error.errno not in UNWRITABLE:
-                raise
-            _print_error(f"the output cannot be written: {error.strerror}")
-            raise typer.Exit(EXIT_USAGE) from None
-        except KeyboardInterrupt:
-            stderr_console().print("interrupted")
-            raise typer.Exit(EXIT_INTERRUPTED) from None
+            with command_runs():
+                return super().invoke(ctx)
+        except typer.Exit:
+            raise
+        except BaseException as error:
+            raise typer.Exit(_exit_code(error)) from None
+
+
+def _exit_code(error: BaseException) -> int:
+    """Print the message of an error that ends the command, and return its exit code; raise any other error."""
+    # A library may turn Ctrl-C into an error of its own.
+    if isinstance(error, KeyboardInterrupt) or was_interrupted():
+        report_interrupt()
+        return EXIT_INTERRUPTED
+    if isinstance(error, GaugeError):
+        _print_error(str(error))
+    elif isinstance(error, OSError) and error.errno in UNWRITABLE:
+        _print_error(f"the output cannot be written: {error.strerror}")
+    else:
+        raise error
+    return EXIT_USAGE
 
 
 app = typer.Typer(
@@ -80,5 +96,6 @@ for group in (app, backend_app, assets_app, data_app):
 
 
 def main() -> None:
-    """Run the `gauge` command."""
+    """Run the `gauge` command in this process."""
+    handle_interrupts()
     app()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -215,16 +216,33 @@ def backend_check(
     describe: Annotated[
         bool, typer.Option("--list", help="List the checks with their scenes and laws, and run none.")
     ] = False,
+    isolate: Annotated[
+        bool,
+        typer.Option(
+            "--isolate", help="Run the checks in another process; those of engines of other packages always do."
+        ),
+    ] = False,
+    time_limit_s: Annotated[
+        float | None, typer.Option(help="Time limit of a check in another process [s], 600 by default.")
+    ] = None,
+    memory_limit_gb: Annotated[
+        float | None, typer.Option(help="Limit of the resident memory of that process [GB], on Linux.")
+    ] = None,
     json_lines: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
     wide: Wide = False,
 ) -> None:
     """Check backends against closed forms in small scenes, with a diagnosis of each failure.
 
-    Exit code 1 when a check failed or raised an error. A declined check is no failure.
+    Exit code 1 when a check failed or raised an error. A declined check is no failure. An engine that crashes, exits or
+    hangs in another process costs one check. A limit implies --isolate.
     """
+    from gauge_envs.backends import backend_names
+    from gauge_envs.backends.registry import is_bundled
     from gauge_envs.checks.conformance import checks, run_checks
+    from gauge_envs.checks.conformance.run import CHECK_LIMIT_S
     from gauge_envs.report.conformance import checks_table, findings_markdown, findings_view
+    from gauge_envs.runs.isolation import Worker
 
     patterns = only or []
     if describe:
@@ -234,13 +252,21 @@ def backend_check(
         raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list")
     engines = list(dict.fromkeys(names))
     settings = parsed_settings(changes or [])
-    runs = [run_checks(name, settings=settings, only=patterns) for name in engines]
+    isolate = isolate or time_limit_s is not None or memory_limit_gb is not None
     findings = []
     stderr = stderr_console()
     total = len(checks(patterns)) * len(engines)
     lines = _ProgressLines(stderr, total)
-    with progress_bar(stderr) as progress:
+    apart = {name for name in backend_names() if isolate or not is_bundled(name)}
+    with ExitStack() as stack:
+        progress = stack.enter_context(progress_bar(stderr))
+        limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s
+        worker = stack.enter_context(Worker(limit_s, memory_limit_gb))
         bar = progress.add_task("checks", total=total)
+        runs = [
+            run_checks(name, settings=settings, only=patterns, worker=worker if name in apart else None)
+            for name in engines
+        ]
         for run in runs:
             for finding in run:
                 findings.append(finding)

@@ -22,7 +22,6 @@ from gauge_envs.report.table import Table, as_rich, as_rows
 
 __all__ = [
     "EXIT_FAILED",
-    "EXIT_INTERRUPTED",
     "EXIT_USAGE",
     "PIPE_WIDTH",
     "counted",
@@ -43,9 +42,6 @@ EXIT_FAILED = 1
 
 EXIT_USAGE = 2
 """The request is wrong: an unknown name, a missing file, an unsupported option."""
-
-EXIT_INTERRUPTED = 130
-"""Ctrl-C."""
 
 
 def stdout_console() -> Console:

@@ -22,9 +22,9 @@ from gauge_envs.cli.arguments import (
     parsed_parameters,
     parsed_settings,
 )
+from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import (
     EXIT_FAILED,
-    EXIT_INTERRUPTED,
     counted,
     plain_text,
     print_json_lines,
@@ -90,6 +90,10 @@ def run(
     time_limit_s: Annotated[
         float, typer.Option(help="Time limit of an experiment in another process, with its repeats [s].")
     ] = 3600.0,
+    memory_limit_gb: Annotated[
+        float | None,
+        typer.Option(help="Limit of the resident memory of that process [GB], on Linux; implies --isolate."),
+    ] = None,
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
@@ -131,7 +135,7 @@ def run(
         for engine in engines
         for subject in chosen
     ]
-    isolation = isolate or None
+    isolation = isolate or memory_limit_gb is not None or None
     check_requests(requests, isolate=isolation)
     by_name = {request.calibrated_experiment().id for request in requests if request.variant in named}
 
@@ -143,6 +147,7 @@ def run(
         resume=resume,
         isolate=isolation,
         time_limit_s=time_limit_s,
+        memory_limit_gb=memory_limit_gb,
         notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
     )
     total = len(requests) * repeats

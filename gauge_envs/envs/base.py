@@ -124,10 +124,23 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
 
     def _state(self) -> dict[str, Any]:
         """Return the state of what `_build` makes."""
-        return {"simulation": self.simulation.state()}
+        return {"settings": dict(self.simulation.settings), "simulation": self.simulation.state()}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
-        """Restore what `_state` returned."""
+        """Restore what `_state` returned.
+
+        Raises:
+            BackendError: Other settings are in force, as defaults may change with the version of gauge-envs.
+        """
+        before, now = state["settings"], self.simulation.settings
+        changed = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+        if changed:
+            was, is_now = (", ".join(f"{name} = {one.get(name)}" for name in changed) for one in (before, now))
+            raise BackendError(
+                f"{self._label}: the pickle is from a simulation with {was}, here it is {is_now}. "
+                "A state continues only with the same settings: install the version of gauge-envs "
+                "that made it, or run the episode again."
+            )
         self.simulation.restore(state["simulation"])
 
     def __getstate__(self) -> dict[str, Any]:

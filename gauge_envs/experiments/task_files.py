@@ -19,7 +19,7 @@ from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.tables import PROVENANCES
 from gauge_envs.experiments.task_format import SubtaskSpec, TaskSpec
 from gauge_envs.experiments.variants import Variant, task_path, unreadable_task_files, variants
-from gauge_envs.files import MEGABYTE, read_regular, toml_document
+from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, read_regular, toml_document
 from gauge_envs.scene import Plane
 
 __all__ = ["load_task", "task_file_error", "task_file_faults", "task_sha256", "task_spec"]
@@ -200,7 +200,7 @@ def task_sha256(family: str) -> str:
     Raises:
         UnknownNameError: No such family.
     """
-    return hashlib.sha256(task_path(family).read_bytes()).hexdigest()
+    return hashlib.sha256(read_regular(task_path(family), MOST_TOML_BYTES)).hexdigest()
 
 
 @cache

@@ -20,7 +20,7 @@ from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read
 from gauge_envs.experiments.tables import DriverSpec, Fraction
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
-from gauge_envs.files import toml_document
+from gauge_envs.files import outside_reason, toml_document
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
@@ -141,7 +141,8 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     """Read an experiment file, and the USD layer and the band that it names.
 
     Raises:
-        TaskFileError: The file is not TOML, or has an unknown key or a value out of range.
+        TaskFileError: The file is not TOML, has an unknown key or a value out of range, or names a file outside its
+            folder.
         AssetError: The USD layer cannot be read, or lacks a prim that the file names.
         ReferenceFileError: The band is damaged.
     """
@@ -153,12 +154,12 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
         raise task_file_error(path, error) from error
     except ValueError as error:
         raise TaskFileError(path, "(file)", str(error)) from error
-    layer = path.parent / definition.usd
+    layer = _named_file(path, "usd", definition.usd)
     scene, recorded, used_files = _scene(path, layer, definition)
     contents = [content, read_bytes(layer), *map(read_bytes, used_files)]
     band = None
     if definition.band is not None:
-        table = path.parent / definition.band.file
+        table = _named_file(path, "band.file", definition.band.file)
         band = read_band(table, _band_sidecar(definition, definition.band), path)
         contents.append(read_bytes(table))
     experiment = _file_experiment(
@@ -171,6 +172,22 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     check_fit(experiment, experiment)
     _check_band(path, experiment)
     return experiment
+
+
+def _named_file(path: Path, key: str, name: str) -> Path:
+    """Return the path of a file that an experiment file names.
+
+    Raises:
+        TaskFileError: It is outside the folder of the experiment file.
+    """
+    file = path.parent / name
+    try:
+        reason = outside_reason(file, path)
+    except (OSError, ValueError, RuntimeError):  # A null character, a name that is too long, or a loop of links.
+        reason = "it is no name of a file"
+    if reason:
+        raise TaskFileError(path, key, reason)
+    return file
 
 
 def _file_experiment(

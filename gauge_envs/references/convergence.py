@@ -16,7 +16,8 @@ from typing import Literal, get_args
 from pydantic import NonNegativeFloat, PositiveFloat, ValidationError
 
 from gauge_envs.errors import ReferenceFileError, first_fault
-from gauge_envs.references.tables import FileModel, scoring_folder
+from gauge_envs.files import read_regular
+from gauge_envs.references.tables import MOST_TABLE_BYTES, FileModel, scoring_folder
 
 __all__ = ["REFINED_SETTINGS", "Convergence", "ConvergenceTable", "RefinedSetting", "convergence_table"]
 
@@ -84,7 +85,7 @@ class ConvergenceTable:
             ReferenceFileError: The file cannot be read, or a row is damaged.
         """
         try:
-            lines = file.read_text(encoding="utf-8").splitlines()
+            lines = read_regular(file, MOST_TABLE_BYTES).decode("utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
             raise ReferenceFileError(file, None, f"the file cannot be read: {error}") from None
         head = [line for line in lines if line.startswith(COMMENT)]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveInt, ValidationError
 
 from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
-from gauge_envs.files import write_whole
+from gauge_envs.files import read_regular, write_whole
 from gauge_envs.references.imported import user_data_folder
-from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
+from gauge_envs.references.tables import MOST_TABLE_BYTES, FileModel, read_toml, scoring_folder
 
 __all__ = [
     "InputUncertainty",
@@ -167,7 +167,7 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
 @lru_cache(maxsize=128)
 def _read(file: Path, mtime_ns: int) -> Sensitivities:
     try:
-        table = _SensitivityTable.model_validate_json(file.read_bytes())
+        table = _SensitivityTable.model_validate_json(read_regular(file, MOST_TABLE_BYTES))
         inputs = tuple(
             InputUncertainty(**{**dict(entry), "change": np.array(entry.change, dtype=np.float64)})
             for entry in table.inputs

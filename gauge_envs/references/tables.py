@@ -14,10 +14,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
 
-__all__ = ["FileModel", "csv_header", "header_fault", "read_rows", "read_toml", "scoring_folder"]
+__all__ = ["MOST_TABLE_BYTES", "FileModel", "csv_header", "header_fault", "read_rows", "read_toml", "scoring_folder"]
 
 
 MOST_TABLE_BYTES = 16 * MEGABYTE
+"""Largest size of a table."""
 
 
 class FileModel(BaseModel):

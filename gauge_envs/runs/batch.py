@@ -85,6 +85,7 @@ def run_many(
     notify: Notify = _log.warning,
     isolate: bool | None = False,
     time_limit_s: float = TIME_LIMIT_S,
+    memory_limit_gb: float | None = None,
 ) -> Iterator[Result]:
     """Run episodes one after another, repeats together; each result is written before it is yielded.
 
@@ -101,6 +102,7 @@ def run_many(
             except those of an engine outside this package that raised an unexpected error before. The results have
             the same bits.
         time_limit_s: Time limit of a request that runs in another process, with all its repeats [s].
+        memory_limit_gb: Limit of the resident memory of another process [GB], on Linux; None: no limit.
 
     Returns:
         Iterator over the results; it runs an episode when its result is asked for.
@@ -108,10 +110,10 @@ def run_many(
     Raises:
         ResultFileError: `out` cannot be written; raised before anything runs.
         AssetError: An asset or an experiment file cannot be used; raised before anything runs.
-        ParameterError: A request has `imported`, but nothing was imported, or the time limit is not positive; raised
-            before anything runs.
+        ParameterError: A request has `imported`, but nothing was imported, or a limit is not positive; raised before
+            anything runs.
     """
-    place = _Place(isolate, time_limit_s)
+    place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
     runs = [
         _Run(replace(request, jitter=Jitter()) if request.repeats > 1 and request.jitter is None else request)
         for request in requests
@@ -134,12 +136,12 @@ class _Place:
 
     Args:
         isolate: As for `run_many`.
-        time_limit_s: Time limit of a request in another process [s].
+        worker: The other process.
     """
 
-    def __init__(self, isolate: bool | None, time_limit_s: float) -> None:
+    def __init__(self, isolate: bool | None, worker: Worker) -> None:
         self._isolate = isolate
-        self._worker = Worker(time_limit_s)
+        self._worker = worker
         self._unsafe: set[str] = set()
 
     def versions(self, backend: str) -> dict[str, str]:

@@ -36,6 +36,7 @@ __all__ = [
     "run_episode",
     "run_repeats",
     "run_together",
+    "settings_record",
     "with_measured_uncertainty",
 ]
 
@@ -212,7 +213,7 @@ def planned_result(
     )
 
 
-def _settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings in force in a form that JSON takes.
 
     Raises:
@@ -251,7 +252,7 @@ def _finished(
         diverged_reason=episode.fault,
         wall_s=wall_s,
         sim_s=float(recorded.times_s[-1]),
-        settings=_settings_record(planned.backend, episode.settings),
+        settings=settings_record(planned.backend, episode.settings),
         versions={**engine_versions, **versions()},
         error=None,
         trajectory=RecordedTrajectory.of(episode.experiment, *recorded.dense),

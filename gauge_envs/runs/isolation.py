@@ -1,8 +1,10 @@
 """Calls in a process of their own, so that an engine that crashes, exits or hangs costs one call and not the program.
 
 `Worker.call` sends a function of this package and its arguments to a second Python process, and returns the result.
-The process lives on for the next call until it crashes, exceeds its time limit or is closed. What it prints on stdout
-goes to stderr.
+The process lives on for the next call until it crashes, exceeds a limit or is closed. What it prints on stdout goes to
+stderr.
+
+A limit of memory is watched from outside, because engines that use a GPU reserve far more addresses than memory.
 """
 
 from __future__ import annotations
@@ -14,8 +16,10 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, ParamSpec, Self, TypeVar
 
@@ -26,6 +30,9 @@ __all__ = ["TIME_LIMIT_S", "CrashError", "Worker", "serve"]
 TIME_LIMIT_S = 3600.0
 """Default time limit of a call [s]."""
 
+LOOK_S = 0.05
+"""Time between two looks at the memory of a process [s]."""
+
 GRACE_S = 10.0
 """Time after its limit at which a process ends itself, if its parent is gone [s]."""
 
@@ -34,7 +41,7 @@ Value = TypeVar("Value")
 
 
 class CrashError(GaugeError, RuntimeError):
-    """The process of a call ended or exceeded its time limit before it had a result."""
+    """The process of a call ended or exceeded a limit before it had a result."""
 
 
 class Worker:
@@ -42,16 +49,24 @@ class Worker:
 
     Args:
         time_limit_s: Time limit of each call, with the start of the process [s].
+        memory_limit_gb: Limit of the resident memory of the process [GB], or None. Memory of its children and of a GPU
+            does not count.
 
     Raises:
-        ParameterError: The time limit is not positive.
+        ParameterError: A limit is not positive, or this system does not report the memory of a process.
     """
 
-    def __init__(self, time_limit_s: float = TIME_LIMIT_S) -> None:
+    def __init__(self, time_limit_s: float = TIME_LIMIT_S, memory_limit_gb: float | None = None) -> None:
         # A comparison with NaN is false.
         if not 0.0 < time_limit_s <= threading.TIMEOUT_MAX:
             raise ParameterError(f"time limit is {time_limit_s} s, expected a positive number of seconds")
+        if memory_limit_gb is not None:
+            if not memory_limit_gb > 0.0:
+                raise ParameterError(f"memory limit is {memory_limit_gb} GB, expected a positive number")
+            if _memory_gb(os.getpid()) == 0.0:
+                raise ParameterError("a memory limit needs /proc, which Linux alone has: leave it out on this system")
         self._time_limit_s = time_limit_s
+        self._memory_limit_gb = memory_limit_gb
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -75,27 +90,20 @@ class Worker:
         task = pickle.dumps((self._time_limit_s + GRACE_S, function, args, kwargs))
         process = self._process = self._process or _start()
         assert process.stdin is not None and process.stdout is not None
-        late = threading.Event()
-
-        def stop() -> None:
-            late.set()
-            _kill(process)
-
-        timer = threading.Timer(self._time_limit_s, stop)
-        timer.daemon = True
-        timer.start()
+        watch = _Watch(process, self._time_limit_s, self._memory_limit_gb)
         try:
             process.stdin.write(task)
             process.stdin.flush()
             error, value = pickle.load(process.stdout)
         except (OSError, EOFError, pickle.UnpicklingError):
+            watch.close()
             self.close()
-            raise CrashError(_cause(process.returncode, self._time_limit_s if late.is_set() else None)) from None
+            raise CrashError(watch.reason or _cause(process.returncode)) from None
         except BaseException:
             self.close()
             raise
         finally:
-            timer.cancel()
+            watch.close()
         if error is not None:
             raise GaugeError(error)
         return value
@@ -134,18 +142,63 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         os.killpg(process.pid, signal.SIGKILL)
 
 
-def _cause(returncode: int, time_limit_s: float | None) -> str:
-    """Return why a process has no result.
+def _cause(returncode: int) -> str:
+    """Return how a process ended before it had a result.
 
     Args:
         returncode: Its exit code, or minus its signal.
-        time_limit_s: The time limit that it exceeded [s], or None.
     """
-    if time_limit_s is not None:
-        return f"the engine did not finish within the time limit of {time_limit_s:g} s and was stopped"
     if returncode < 0:
-        return f"the engine crashed: its process ended by {signal.Signals(-returncode).name}"
+        name = (signal.strsignal(-returncode) or "unknown").lower()
+        return f"the engine's process died with signal {-returncode} ({name})"
     return f"the engine ended its process with exit code {returncode}"
+
+
+def _memory_gb(pid: int) -> float:
+    """Return the resident memory of a process [GB]; 0 where the system does not report it."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e9
+
+
+class _Watch:
+    """Thread that ends a process which exceeds a limit.
+
+    Args:
+        process: The process.
+        time_limit_s: Time limit from now on [s].
+        memory_limit_gb: Limit of its resident memory [GB], or None.
+
+    Attributes:
+        reason: The limit that the process exceeded; empty if it did not.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], time_limit_s: float, memory_limit_gb: float | None) -> None:
+        self.reason = ""
+        self._process, self._time_limit_s, self._memory_limit_gb = process, time_limit_s, memory_limit_gb
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the watch."""
+        self._is_over.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        end_s = time.monotonic() + self._time_limit_s
+        while not self.reason:
+            left_s = end_s - time.monotonic()
+            if self._is_over.wait(max(0.0, left_s if self._memory_limit_gb is None else min(left_s, LOOK_S))):
+                return
+            if time.monotonic() >= end_s:
+                self.reason = f"the engine did not finish within the time limit of {self._time_limit_s:g} s"
+            elif self._memory_limit_gb is not None and _memory_gb(self._process.pid) > self._memory_limit_gb:
+                self.reason = f"the engine exceeded the memory limit of {self._memory_limit_gb:g} GB"
+        self.reason += " and was stopped"
+        _kill(self._process)
 
 
 def serve() -> None:

@@ -17,6 +17,7 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Plane, Pose, Shape, Sphere, Vector
+from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 
 __all__ = [
@@ -44,4 +45,5 @@ __all__ = [
     "Sphere",
     "Tether",
     "Vector",
+    "mass_properties",
 ]

@@ -8,6 +8,8 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
+import time
 from pathlib import Path
 
 import pytest
@@ -20,7 +22,7 @@ from gauge_envs.errors import ResultFileError
 from gauge_envs.runs import batch
 
 NAME = "SlopeSlider-2-wood"
-COMMAND = [sys.executable, "-c", "from gauge_envs.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from gauge_command import main; main()"]
 
 
 @pytest.fixture
@@ -131,7 +133,7 @@ def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path: Path) -> None:
         "        if name == 'gauge_envs.cli.app':\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
-        "from gauge_envs.cli import main\n"
+        "from gauge_command import main\n"
         "main()\n"
     )
     done = subprocess.run(
@@ -143,3 +145,61 @@ def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path: Path) -> None:
     )
     assert done.returncode == 128 + signal.SIGINT
     assert done.stderr == "interrupted\n"
+
+
+def interrupted_after(seconds: float, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Outcome of a command that gets SIGINT some time after its start."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [*COMMAND, "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, env=environment
+    ) as process:
+        time.sleep(seconds)
+        process.send_signal(signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=60)
+    return subprocess.CompletedProcess(process.args, process.returncode, stdout, stderr)
+
+
+def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
+    """Until the first line of the command runs, Python itself handles the signal."""
+    outcomes = [interrupted_after(milliseconds / 1e3, tmp_path) for milliseconds in range(5, 605, 25)]
+    assert not any("gauge_" in done.stderr for done in outcomes)
+    ended = [done for done in outcomes if done.returncode == 130]
+    assert len(ended) >= 15
+    assert all(done.stderr == "interrupted\n" for done in ended)
+    assert not any("Traceback" in done.stderr for done in outcomes[8:])
+
+
+def test_ctrl_c_counts_where_a_library_drops_it(tmp_path: Path) -> None:
+    """A library turns it into an error of its own, and a destructor ignores it."""
+    turned = (
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\nexcept KeyboardInterrupt:\n    raise ImportError('no module')\n"
+    )
+    dropped = (
+        "class Held:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        for _ in range(10**6): pass\n"
+        "held = Held()\n"
+        "del held\n"
+        "for _ in range(10**6): pass\n"
+    )
+    for body in (turned, dropped):
+        code = (
+            "import os, signal\n"
+            "from gauge_envs import report\n"
+            "from gauge_envs.cli.app import main\n"
+            "def rows(*_, **__):\n"
+            f"{textwrap.indent(body, '    ')}"
+            "report.list_rows = rows\n"
+            "import sys\n"
+            "sys.argv = ['gauge', 'list']\n"
+            "main()\n"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        assert (done.returncode, done.stderr) == (130, "interrupted\n"), body

@@ -49,8 +49,8 @@ def test_results_have_the_same_bits_in_another_process() -> None:
 @pytest.mark.parametrize(
     ("name", "isolate", "cause"),
     [
-        ("crash", True, "its process ended by SIGSEGV"),
-        ("crash", None, "its process ended by SIGSEGV"),
+        ("crash", True, "the engine's process died with signal 11 (segmentation fault)"),
+        ("crash", None, "the engine's process died with signal 11 (segmentation fault)"),
         ("hard-exit", None, "ended its process with exit code 6"),
         ("hang", None, "did not finish within the time limit of 15 s"),
         ("exit", None, "SystemExit: 5"),
@@ -92,7 +92,7 @@ def test_lists_name_broken_engines_with_their_cause(
         "at-import": "SystemExit: 3",
         "supports": "ZeroDivisionError: mass of nothing",
         "supports-exit": "SystemExit: 4",
-        "supports-crash": "SIGSEGV",
+        "supports-crash": "segmentation fault",
     }
     for name, cause in causes.items():
         assert cause in row["backends"][name][0]
@@ -150,3 +150,31 @@ def test_the_time_limit_also_ends_what_a_worker_started() -> None:
 def test_a_time_limit_is_positive_and_finite(limit_s: float) -> None:
     with pytest.raises(ParameterError, match="time limit"):
         run_many([RunRequest(WOOD)], isolate=True, time_limit_s=limit_s)
+
+
+def take_memory(gigabytes: float) -> None:
+    held = bytearray(int(gigabytes * 1e9))
+    time.sleep(20.0 + 0.0 * len(held))
+
+
+def test_a_memory_limit_ends_the_call_and_not_the_program() -> None:
+    start = time.monotonic()
+    with Worker(30.0, memory_limit_gb=0.5) as worker:
+        with pytest.raises(CrashError, match=r"the engine exceeded the memory limit of 0\.5 GB"):
+            worker.call(take_memory, 1.0)
+        assert worker.call(os.getpid) > 0
+    assert time.monotonic() - start < 15.0
+
+
+def test_a_run_under_a_memory_limit_goes_on(installed: Callable[..., None]) -> None:
+    installed("greedy")
+    requests = [RunRequest(variant, backend="greedy") for variant in (WOOD, PLASTIC, METAL)]
+    results = list(run_many(requests, isolate=None, time_limit_s=30.0, memory_limit_gb=0.8))
+    assert [result.outcome.value for result in results] == ["finished", "failed", "finished"]
+    assert "memory limit of 0.8 GB" in str(results[1].error)
+
+
+@pytest.mark.parametrize("limit_gb", [0.0, -1.0, float("nan")])
+def test_a_memory_limit_is_positive(limit_gb: float) -> None:
+    with pytest.raises(ParameterError, match="memory limit"):
+        run_many([RunRequest(WOOD)], isolate=True, memory_limit_gb=limit_gb)

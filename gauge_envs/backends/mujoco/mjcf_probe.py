@@ -1,6 +1,6 @@
-"""Compile a model of MuJoCo from standard input, in a child process whose memory and time are limited.
+"""Compile a model of MuJoCo in a child process whose memory and time are limited.
 
-The script is started by `mjcf_reader` and imports nothing of this package.
+The script imports nothing of this package. Argument: the file; without one, the model comes from standard input.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import mujoco
 __all__: list[str] = []
 
 
-def main(text: str) -> None:
+def main(file: str | None) -> None:
     """Compile a model and allocate its state; a file that MuJoCo cannot load is no matter of limits."""
     try:
-        mujoco.MjData(mujoco.MjSpec.from_string(text).compile())
+        spec = mujoco.MjSpec.from_file(file) if file else mujoco.MjSpec.from_string(sys.stdin.read())
+        mujoco.MjData(spec.compile())
     except ValueError:
         return
 
 
 if __name__ == "__main__":
-    main(sys.stdin.read())
+    main(sys.argv[1] if len(sys.argv) > 1 else None)

@@ -16,6 +16,7 @@ from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
+from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 __all__ = ["SimulationMuJoCo"]
@@ -63,6 +64,7 @@ class SimulationMuJoCo(Simulation):
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
+        self._origin = StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
         self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
         self.data.qvel[:] = self._start_velocities
@@ -131,16 +133,21 @@ class SimulationMuJoCo(Simulation):
         part = self._parts[name]
         return part.track(points_m) if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo) else None
 
-    def state(self) -> NDArray[np.float64]:
-        """Return MuJoCo's integration state, shape [state_size]."""
+    def state(self) -> Snapshot:
+        """Return MuJoCo's integration state, shape [state_size], with its origin."""
         state = np.empty(self._state_size)
         mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        return state
+        return self._origin.state(state)
 
-    def restore(self, state: NDArray[np.float64]) -> None:
-        """Restore an integration state."""
+    def restore(self, state: Snapshot) -> None:
+        """Restore an integration state.
+
+        Raises:
+            BackendError: The state is of another scene, other settings or another version.
+        """
+        values = self._origin.values(state)
         self._warning_counts[:] = 0
-        mujoco.mj_setState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_setState(self.model, self.data, values, mujoco.mjtState.mjSTATE_INTEGRATION)
 
     def close(self) -> None:
         """Do nothing, since the simulation only holds memory."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from importlib.metadata import version
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import Stepper
+from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
@@ -70,6 +71,7 @@ class SimulationNewton(_WorldNewton, Simulation):
     def __init__(self, scene: Scene, settings: SettingsNewton) -> None:
         stepper, layouts = build_model([scene], settings)
         super().__init__(scene, layouts[0], stepper, settings)
+        self._origin = StateOrigin(f"newton {version('newton')}", self.settings, scene)
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. Newton draws no random numbers here, so the seed has no effect."""
@@ -79,13 +81,17 @@ class SimulationNewton(_WorldNewton, Simulation):
         """Step the model."""
         self._stepper.advance(seconds)
 
-    def state(self) -> Any:
-        """Return every array that a step may change."""
-        return self._stepper.state()
+    def state(self) -> Snapshot:
+        """Return every array that a step may change, with its origin."""
+        return self._origin.state(self._stepper.state())
 
-    def restore(self, state: Any) -> None:
-        """Restore a state."""
-        self._stepper.restore(state)
+    def restore(self, state: Snapshot) -> None:
+        """Restore a state.
+
+        Raises:
+            BackendError: The state is of another scene, other settings or another version.
+        """
+        self._stepper.restore(self._origin.values(state))
 
     def close(self) -> None:
         """Do nothing, since the simulation only holds memory."""

@@ -9,6 +9,7 @@ from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.checks.rollout import DeclinedError, Rollout, record
 from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.runs.episodes import settings_record
 from gauge_envs.scene import Scene
 
 __all__ = ["BuildError", "Lab", "RefusedSettingsError"]
@@ -56,6 +57,7 @@ class Lab:
         try:
             simulation = self.backend.build(scene, self._settings)
             check_drive_interval(simulation.settings)
+            settings_record(self.backend.name, simulation.settings)
         except Exception as error:
             if self._settings and isinstance(error, ParameterError):
                 raise RefusedSettingsError(str(error)) from error

@@ -23,7 +23,7 @@ class Status(StrEnum):
     DECLINED = "declined"
     """The backend reports that it cannot build the scene; this is not a failure."""
     ERROR = "error"
-    """The backend raised an exception."""
+    """The backend raised an exception, its process died, or it exceeded a limit."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,14 +12,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends import backend as find_backend
 from gauge_envs.checks.rollout import DeclinedError
+from gauge_envs.checks.sanity.engine import Engine, simulation_limit_s
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.checks.sanity.measure import Measurements, TimeLimitError
 from gauge_envs.checks.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
@@ -135,22 +136,19 @@ def compare(
 
     started = time.perf_counter()
     limit_s = math.inf if time_limit_s is None else time_limit_s
-    known: dict[str, Measurements] = {}
-    sides = []
-    for target in (trained, deployed):
-        read = configuration(target)
-        engine = find_backend(read.backend)
-        sides.append(_Side(read, known.setdefault(engine.name, Measurements(engine, time_limit_s=limit_s))))
-    one, other = sides
     chosen = selection(only, include_deformables=include_deformables)
-    rows = [_facts_row("step", "step of the engine", "s", one.step_s(), other.step_s(), ratio=STEP_RATIO)]
-    if GRAVITY_ID in chosen:
-        rows.append(_gravity_row(one.configuration, other.configuration))
-    measured = [_row(p, one, other) for p in phenomena(include_deformables=True) if p.id in chosen]
-    found = {
-        **find_backend(one.configuration.backend).versions(),
-        **find_backend(other.configuration.backend).versions(),
-    }
+    targets = [configuration(target) for target in (trained, deployed)]
+    with ExitStack() as stack:
+        names = dict.fromkeys(target.backend for target in targets)
+        limit = simulation_limit_s(time_limit_s)
+        engines = {name: stack.enter_context(Engine(name, limit)) for name in names}
+        known = {name: Measurements(engine, time_limit_s=limit_s) for name, engine in engines.items()}
+        one, other = (_Side(target, known[target.backend]) for target in targets)
+        rows = [_facts_row("step", "step of the engine", "s", one.step_s(), other.step_s(), ratio=STEP_RATIO)]
+        if GRAVITY_ID in chosen:
+            rows.append(_gravity_row(one.configuration, other.configuration))
+        measured = [_row(p, one, other) for p in phenomena(include_deformables=True) if p.id in chosen]
+    found = {name: version for engine in engines.values() for name, version in engine.versions.items()}
     return Comparison(
         trained=one.configuration,
         deployed=other.configuration,

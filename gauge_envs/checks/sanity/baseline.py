@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 from gauge_envs.checks.sanity.model import PhenomenonResult, Report, Verdict
 from gauge_envs.errors import TargetError
+from gauge_envs.files import MEGABYTE, json_document, read_regular
 
 __all__ = ["read_baseline", "regressions"]
+
+MOST_BASELINE_BYTES = 16 * MEGABYTE
+"""Largest size of a file with an earlier run."""
 
 RANKS = {Verdict.DECLINED: 0, Verdict.INSIDE: 0, Verdict.VISIBLE: 1, Verdict.WRONG: 2}
 """Verdicts by how bad they are."""
@@ -25,9 +28,10 @@ def read_baseline(path: Path) -> dict[str, Verdict]:
         TargetError: The file cannot be read, or is no such output.
     """
     try:
-        lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        content = read_regular(path, MOST_BASELINE_BYTES)
+        lines = [json_document(line) for line in content.splitlines() if line.strip()]
     except OSError as error:
-        raise TargetError(f"{path}: cannot be read: {error.strerror}") from None
+        raise TargetError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:
         raise TargetError(f"{path}: is not the output of gauge sanity --json: {error}") from None
     try:

@@ -51,12 +51,13 @@ def find_cause(
         language: Language of the target; a settings file if None.
 
     Returns:
-        The cause; None when the phenomenon is inside the interval of reality or was declined.
+        The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
 
     Raises:
         TimeLimitError: The time of the check is used up.
     """
-    if configured.verdict in (Verdict.INSIDE, Verdict.DECLINED):
+    nothing_to_explain = configured.verdict in (Verdict.INSIDE, Verdict.DECLINED) or configured.engine_died
+    if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
     search = _Search(measurements, phenomenon, settings, configured, default, language or Language())
     cause = search.put_back_one()

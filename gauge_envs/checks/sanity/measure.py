@@ -11,9 +11,10 @@ from typing import Any
 
 from gauge_envs.backends import Backend
 from gauge_envs.checks.rollout import DeclinedError, DivergedError, Rollout
+from gauge_envs.checks.sanity.engine import Engine, EngineDiedError
 from gauge_envs.checks.sanity.model import INSIDE_WITHIN, VISIBLE_WITHIN, Reality, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, PhenomenonValue
-from gauge_envs.checks.sanity.scenario import Scenario, run_scenario, settings_in_force
+from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 
@@ -37,6 +38,7 @@ class Measured:
         verdict: The verdict.
         remark: Why nothing was measured, or a failure that no real trial shows; empty otherwise.
         rollout: The rollout; None when the backend declined or the rollout diverged.
+        engine_died: Whether the process of the engine died or exceeded its time limit.
     """
 
     value: float | None
@@ -44,18 +46,19 @@ class Measured:
     verdict: Verdict
     remark: str = ""
     rollout: Rollout | None = None
+    engine_died: bool = False
 
 
 class Measurements:
-    """Measures phenomena on one backend, and caches rollouts by scenario and settings.
+    """Measures phenomena on one engine, and caches rollouts by scenario and settings.
 
     Args:
-        backend: The backend.
+        engine: The engine, or a backend that runs in this process.
         time_limit_s: Time after which no rollout starts any more [s].
     """
 
-    def __init__(self, backend: Backend, *, time_limit_s: float = math.inf) -> None:
-        self._backend = backend
+    def __init__(self, engine: Engine | Backend, *, time_limit_s: float = math.inf) -> None:
+        self._engine = engine if isinstance(engine, Engine) else Engine(engine)
         self._ends_s = time.monotonic() + time_limit_s
         self._in_force: dict[tuple[str, str], dict[str, Any] | DeclinedError] = {}
         self._rollouts: dict[tuple[str, str], Rollout | DeclinedError | DivergedError] = {}
@@ -69,7 +72,7 @@ class Measurements:
         key = _key(scenario, settings)
         if key not in self._in_force:
             try:
-                self._in_force[key] = settings_in_force(self._backend, scenario, settings)
+                self._in_force[key] = self._engine.settings_in_force(scenario, settings)
             except DeclinedError as declined:
                 self._in_force[key] = declined
         known = self._in_force[key]
@@ -86,6 +89,10 @@ class Measurements:
         rollout = self._rollout(phenomenon.scenario, settings)
         if isinstance(rollout, DeclinedError):
             return Measured(value=None, deviation=math.inf, verdict=Verdict.DECLINED, remark=str(rollout))
+        if isinstance(rollout, EngineDiedError):
+            return Measured(
+                value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=str(rollout), engine_died=True
+            )
         if isinstance(rollout, DivergedError):
             return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=f"diverged: {rollout}")
         return _judged(phenomenon.read(rollout), phenomenon.reality, rollout)
@@ -98,7 +105,7 @@ class Measurements:
             try:
                 # A stated step gives every rollout of the scenario the same sampling rule.
                 step = {k: v for k, v in self.in_force(scenario, settings).items() if k == "timestep_s"}
-                self._rollouts[key] = run_scenario(self._backend, scenario, {**settings, **step})
+                self._rollouts[key] = self._engine.run(scenario, {**settings, **step})
             except (DeclinedError, DivergedError) as outcome:
                 self._rollouts[key] = outcome
         return self._rollouts[key]

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends import backend as find_backend
 from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.cure import find_cure
+from gauge_envs.checks.sanity.engine import Engine, simulation_limit_s
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, gravity_row, upright_gravity
 from gauge_envs.checks.sanity.language import Language, gravity_text
 from gauge_envs.checks.sanity.measure import Measured, Measurements, TimeLimitError
@@ -57,7 +57,7 @@ def check(
         only: Ids of phenomena or patterns such as `creep-*`; all when empty.
         include_deformables: Whether to measure phenomena of deformable bodies.
         time_limit_s: Time after which no simulation starts any more [s]; rows that are not measured by then are
-            declined. None for no limit.
+            declined. It bounds each simulation of an engine of another package too. None for no limit.
         notify: Function that is called with each row as soon as it is complete.
 
     Returns:
@@ -70,25 +70,25 @@ def check(
     """
     started = time.perf_counter()
     configuration = _configuration(target)
-    engine = find_backend(configuration.backend)
     chosen = selection(only, include_deformables=include_deformables)
-    measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
-    run = _Run(measurements, configuration)
-    rows = run.rows([one for one in phenomena(include_deformables=True) if one.id in chosen], notify=notify)
-    if GRAVITY_ID in chosen:
-        gravity = gravity_row(configuration, run.language)
-        rows = [gravity, *rows]
-        if notify is not None:
-            notify(gravity)
-    simulated = [row for row in rows if row.experiment and row.applies]
-    refused = simulated and all(row.verdict is Verdict.DECLINED for row in simulated) and not run.is_cut_short
-    if refused and any(row.default is not None for row in simulated):
-        raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}")
-    cure = run.cure(rows)
+    with Engine(configuration.backend, simulation_limit_s(time_limit_s)) as engine:
+        measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
+        run = _Run(measurements, configuration)
+        rows = run.rows([one for one in phenomena(include_deformables=True) if one.id in chosen], notify=notify)
+        if GRAVITY_ID in chosen:
+            gravity = gravity_row(configuration, run.language)
+            rows = [gravity, *rows]
+            if notify is not None:
+                notify(gravity)
+        simulated = [row for row in rows if row.experiment and row.applies]
+        refused = simulated and all(row.verdict is Verdict.DECLINED for row in simulated) and not run.is_cut_short
+        if refused and any(row.default is not None for row in simulated):
+            raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}")
+        cure = run.cure(rows)
     return Report(
         configuration=configuration,
         rows=tuple(rows),
-        versions={**engine.versions(), **versions()},
+        versions={**engine.versions, **versions()},
         wall_s=time.perf_counter() - started,
         cure=cure,
         notes=(f"the time limit, {time_limit_s} s, is reached: the check is incomplete",) if run.is_cut_short else (),
@@ -139,8 +139,10 @@ class _Run:
     def cure(self, rows: Sequence[PhenomenonResult]) -> Cure | None:
         """Return the change that mends most flags; None when there is no flag or no cure."""
         flags = {row.phenomenon for row in rows if row.is_flag}
-        flagged = [one for one in self._subjects if one.phenomenon.id in flags]
-        others = [one for one in self._subjects if one.sets and one not in flagged and not one.advisory]
+        # Where an engine died, changes would let it die again.
+        explained = {row.phenomenon for row in rows if row.cause is not None}
+        flagged = [one for one in self._subjects if one.phenomenon.id in flags & explained]
+        others = [one for one in self._subjects if one.sets and one.phenomenon.id not in flags and not one.advisory]
         named = {name for row in rows if row.cause is not None for name in row.cause.settings}
         search = (self._measurements, self._configuration, flagged, others, self.language)
         cure = self._in_time(lambda: find_cure(*search, named=named))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,11 +11,15 @@ import mujoco
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.backends import Simulation, backend, backend_names
+from gauge_envs.backends.mujoco import mjcf_probe
+from gauge_envs.backends.registry import is_bundled
 from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.mujoco_model import mujoco_configuration
-from gauge_envs.errors import ParameterError, TargetError, first_fault
+from gauge_envs.errors import GaugeError, ParameterError, TargetError, first_fault
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
+from gauge_envs.files import MEGABYTE, child_refusal, json_document, read_regular, toml_document
+from gauge_envs.runs.isolation import Worker
 
 __all__ = ["Target", "configuration"]
 
@@ -34,6 +36,18 @@ ACCEPTED = (
 
 TRIAL_VARIANT = "BouncingBall-rubber"
 """Settings are checked on the scene of this variant, which builds fast."""
+
+TRIAL_LIMIT_S = 300.0
+"""Time limit of that check in another process [s]."""
+
+MOST_SETTINGS_BYTES = MEGABYTE
+"""Largest size of a settings file."""
+
+MOST_MODEL_BYTES = 16 * MEGABYTE
+"""Largest size of a model file, without the meshes that it names."""
+
+MODEL_CPU_S = 60
+"""Limit of the processor time of loading it; meshes take their time."""
 
 
 class _SettingsFile(BaseModel):
@@ -109,8 +123,15 @@ def _model_name(model: mujoco.MjModel) -> str:
 
 
 def _of_model_file(path: Path, pair: tuple[str, str] | None) -> TrainingConfiguration:
-    if not path.is_file():
-        raise TargetError(f"{path}: there is no such file")
+    try:
+        read_regular(path, MOST_MODEL_BYTES)
+    except FileNotFoundError:
+        raise TargetError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise TargetError(f"{path}: cannot be read: {error.strerror or error}") from None
+    refusal = child_refusal(Path(mjcf_probe.__file__), str(path), cpu_s=MODEL_CPU_S)
+    if refusal is not None:
+        raise TargetError(f"{path}: {refusal}: simplify the model")
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
@@ -180,11 +201,11 @@ def _of_backend(text: str) -> TrainingConfiguration | None:
 
 def _of_settings_file(path: Path) -> TrainingConfiguration:
     try:
-        text = path.read_text(encoding="utf-8")
-        values = tomllib.loads(text) if path.suffix.lower() == ".toml" else json.loads(text)
+        content = read_regular(path, MOST_SETTINGS_BYTES)
+        values = toml_document(content) if path.suffix.lower() == ".toml" else json_document(content)
         file = _SettingsFile.model_validate(values)
     except OSError as error:
-        raise TargetError(f"{path}: cannot be read: {error.strerror}") from None
+        raise TargetError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValidationError as error:
         key, reason = first_fault(error)
         keys = ", ".join(_SettingsFile.model_fields)
@@ -211,7 +232,19 @@ def _check_settings(name: str, settings: Mapping[str, Any]) -> None:
     Raises:
         UnknownNameError: There is no such backend or preset.
         ParameterError: There is no such setting, or a value is impossible.
+        TargetError: A backend of another package raises an error, or its process dies.
     """
+    if name not in backend_names() or is_bundled(name):
+        _build_once(name, settings)
+        return
+    with Worker(TRIAL_LIMIT_S) as worker:
+        try:
+            worker.call(_build_once, name, settings)
+        except GaugeError as error:
+            raise TargetError(f"backend {name!r}: {error}") from None
+
+
+def _build_once(name: str, settings: Mapping[str, Any]) -> None:
     # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
     interval = {"drive_interval_s": settings["timestep_s"]} if "timestep_s" in settings else {}
     backend(name).build(load_experiment(TRIAL_VARIANT).scene, {**settings, **interval}).close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.files import data_folder
+from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.scene import Scene
 
 __all__ = ["Ending", "Limit", "LimitReport", "friction_uncertainty", "pair_friction"]
@@ -89,7 +88,7 @@ SLOPE_TRIALS_OF = "SlopeSlider-2-{material}"
 
 @cache
 def _slope_trials(path: Path) -> dict[str, Any]:
-    return tomllib.loads(path.read_text(encoding="utf-8"))
+    return toml_document(read_regular(path, MOST_TOML_BYTES))
 
 
 def pair_friction(scene: Scene, first: str, second: str) -> float:

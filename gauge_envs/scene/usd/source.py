@@ -17,7 +17,7 @@ from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
-from gauge_envs.files import MEGABYTE, child_refusal, read_regular
+from gauge_envs.files import MEGABYTE, child_refusal, file_folders, outside_reason, read_regular
 from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
 
@@ -112,9 +112,9 @@ def usd_reason(error: Tf.ErrorException) -> str:
 
 
 @lru_cache(maxsize=256)
-def _refusal(file: Path, sha256: str) -> str | None:
-    """Return why a file of this content must not be loaded, or None."""
-    return child_refusal(Path(__file__).with_name("probe.py"), str(file), str(MOST_PRIMS))
+def _refusal(file: Path, sha256: str, folders: tuple[str, ...]) -> str | None:
+    """Return why a file of this content must not be loaded, or None; other files must be in one of the folders."""
+    return child_refusal(Path(__file__).with_name("probe.py"), str(file), str(MOST_PRIMS), *folders)
 
 
 class Source:
@@ -131,6 +131,7 @@ class Source:
     def __init__(self, path: Path) -> None:
         self.file = path
         self.stage = self._open()
+        self._check_places()
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
             raise self.fault("", "metersPerUnit is not given, so no length is known: set it")
         if not self.stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
@@ -164,6 +165,12 @@ class Source:
             raise self.fault("", str(broken[0]))
         return stage
 
+    def _check_places(self) -> None:
+        """Check that all files of the stage are in the folder of the main file, those that the child missed too."""
+        for file in self.used_files():
+            if reason := outside_reason(file, self.file):
+                raise self.fault("", reason)
+
     def _check_limits(self) -> None:
         """Check that the file and what it refers to stay within limits of size, memory and time.
 
@@ -182,7 +189,8 @@ class Source:
             if len(SPECIFIER.findall(content)) > MOST_PRIMS:
                 raise self.fault("", f"it has more than {MOST_PRIMS} prims")
             return
-        refusal = _refusal(self.file, hashlib.sha256(content).hexdigest())
+        folders = tuple(map(str, file_folders(self.file)))
+        refusal = _refusal(self.file, hashlib.sha256(content).hexdigest(), folders)
         if refusal is not None:
             raise self.fault("", refusal)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -479,3 +480,20 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> N
     tolerance = 5e-6 if settings["solver"] == "PGS" else 1e-7
     np.testing.assert_allclose(place, data.qpos[address : address + 3] - away, atol=tolerance)
     assert np.linalg.norm(place - start) > 1e-4
+
+
+def test_a_model_that_takes_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gauge_envs.checks.sanity.target.MODEL_CPU_S", 2)
+    bomb = '<replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate>'
+    (tmp_path / "bomb.xml").write_text(f"<mujoco><worldbody>{bomb}</worldbody></mujoco>")
+    with pytest.raises(TargetError, match=r"loading it (takes more than 2 s|needs more than 1000 MB)"):
+        configuration(tmp_path / "bomb.xml")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("deep.json", b"[" * 100_000), ("deep.toml", b"a = " + b"[" * 100_000), ("a.toml", b"\xff")]
+)
+def test_a_settings_file_that_is_damaged_is_an_error(name: str, content: bytes, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(TargetError, match=name):
+        configuration(tmp_path / name)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from functools import cache
 from typing import Any
 
-from gauge_envs.files import data_folder
+from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.references.published import published_baselines
 
 __all__ = ["PUBLISHED_TRIALS", "RECORDINGS", "facts", "position_scatter_mm", "recorded", "rigid_tolerance"]
@@ -21,7 +20,7 @@ PUBLISHED_TRIALS = 20
 @cache
 def facts(name: str) -> dict[str, Any]:
     """Return the table of `scoring/facts/<name>.toml`."""
-    return tomllib.loads((data_folder("scoring") / "facts" / f"{name}.toml").read_text(encoding="utf-8"))
+    return toml_document(read_regular(data_folder("scoring") / "facts" / f"{name}.toml", MOST_TOML_BYTES))
 
 
 def recorded(recording: str, fact: str) -> dict[str, Any]:

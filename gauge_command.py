@@ -1,0 +1,31 @@
+"""Start of the `gauge` command: Ctrl-C ends it with one line, also while the package is being imported.
+
+The module is outside the package because `import gauge_envs` itself takes a third of a second.
+"""
+
+from __future__ import annotations
+
+import os
+
+__all__ = ["main"]
+
+EXIT_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the `gauge` command."""
+    try:
+        import signal
+
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, _end)
+        from gauge_envs.cli import main as run_command
+    except KeyboardInterrupt:  # It came before the handler was there.
+        _end()
+    run_command()
+
+
+def _end(*_: object) -> None:
+    """End the process at once. Unlike an exception, this also works while a library in C is being imported."""
+    os.write(2, b"interrupted\n")
+    os._exit(EXIT_INTERRUPTED)

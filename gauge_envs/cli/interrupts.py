@@ -1,0 +1,78 @@
+"""Ctrl-C: an exception while a command runs, and the end of the process before and after.
+
+Libraries may turn the exception into another one, or drop it in a callback. So the signal is also remembered.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+__all__ = ["EXIT_INTERRUPTED", "command_runs", "handle_interrupts", "report_interrupt", "was_interrupted"]
+
+EXIT_INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
+REPEAT_AFTER_S = 0.01
+"""Time after which a signal that was dropped comes again [s]; an exception inside a hook would be dropped, too."""
+
+
+class _State:
+    is_command = False
+    """Whether a command runs, which catches `KeyboardInterrupt`."""
+
+    came = False
+    """Whether a signal came in while a command ran."""
+
+    is_reported = False
+
+
+def handle_interrupts() -> None:
+    """Handle Ctrl-C in this process from now on, where it was not ignored."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        return
+    signal.signal(signal.SIGINT, _on_signal)
+    sys.unraisablehook = _on_unraisable
+
+
+@contextmanager
+def command_runs() -> Iterator[None]:
+    """Let Ctrl-C raise `KeyboardInterrupt` inside, so that the command can keep what is complete."""
+    try:
+        _State.is_command, _State.is_reported = True, False
+        yield
+    finally:
+        _State.is_command = False
+
+
+def was_interrupted() -> bool:
+    """Return whether Ctrl-C came while a command ran."""
+    return _State.came
+
+
+def report_interrupt() -> None:
+    """Print that the command was interrupted, once."""
+    if not _State.is_reported:
+        _State.is_reported = True
+        os.write(2, b"interrupted\n")
+
+
+def _on_signal(number: int, frame: Any) -> None:
+    if not _State.is_command:
+        report_interrupt()
+        os._exit(EXIT_INTERRUPTED)
+    _State.came = True
+    raise KeyboardInterrupt
+
+
+def _on_unraisable(unraisable: Any) -> None:
+    """Raise Ctrl-C again soon after a callback or a destructor dropped it."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+        threading.Timer(REPEAT_AFTER_S, signal.raise_signal, (signal.SIGINT,)).start()
+    else:
+        sys.__unraisablehook__(unraisable)

@@ -1,0 +1,58 @@
+"""An engine of another package that crashes in a sanity check costs a phenomenon. Results keep their bits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import Result
+from hostile import install
+from typer.testing import CliRunner
+
+from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Installs hostile backends."""
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(folder))
+    backend.cache_clear()
+    yield lambda *names: install(folder, *names)
+    backend.cache_clear()
+
+
+def checked(target: str, *only: str) -> tuple[list[dict[str, Any]], Result]:
+    """Rows and outcome of the command."""
+    options = [part for one in only for part in ("--only", one)]
+    result = CliRunner().invoke(app, ["sanity", target, "--json", *options])
+    return [json.loads(line) for line in result.stdout.splitlines()][1:], result
+
+
+def test_another_process_measures_the_same_bits(installed: Callable[..., None]) -> None:
+    installed("well")
+    here, there = checked("mujoco:out_of_box", "creep-wood")[0], checked("well:out_of_box", "creep-wood")[0]
+    assert here == there != []
+
+
+def test_an_engine_that_dies_costs_one_phenomenon(installed: Callable[..., None]) -> None:
+    installed("fall-crash", "supports-crash")
+    (slide, rebound), result = checked("fall-crash", "creep-wood", "rebound*")
+    assert (slide["verdict"], rebound["verdict"], result.exit_code) == ("inside", "wrong", 0)
+    assert rebound["remark"] == "the engine's process died with signal 11 (segmentation fault)"
+    (row,), result = checked("supports-crash", "creep-wood")
+    assert (row["verdict"], result.exit_code) == ("declined", 1)
+    assert "segmentation fault" in row["remark"]
+
+
+def test_an_engine_that_cannot_start_is_one_line(installed: Callable[..., None]) -> None:
+    installed("at-import", "contact-crash")
+    for name, cause in (("at-import", "SystemExit: 3"), ("contact-crash", "segmentation fault")):
+        rows, result = checked(name, "creep-wood")
+        assert (rows, result.exit_code) == ([], 2)
+        assert cause in result.stderr and result.stderr.startswith("error: ")
