@@ -47,8 +47,9 @@ def sanity(
     target: Annotated[
         str | None,
         typer.Argument(
-            help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
-            "(robot.xml), a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box, newton)."
+            help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
+            "dm_control's suite (dm_control:walker/walk), a model file (robot.xml), a settings file (.toml, .json), or "
+            "a backend and a preset (mujoco:out_of_box, newton)."
         ),
     ] = None,
     pair: Annotated[
