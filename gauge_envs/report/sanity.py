@@ -96,7 +96,7 @@ def phenomena_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     return Table(
         columns=(
             Column("id", "id"),
-            Column("title", "title"),
+            Column("title", "title", place=Place.BELOW),
             Column("kind", "kind"),
             Column("reality", "reality"),
             Column("trial_count", "trials", is_number=True, wide_only=True),

@@ -108,6 +108,26 @@ def test_a_preset_is_taken_apart_into_its_settings() -> None:
     assert not {"preset", "drive_interval_s"} & set(names)
 
 
+def test_what_is_tried_is_documented_or_a_preset_and_can_be_pasted() -> None:
+    model = {"timestep_s": 0.02, "cone": "pyramidal", "impratio": 1.0, "contact_solref": [0.2, 1.0], "iterations": 100}
+    wall = phenomena(["wall-sag"])[0].scenario
+    tried = alternatives(Measurements(backend("mujoco")), wall, model)
+    # The documented default and the preset for a wall have the pyramidal cone too; the one for a cube has not.
+    assert [(one.value, one.source) for one in tried["cone"]] == [("elliptic", "this package's preset contact")]
+    assert [one.value for one in tried["impratio"]] == [10.0]
+    assert [(one.value, one.source) for one in tried["contact_solref"]] == [
+        ((0.02, 1.0), "the engine's documented default"),
+        ((0.04, 1.0), "this package's preset contact"),
+    ]
+    # No training affords the steps of presets for closed forms.
+    assert [one.value for one in tried["timestep_s"]] == [0.002]
+    halved = alternatives(Measurements(backend("mujoco")), wall, {"timestep_s": 0.002})
+    assert [one.value for one in halved["timestep_s"]] == [0.001, 0.0005]
+    assert "iterations" not in tried
+    for one in (one for several in tried.values() for one in several):
+        assert one.value is not None and one.value != one.was
+
+
 def test_refused_settings_are_the_users_error() -> None:
     with pytest.raises(ParameterError, match="colour"):
         report({"colour": "red"}, only=["creep-wood", "rebound"])
