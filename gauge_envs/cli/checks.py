@@ -25,9 +25,11 @@ from gauge_envs.cli.output import (
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.console import Console
 
-    from gauge_envs.checks.sanity import PhenomenonResult
+    from gauge_envs.checks.sanity import PhenomenonResult, Report, Verdict
 
 
 __all__ = ["FailOn", "backend_app", "backend_check", "backend_list", "sanity"]
@@ -43,66 +45,144 @@ class FailOn(StrEnum):
 
 def sanity(
     target: Annotated[
-        str,
+        str | None,
         typer.Argument(
-            help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
-            "(robot.xml), a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box, newton)."
+            help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
+            "dm_control's suite (dm_control:walker/walk), a model file (robot.xml), a settings file (.toml, .json), or "
+            "a backend and a preset (mujoco:out_of_box, newton)."
         ),
-    ],
+    ] = None,
     pair: Annotated[
         str | None,
+        typer.Option(metavar="GEOM1,GEOM2", help="Contact whose constants are used; by default all those on ground."),
+    ] = None,
+    against: Annotated[
+        str | None,
         typer.Option(
-            metavar="GEOM1,GEOM2", help="Contact whose constants are used; by default the most frequent one on ground."
+            metavar="TARGET", help="Where the policy runs: report what changes from the first target to this."
         ),
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option("--only", help="Id or pattern of phenomena, as 'creep-*'; repeatable.")
+        list[str] | None,
+        typer.Option("--only", help="Ids or patterns of phenomena, as 'creep-*,gravity'; repeatable."),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Also check deformable bodies, which takes longer.")] = False,
+    describe: Annotated[
+        bool, typer.Option("--list", help="List ids, titles and kinds of the phenomena, and measure none.")
+    ] = False,
     fail_on: Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")] = (
         FailOn.NEVER
     ),
+    baseline: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="JSON output of an earlier run; exit code 1 on regressions only."),
+    ] = None,
     time_limit_s: Annotated[
-        float, typer.Option(help="Time limit of a simulation of an engine of another package [s].")
-    ] = 600.0,
+        float | None,
+        typer.Option("--time-limit-s", min=0.0, help="Start no simulation after this time; other rows are declined."),
+    ] = None,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="File for an HTML page with pictures.")] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
-    """Report what physics a training configuration gets wrong, and which of its settings are responsible.
+    """Report what physics a training configuration gets wrong, and which change mends most.
 
-    Runs measured objects with the numerical settings of the target and of its backend's default, and compares both
-    with real trials. Exit code 1 for a phenomenon as bad as --fail-on states, or when nothing could be measured.
+    Runs measured objects with the numerical settings of the target and of this package's presets, and compares both
+    with real trials and laws. Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from
+    --baseline, or when nothing could be measured.
     """
-    from gauge_envs.checks.sanity import Verdict, check, configuration
-    from gauge_envs.checks.sanity.phenomena import phenomena
-    from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
+    from gauge_envs.checks.sanity import check, configuration
+    from gauge_envs.checks.sanity.baseline import read_baseline
+    from gauge_envs.checks.sanity.selection import selection
+    from gauge_envs.report.sanity import phenomena_rows, phenomena_table
     from gauge_envs.report.sanity_page import check_can_draw, save_sanity_page
 
     check_one_format(json_lines, markdown)
+    patterns = only or []
+    if describe:
+        listed = phenomena_rows(include_deformables=every, only=patterns)
+        print_table(phenomena_table(listed), json_lines=json_lines, wide=wide)
+        return
+    if target is None:
+        raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5, or use --list")
+    if against is not None:
+        if html is not None or baseline is not None or pair is not None:
+            raise ParameterError("--against goes with none of --html, --baseline and --pair: leave them out")
+        _compare(target, against, patterns, every, time_limit_s, fail_on, json_lines, markdown, wide)
+        return
     if html is not None:
         check_can_draw()
+    before = None if baseline is None else read_baseline(baseline)
     checked = configuration(target, pair=_geom_pair(pair))
-    patterns = only or []
     with progress_bar(stderr_console()) as progress:
-        bar = progress.add_task("phenomena", total=len(phenomena(patterns, include_deformables=every)))
+        bar = progress.add_task("phenomena", total=len(selection(patterns, include_deformables=every)))
 
         def notify(row: PhenomenonResult) -> None:
             progress.update(bar, advance=1, description=row.phenomenon)
 
-        report = check(checked, only=patterns, include_deformables=every, notify=notify, time_limit_s=time_limit_s)
+        report = check(checked, only=patterns, include_deformables=every, time_limit_s=time_limit_s, notify=notify)
+    _print_report(report, json_lines, markdown, wide)
+    if html is not None:
+        stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
+    if _has_failed(report, fail_on, before):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+    from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
+
     if json_lines:
         print_json_lines(sanity_rows(report))
     elif markdown:
         echo(sanity_markdown(report), nl=False)
     else:
         stdout_console().print(sanity_view(report, wide=wide))
-    if html is not None:
-        stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
-    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
-    if report.worst in (*bad[fail_on], Verdict.DECLINED):
+
+
+def _compare(
+    trained: str,
+    deployed: str,
+    patterns: list[str],
+    every: bool,
+    time_limit_s: float | None,
+    fail_on: FailOn,
+    json_lines: bool,
+    markdown: bool,
+    wide: bool,
+) -> None:
+    """Print what changes between two targets; exit code 1 for a change as large as --fail-on states."""
+    from gauge_envs.checks.sanity.against import Change, compare
+    from gauge_envs.report.sanity_against import against_markdown, against_rows, against_view
+
+    comparison = compare(trained, deployed, only=patterns, include_deformables=every, time_limit_s=time_limit_s)
+    if json_lines:
+        print_json_lines(against_rows(comparison))
+    elif markdown:
+        echo(against_markdown(comparison), nl=False)
+    else:
+        stdout_console().print(against_view(comparison, wide=wide))
+    bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE), FailOn.NEVER: ()}
+    if any(row.change in bad[fail_on] for row in comparison.rows):
         raise typer.Exit(EXIT_FAILED)
+
+
+def _has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
+    """Return whether a sanity check ends with an error, and print regressions from a baseline."""
+    from gauge_envs.checks.sanity import Verdict
+    from gauge_envs.checks.sanity.baseline import regressions
+
+    applicable = [row for row in report.rows if row.applies]
+    if applicable and report.worst is Verdict.DECLINED:
+        return True
+    if before is None:
+        bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
+        return report.worst in bad[fail_on]
+    worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
+    for row in worse:
+        was = before.get(row.phenomenon, Verdict.DECLINED)
+        stderr_console().print(plain_text(f"regression: {row.phenomenon}: {row.verdict.value}, was {was.value}"))
+    return bool(worse)
 
 
 def _geom_pair(text: str | None) -> tuple[str, str] | None:

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rich.console import Group
 from rich.text import Text
 
+from gauge_envs.checks.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
+from gauge_envs.checks.sanity.phenomena import phenomena
+from gauge_envs.checks.sanity.selection import selection
 from gauge_envs.report.table import Column, Facts, Place, Table, as_markdown, as_rich
-from gauge_envs.report.text import heading, quantity_text, vector_text
+from gauge_envs.report.text import heading, markdown_text, quantity_text, vector_text
 
 __all__ = [
+    "ADVISORY_NOTE",
     "VERDICT_NOTES",
+    "effect_text",
     "measured_text",
+    "phenomena_rows",
+    "phenomena_table",
     "reality_text",
     "responsible_text",
     "sanity_markdown",
@@ -23,22 +31,26 @@ __all__ = [
     "setting_text",
     "settings_by_origin",
     "tally_text",
+    "top_line",
     "verdict_text",
 ]
 
 VERDICT_NOTES = {
-    Verdict.INSIDE: "within 2 sigma of reality: a real trial could have done this",
-    Verdict.VISIBLE: "beyond 2 sigma, within 5: a careful observer sees the difference",
-    Verdict.WRONG: "beyond 5 sigma, or of another kind: what holds slides, what stays intact diverges",
-    Verdict.DECLINED: "not measured: the backend cannot build the scene, or not with these settings",
+    Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
+    Verdict.VISIBLE: "outside, by up to 2.5 times the half-width: a careful observer sees the difference",
+    Verdict.WRONG: "farther away, or of another kind: what holds slides, what stays intact diverges",
+    Verdict.DECLINED: "not measured: it does not apply, or the backend cannot build the scene with these settings",
 }
+
+ADVISORY_NOTE = "does not count for --fail-on: the target does not state what the row depends on"
 
 STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bold red", Verdict.DECLINED: "dim"}
 
 LEGEND = (
-    "Reality: mean +- standard deviation (sigma) of real trials. Default: the backend's default settings. This: the "
-    "checked configuration. Below a row: the settings that are responsible, found by resetting one setting at a time "
-    "to the default and measuring again."
+    "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge sanity "
+    "--list, --wide and --html name the source). Preset: this package's preset for the scene. This: the checked "
+    "configuration; behind the verdict, its difference from reality. Below a row: what is responsible, found by "
+    "putting settings back to the engine's documented default and to this package's preset, and measuring again."
 )
 
 
@@ -53,6 +65,8 @@ def sanity_view(report: Report, *, wide: bool = False) -> Group:
     """Return a sanity check for a terminal: what was read, the table of phenomena, and the meaning of the verdicts."""
     checked = report.configuration
     return Group(
+        Text(top_line(report), style="bold"),
+        Text(""),
         heading(checked.name),
         Facts(_facts(checked)),
         *([as_rich(_contact_table(checked), wide=wide)] if len(checked.contact_groups) > 1 else []),
@@ -62,13 +76,70 @@ def sanity_view(report: Report, *, wide: bool = False) -> Group:
         Text(tally_text(report), style="bold"),
         Text(LEGEND, style="dim"),
         *(Text(f"{verdict.value}: {VERDICT_NOTES[verdict]}", style="dim") for verdict in _present(report)),
+        *([Text(f"advisory: {ADVISORY_NOTE}", style="dim")] if any(row.advisory for row in report.rows) else []),
     )
 
 
+def top_line(report: Report) -> str:
+    """Return the change that mends most rows; without one, what the check found in one line."""
+    flags = sum(row.is_flag for row in report.rows)
+    if report.cure is not None:
+        return f"Mends most: {report.cure.line}"
+    if flags:
+        return f"{flags} {'flags' if flags > 1 else 'flag'}; no change that was tried mends one"
+    measured = any(row.verdict is not Verdict.DECLINED for row in report.rows)
+    return "No flags: nothing to change" if measured else "Nothing was measured"
+
+
+def phenomena_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
+    return Table(
+        columns=(
+            Column("id", "id"),
+            Column("title", "title", place=Place.BELOW),
+            Column("kind", "kind"),
+            Column("reality", "reality"),
+            Column("trial_count", "trials", is_number=True, wide_only=True),
+            Column("source", "source", place=Place.BELOW, wide_only=True),
+            Column("rationale", "interval", place=Place.BELOW, wide_only=True),
+        ),
+        rows=rows,
+    )
+
+
+def phenomena_rows(*, include_deformables: bool = False, only: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Return JSON-ready objects on the rows that a sanity check can have.
+
+    Args:
+        include_deformables: Whether to include phenomena of deformable bodies.
+        only: Ids or patterns; all when empty.
+
+    Raises:
+        UnknownNameError: A pattern matches no row.
+    """
+    chosen = selection(only, include_deformables=include_deformables)
+    known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
+    known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
+    return [
+        {
+            "id": name,
+            "title": title,
+            "kind": reality.kind.value,
+            "reality": reality_text(reality, unit),
+            "trial_count": reality.trial_count,
+            "source": reality.source,
+            "rationale": reality.rationale,
+        }
+        for name, title, reality, unit in known
+        if name in chosen
+    ]
+
+
 def sanity_markdown(report: Report) -> str:
-    """Return the table of phenomena as GitHub Markdown, and the number of rows with each verdict."""
+    """Return the top line and the table of phenomena as GitHub Markdown, and the number of rows with each verdict."""
     table = replace(_phenomenon_table(report), title="")
-    return f"{as_markdown(table)}\n{report.configuration.name}: {tally_text(report)}\n"
+    tally = f"{report.configuration.name}: {tally_text(report)}"
+    return f"{markdown_text(top_line(report))}\n\n{as_markdown(table)}\n{tally}\n"
 
 
 def _facts(checked: TrainingConfiguration) -> dict[str, str]:
@@ -78,7 +149,7 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     for origin, settings in settings_by_origin(checked).items():
         facts[origin] = ", ".join(f"{name} = {setting_text(value)}" for name, value in settings.items())
     if not checked.settings:
-        facts["settings"] = "the backend's default"
+        facts["settings"] = "this package's presets"
     return facts
 
 
@@ -93,7 +164,7 @@ def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, An
 def setting_text(value: Any) -> str:
     """Return a setting as people write it."""
     if value is None:
-        return "the backend's default"
+        return "not set"
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, list | tuple):
@@ -122,9 +193,11 @@ def _phenomenon_table(report: Report) -> Table:
     return Table(
         title="Phenomena",
         columns=(
-            Column("title", "phenomenon"),
+            Column("phenomenon", "id"),
+            Column("title", "phenomenon", wide_only=True),
+            Column("reality.kind", "kind", wide_only=True),
             Column("", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True),
-            Column("", "default", lambda row: measured_text(row.default), is_number=True, style=_default_style),
+            Column("", "preset", lambda row: measured_text(row.default), is_number=True, style=_default_style),
             Column("", "this", lambda row: measured_text(row.configured), is_number=True, style=_style),
             Column("", "verdict", verdict_text, style=_style),
             Column("", "responsible", responsible_text, place=Place.BELOW),
@@ -134,7 +207,7 @@ def _phenomenon_table(report: Report) -> Table:
 
 
 def _style(row: PhenomenonResult) -> str:
-    return STYLES[row.verdict]
+    return "" if row.advisory else STYLES[row.verdict]
 
 
 def _default_style(row: PhenomenonResult) -> str:
@@ -142,8 +215,8 @@ def _default_style(row: PhenomenonResult) -> str:
 
 
 def reality_text(reality: Reality, unit: str) -> str:
-    """Return `mean +- sigma unit`."""
-    text = f"{quantity_text(reality.value)} +- {quantity_text(reality.scatter)}"
+    """Return `centre +- half-width unit` of the interval of reality."""
+    text = f"{quantity_text(reality.value)} +- {quantity_text(reality.tolerance)}"
     return text if unit == "1" else f"{text} {unit}"
 
 
@@ -152,26 +225,51 @@ def measured_text(value: float | None) -> str:
     return "-" if value is None else quantity_text(value)
 
 
+def effect_text(row: PhenomenonResult) -> str:
+    """Return the difference from reality, in per cent where it is below 100 %; empty if nothing was measured."""
+    effect = row.effect
+    if effect is None:
+        return ""
+    if abs(effect) <= abs(row.reality.value):
+        return f"{100.0 * effect / abs(row.reality.value):+.3g} %"
+    return f"{effect:+.3g}" + ("" if row.unit == "1" else f" {row.unit}")
+
+
 def verdict_text(row: PhenomenonResult) -> str:
-    """Return the verdict, and for a visible or wrong value its distance from reality in standard deviations."""
-    if row.sigmas is None or row.verdict in (Verdict.INSIDE, Verdict.DECLINED):
+    """Return the verdict, and for a visible or wrong value its difference from reality."""
+    if row.verdict in (Verdict.INSIDE, Verdict.DECLINED):
         return row.verdict.value
-    return f"{row.verdict.value}, {quantity_text(row.sigmas)} sigma"
+    word = "advisory" if row.advisory else row.verdict.value
+    effect = effect_text(row)
+    return f"{word}, {effect}" if effect else word
 
 
 def responsible_text(row: PhenomenonResult) -> str:
-    """Return the remark of a row and its responsible settings."""
-    return "; ".join(part for part in (row.remark, "" if row.cause is None else row.cause.line) if part)
+    """Return the remark of a row, the geoms that decide it, and its responsible settings."""
+    flagged = row.verdict in (Verdict.VISIBLE, Verdict.WRONG)
+    parts = (
+        f"worst: {row.geoms}" if row.geoms and flagged else "",
+        row.remark,
+        row.advisory if flagged else "",
+        "" if row.cause is None else row.cause.line,
+    )
+    return "; ".join(part for part in parts if part)
 
 
 def tally_text(report: Report) -> str:
     """Return the number of rows with each verdict."""
-    counts = {verdict: sum(row.verdict is verdict for row in report.rows) for verdict in _present(report)}
-    text = ", ".join(f"{count} {verdict.value}" for verdict, count in counts.items())
-    return f"{text or 'nothing was measured'}; {report.wall_s:.0f} s"
+    counted = [row for row in report.rows if not row.advisory or not _is_off(row)]
+    counts = {verdict.value: sum(row.verdict is verdict for row in counted) for verdict in _present(report)}
+    counts["advisory"] = len(report.rows) - len(counted)
+    text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return "; ".join((text or "nothing was measured", *report.notes, f"{report.wall_s:.0f} s"))
+
+
+def _is_off(row: PhenomenonResult) -> bool:
+    return row.verdict in (Verdict.VISIBLE, Verdict.WRONG)
 
 
 def _present(report: Report) -> list[Verdict]:
-    """Return the verdicts that occur, the worst first."""
-    found = {row.verdict for row in report.rows}
+    """Return the verdicts that occur in rows that count, the worst first."""
+    found = {row.verdict for row in report.rows if not (row.advisory and _is_off(row))}
     return [v for v in (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE, Verdict.DECLINED) if v in found]

@@ -8,9 +8,18 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.checks.sanity.model import Cause, Curve, PhenomenonResult, Report, TrainingConfiguration, Verdict
+from gauge_envs.checks.sanity.model import (
+    Cause,
+    Curve,
+    GroupOutcome,
+    PhenomenonResult,
+    Report,
+    TrainingConfiguration,
+    Verdict,
+)
 from gauge_envs.errors import MissingExtraError, ResultFileError
 from gauge_envs.report.sanity import (
+    ADVISORY_NOTE,
     VERDICT_NOTES,
     measured_text,
     reality_text,
@@ -18,6 +27,7 @@ from gauge_envs.report.sanity import (
     setting_text,
     settings_by_origin,
     tally_text,
+    top_line,
     verdict_text,
 )
 
@@ -42,6 +52,7 @@ table { border-collapse: collapse; width: 100%; }
 th { text-align: left; font-weight: 600; color: #555; border-bottom: 2px solid #ccc; padding: .3rem .6rem; }
 td { border-bottom: 1px solid #e4e4e4; padding: .35rem .6rem; vertical-align: top; }
 .phenomena td:first-child { min-width: 13rem; } .phenomena td:last-child { min-width: 19rem; }
+.scroll { overflow-x: auto; }
 a { color: inherit; text-decoration-color: #aaa; }
 td.n, th.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
 code { font: 13px/1.45 ui-monospace, Menlo, Consolas, "DejaVu Sans Mono", monospace; }
@@ -49,6 +60,7 @@ code { font: 13px/1.45 ui-monospace, Menlo, Consolas, "DejaVu Sans Mono", monosp
 .inside { background: #e3f1fa; border-color: #0072b2; } .visible { background: #fdf3d4; border-color: #c78a00; }
 .wrong { background: #fbe3d6; border-color: #d55e00; font-weight: 600; }
 .declined { background: #f1f1f1; border-color: #999; color: #555; }
+.cure { border-left: 3px solid #0072b2; padding: .3rem .7rem; background: #f2f8fc; font-weight: 600; }
 .note { border-left: 3px solid #c78a00; padding: .1rem .7rem; margin: .4rem 0; background: #fffaf0; }
 .cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(26rem, 100%), 1fr)); gap: 1.2rem; }
 .card { border: 1px solid #ddd; border-radius: .4rem; padding: .8rem 1rem; break-inside: avoid; }
@@ -98,9 +110,11 @@ def sanity_page(report: Report) -> str:
         f"<h1>{escape(title)}</h1>",
         f'<p class="lead">What the numerical settings of this configuration do to the physics of measured objects: '
         f"{escape(tally_text(report))}.</p>",
+        f'<p class="cure">{escape(top_line(report))}</p>',
         "<h2>Phenomena</h2>",
         _phenomena(report.rows),
         "".join(f'<p class="small">{_badge(verdict)} {escape(note)}</p>' for verdict, note in VERDICT_NOTES.items()),
+        f'<p class="small">advisory: {escape(ADVISORY_NOTE)}</p>' if any(row.advisory for row in report.rows) else "",
         "<h2>What was read</h2>",
         _configuration(checked),
         "<h2>One by one</h2>",
@@ -119,19 +133,24 @@ def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a plain table of text."""
     head = "".join(f"<th>{escape(title)}</th>" for title in titles)
     body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
+    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
 
 
 def _badge(verdict: Verdict, text: str | None = None) -> str:
     return f'<span class="badge {verdict.value}">{MARKS[verdict]} {escape(text or verdict.value)}</span>'
 
 
+def _row_badge(row: PhenomenonResult) -> str:
+    """Return the badge of a row; an advisory one is grey."""
+    return _badge(Verdict.DECLINED if row.advisory else row.verdict, verdict_text(row))
+
+
 def _phenomena(rows: Sequence[PhenomenonResult]) -> str:
     head = (
-        '<tr><th>phenomenon</th><th class="n">reality</th><th class="n">backend\'s default</th>'
+        '<tr><th>phenomenon</th><th class="n">reality</th><th class="n">this package\'s preset</th>'
         '<th class="n">this configuration</th><th>verdict</th><th>responsible</th></tr>'
     )
-    return f'<table class="phenomena">{head}{"".join(map(_phenomenon, rows))}</table>'
+    return f'<div class="scroll"><table class="phenomena">{head}{"".join(map(_phenomenon, rows))}</table></div>'
 
 
 def _phenomenon(row: PhenomenonResult) -> str:
@@ -141,7 +160,7 @@ def _phenomenon(row: PhenomenonResult) -> str:
     return (
         f'<tr><td><a href="#{escape(row.phenomenon)}">{escape(row.title)}</a></td>'
         f'<td class="n">{escape(reality_text(row.reality, row.unit))}</td><td class="n">{default}</td>'
-        f'<td class="n">{escape(measured_text(row.configured))}</td><td>{_badge(row.verdict, verdict_text(row))}</td>'
+        f'<td class="n">{escape(measured_text(row.configured))}</td><td>{_row_badge(row)}</td>'
         f"<td>{escape(responsible_text(row))}</td></tr>"
     )
 
@@ -160,7 +179,7 @@ def _configuration(checked: TrainingConfiguration) -> str:
         for origin, settings in settings_by_origin(checked).items()
         for name, value in settings.items()
     ]
-    settings = _table(("setting", "value", "from"), rows) if rows else "<p>No settings: the backend's default.</p>"
+    settings = _table(("setting", "value", "from"), rows) if rows else "<p>No settings: this package's presets.</p>"
     parts.append(f"<details open><summary>{len(rows)} settings</summary>{settings}</details>")
     if checked.contact_groups:
         names = list(checked.contact_groups[0].constants)
@@ -186,16 +205,26 @@ def _card(row: PhenomenonResult) -> str:
     figure = "" if row.curve is None else _figure(row.curve)
     return (
         f'<div class="card" id="{escape(row.phenomenon)}"><h3>{escape(row.title)}</h3>'
-        f"<p>{_badge(row.verdict, verdict_text(row))} {escape(_sentence(row))}</p>{figure}"
+        f"<p>{_row_badge(row)} {escape(_sentence(row))}</p>{figure}"
         f"{f'<p>{escape(text)}</p>' if text else ''}"
         f"{_tried(row.cause, row.unit) if row.cause is not None and row.cause.tried else ''}"
-        f'<p class="small">Reality: {escape(row.reality.source)}. Scene: {escape(row.experiment)}.</p></div>'
+        f"{_groups(row.groups)}"
+        f'<p class="small">Reality ({row.reality.kind.value}): {escape(row.reality.source)}. Interval: '
+        f"{escape(row.reality.rationale)}.{f' Scene: {escape(row.experiment)}.' if row.experiment else ''}</p></div>"
     )
+
+
+def _groups(groups: Sequence[GroupOutcome]) -> str:
+    """Return the outcome for each set of contact constants; nothing when there is one set."""
+    if not groups:
+        return ""
+    rows = [(one.geoms, measured_text(one.value), one.verdict.value, one.remark) for one in groups]
+    return _table(("geoms", "measured", "verdict", ""), rows)
 
 
 def _sentence(row: PhenomenonResult) -> str:
     return (
-        f"reality {reality_text(row.reality, row.unit)}, default {measured_text(row.default)}, "
+        f"reality {reality_text(row.reality, row.unit)}, preset {measured_text(row.default)}, "
         f"this configuration {measured_text(row.configured)}"
     )
 
@@ -204,7 +233,7 @@ def _tried(cause: Cause, unit: str) -> str:
     rows = [
         (
             ", ".join(f"{name} = {setting_text(value)}" for name, value in trial.changes.items()),
-            "the default" if trial.on_default else "this configuration",
+            "the preset" if trial.on_default else "this configuration",
             "diverged or declined" if trial.value is None else measured_text(trial.value),
         )
         for trial in cause.tried
@@ -232,12 +261,12 @@ def _figure(curve: Curve) -> str:
 
 def _draw(axes: Any, curve: Curve) -> None:
     if curve.reality:
-        low = [mean - sigma for mean, sigma in zip(curve.reality, curve.scatter, strict=True)]
-        high = [mean + sigma for mean, sigma in zip(curve.reality, curve.scatter, strict=True)]
-        axes.fill_between(curve.times_s, low, high, color="#cfcfcf", lw=0.0, label="reality, 1 sigma")
+        low = [centre - half for centre, half in zip(curve.reality, curve.tolerance, strict=True)]
+        high = [centre + half for centre, half in zip(curve.reality, curve.tolerance, strict=True)]
+        axes.fill_between(curve.times_s, low, high, color="#cfcfcf", lw=0.0, label="reality")
         axes.plot(curve.times_s, curve.reality, color=REALITY_COLOR, lw=1.0)
     if curve.default:
-        axes.plot(curve.times_s, curve.default, color=DEFAULT_COLOR, lw=1.4, ls="--", label="default")
+        axes.plot(curve.times_s, curve.default, color=DEFAULT_COLOR, lw=1.4, ls="--", label="preset")
     if curve.configured:
         axes.plot(
             curve.configured_times_s, curve.configured, color=CONFIGURED_COLOR, lw=1.6, label="this configuration"

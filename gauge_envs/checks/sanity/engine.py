@@ -14,10 +14,19 @@ from gauge_envs.checks.sanity.scenario import Scenario, run_scenario, settings_i
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
 
-__all__ = ["SIMULATION_LIMIT_S", "Engine", "EngineDiedError"]
+__all__ = ["SIMULATION_LIMIT_S", "Engine", "EngineDiedError", "simulation_limit_s"]
 
 SIMULATION_LIMIT_S = 600.0
 """Default time limit of a simulation in another process [s]."""
+
+
+def simulation_limit_s(time_limit_s: float | None) -> float:
+    """Return the time limit of one simulation in another process [s], from that of a whole check.
+
+    A limit of less than a second would leave no time to start the process.
+    """
+    return SIMULATION_LIMIT_S if time_limit_s is None else min(max(time_limit_s, 1.0), SIMULATION_LIMIT_S)
+
 
 Value = TypeVar("Value")
 _Run = Callable[[Backend, Scenario, Mapping[str, Any]], Value]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,12 +15,17 @@ from gauge_envs.checks.sanity.engine import Engine, EngineDiedError
 from gauge_envs.checks.sanity.model import INSIDE_WITHIN, VISIBLE_WITHIN, Reality, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon, PhenomenonValue
 from gauge_envs.checks.sanity.scenario import Scenario
+from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 
-__all__ = ["Measured", "Measurements"]
+__all__ = ["Measured", "Measurements", "TimeLimitError"]
 
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
+
+
+class TimeLimitError(GaugeError):
+    """The time of a check is used up, and another rollout would be needed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +34,7 @@ class Measured:
 
     Attributes:
         value: Value in the phenomenon's unit; None when nothing was measured.
-        deviation: Distance from reality in standard deviations; infinite when nothing was measured.
+        deviation: Distance from reality in half-widths of its interval; infinite when nothing was measured.
         verdict: The verdict.
         remark: Why nothing was measured, or a failure that no real trial shows; empty otherwise.
         rollout: The rollout; None when the backend declined or the rollout diverged.
@@ -48,10 +54,12 @@ class Measurements:
 
     Args:
         engine: The engine, or a backend that runs in this process.
+        time_limit_s: Time after which no rollout starts any more [s].
     """
 
-    def __init__(self, engine: Engine | Backend) -> None:
+    def __init__(self, engine: Engine | Backend, *, time_limit_s: float = math.inf) -> None:
         self._engine = engine if isinstance(engine, Engine) else Engine(engine)
+        self._ends_s = time.monotonic() + time_limit_s
         self._in_force: dict[tuple[str, str], dict[str, Any] | DeclinedError] = {}
         self._rollouts: dict[tuple[str, str], Rollout | DeclinedError | DivergedError] = {}
 
@@ -73,7 +81,11 @@ class Measurements:
         return known
 
     def measure(self, phenomenon: Phenomenon, settings: Mapping[str, Any]) -> Measured:
-        """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
+        """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges.
+
+        Raises:
+            TimeLimitError: The time of the check is used up, and the rollout is not known yet.
+        """
         rollout = self._rollout(phenomenon.scenario, settings)
         if isinstance(rollout, DeclinedError):
             return Measured(value=None, deviation=math.inf, verdict=Verdict.DECLINED, remark=str(rollout))
@@ -88,6 +100,8 @@ class Measurements:
     def _rollout(self, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
         key = _key(scenario, settings)
         if key not in self._rollouts:
+            if time.monotonic() >= self._ends_s:
+                raise TimeLimitError("the time limit is reached")
             try:
                 # A stated step gives every rollout of the scenario the same sampling rule.
                 step = {k: v for k, v in self.in_force(scenario, settings).items() if k == "timestep_s"}
@@ -105,7 +119,7 @@ def _judged(measured: PhenomenonValue, reality: Reality, rollout: Rollout) -> Me
     if not math.isfinite(measured.value):
         remark = measured.failure or "it does not happen"
         return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=remark, rollout=rollout)
-    deviation = abs(measured.value - reality.value) / reality.scatter
+    deviation = abs(measured.value - reality.value) / reality.tolerance
     if measured.failure:
         deviation = max(deviation, FAILURE_DEVIATION)
     return Measured(

@@ -1,8 +1,8 @@
 """Read a training configuration from a MuJoCo model.
 
-A model has contact constants for each pair of geoms, but the experiments have one set of constants. They get those of
-moving geoms on the ground, against which feet, wheels and fingers push. All pairs that can collide are considered:
-`mjData.contact` lists only those that touch at the moment.
+A model has contact constants for each pair of geoms, but a simulation of an experiment has one set of constants. It
+runs with each set of moving geoms on the ground, against which feet, wheels and fingers push. All pairs that can
+collide are considered: `mjData.contact` lists only those that touch at the moment.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gauge_envs.backends.mujoco.model_settings import (
     option_settings,
     overrides_contacts,
 )
-from gauge_envs.checks.sanity.model import ContactGroup, TrainingConfiguration
+from gauge_envs.checks.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
@@ -58,7 +58,7 @@ def mujoco_configuration(
         model: The compiled model.
         name: Name of the configuration.
         source: Description of where the model is from.
-        pair: Names of two geoms whose constants the experiments get, instead of the most frequent ones on ground.
+        pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
 
     Raises:
@@ -67,7 +67,7 @@ def mujoco_configuration(
     options = option_settings(model)
     pairs = contact_pairs(model)
     used = None if not len(pairs.geoms) and pair is None else _used_constants(model, pairs, pair)
-    groups = () if used is None else _groups(model, pairs, used)
+    groups = () if used is None else _groups(model, pairs, used, all_on_ground=pair is None)
     contact = default_contact_settings() if used is None else contact_settings(model, used)
     origin = next((group.geoms for group in groups if group.is_used), "MuJoCo's defaults: nothing collides")
     if overrides_contacts(model):
@@ -81,7 +81,36 @@ def mujoco_configuration(
         frame_skip=frame_skip,
         contact_groups=groups,
         notes=(*_contact_notes(groups), *_option_notes(model)),
+        inapplicable=_inapplicable(model, groups),
+        gravity_m_per_s2=(float(model.opt.gravity[0]), float(model.opt.gravity[1]), float(model.opt.gravity[2])),
+        up=_up(model),
+        is_model=True,
     )
+
+
+def _inapplicable(model: mujoco.MjModel, groups: tuple[ContactGroup, ...]) -> dict[Need, str]:
+    """Return what phenomena need and the model has not, with the reason."""
+    reasons = {}
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY or not model.opt.gravity.any():
+        reasons[Need.GRAVITY] = "the model has no gravity"
+    if not groups:
+        reasons[Need.CONTACT] = "no two geoms of the model can collide"
+    elif model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+        reasons[Need.CONTACT] = "the model switches contacts off"
+    return reasons
+
+
+def _up(model: mujoco.MjModel) -> tuple[float, float, float]:
+    """Return the coordinate axis nearest to the normal of the first plane of the world; z when there is none."""
+    planes = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model))
+    axis = np.array([0.0, 0.0, 1.0])
+    if len(planes):
+        normal = np.zeros(3)
+        mujoco.mju_rotVecQuat(normal, axis, model.geom_quat[planes[0]])
+        nearest = np.abs(normal).argmax()
+        axis = np.zeros(3)
+        axis[nearest] = np.sign(normal[nearest])
+    return float(axis[0]), float(axis[1]), float(axis[2])
 
 
 # --- which constants count -------------------------------------------------------------------------------------------
@@ -103,8 +132,13 @@ def _used_constants(model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str,
     return most
 
 
-def _groups(model: mujoco.MjModel, pairs: ContactPairs, used: NDArray[np.float64]) -> tuple[ContactGroup, ...]:
-    """Return the pairs grouped by kind and constants, sorted by kind and number of pairs."""
+def _groups(
+    model: mujoco.MjModel, pairs: ContactPairs, used: NDArray[np.float64], *, all_on_ground: bool
+) -> tuple[ContactGroup, ...]:
+    """Return the pairs grouped by kind and constants, sorted by kind and number of pairs.
+
+    Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind.
+    """
     keys = np.column_stack([pairs.kinds, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
@@ -112,11 +146,13 @@ def _groups(model: mujoco.MjModel, pairs: ContactPairs, used: NDArray[np.float64
         rows = np.flatnonzero(inverse == number)
         constants = pairs.constants[rows[0]]
         kind = PairKind(int(pairs.kinds[rows[0]]))
+        is_used = bool((effective_constants(model, constants) == effective_constants(model, used)).all())
         group = ContactGroup(
             geoms=_geoms_text(model, pairs.geoms[rows], kind),
             pair_count=len(rows),
             constants=_named(constants),
-            is_used=bool((effective_constants(model, constants) == effective_constants(model, used)).all()),
+            is_used=is_used or (all_on_ground and kind == pairs.kinds.min()),
+            settings=contact_settings(model, constants),
         )
         groups.append((kind, -len(rows), number, group))
     return tuple(entry[-1] for entry in sorted(groups, key=lambda entry: entry[:3]))
@@ -136,7 +172,7 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
     option = model.opt
     notes = []
     if option.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY:
-        notes.append("the model switches gravity off; the experiments have it")
+        notes.append("the model switches gravity off; rows that need it are declined")
     elif np.abs(option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])).max() > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2:
         gravity = f"({', '.join(f'{g:g}' for g in option.gravity)})"
         if not option.gravity[:2].any():
@@ -158,9 +194,7 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
 
 def _contact_notes(groups: tuple[ContactGroup, ...]) -> list[str]:
     if not groups:
-        return [
-            "no two geoms can collide: the experiments have MuJoCo's default contacts, which training does not have"
-        ]
+        return ["no two geoms can collide: rows on contact are declined"]
     used = next(group for group in groups if group.is_used).constants
     others = [group for group in groups if not group.is_used]
     notes = []

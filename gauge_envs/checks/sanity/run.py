@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gauge_envs.checks.sanity.cause import find_cause
-from gauge_envs.checks.sanity.engine import SIMULATION_LIMIT_S, Engine
-from gauge_envs.checks.sanity.measure import Measured, Measurements
-from gauge_envs.checks.sanity.model import Curve, PhenomenonResult, Report, TrainingConfiguration, Verdict
+from gauge_envs.checks.sanity.cure import find_cure
+from gauge_envs.checks.sanity.engine import Engine, simulation_limit_s
+from gauge_envs.checks.sanity.gravity import GRAVITY_ID, gravity_row, upright_gravity
+from gauge_envs.checks.sanity.language import Language, gravity_text
+from gauge_envs.checks.sanity.measure import Measured, Measurements, TimeLimitError
+from gauge_envs.checks.sanity.model import (
+    Cause,
+    Cure,
+    Curve,
+    GroupOutcome,
+    PhenomenonResult,
+    Report,
+    TrainingConfiguration,
+    Verdict,
+)
 from gauge_envs.checks.sanity.phenomena import Phenomenon, phenomena
 from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray
+from gauge_envs.checks.sanity.selection import selection
+from gauge_envs.checks.sanity.subject import Subject, subject_of, worst_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
 
@@ -28,17 +44,21 @@ def check(
     *,
     only: Sequence[str] = (),
     include_deformables: bool = False,
+    time_limit_s: float | None = None,
     notify: Callable[[PhenomenonResult], None] | None = None,
-    time_limit_s: float = SIMULATION_LIMIT_S,
 ) -> Report:
     """Return what physics a training configuration gets wrong, and which of its settings are responsible.
+
+    All phenomena are measured in the configuration first. Then come those of this package's preset, the causes, and the
+    change that mends most.
 
     Args:
         target: A `TrainingConfiguration`, or a target of `gauge_envs.checks.sanity.configuration`.
         only: Ids of phenomena or patterns such as `creep-*`; all when empty.
         include_deformables: Whether to measure phenomena of deformable bodies.
-        notify: Function that is called with each row as soon as it is measured.
-        time_limit_s: Time limit of a simulation of an engine outside this package, which runs in another process [s].
+        time_limit_s: Time after which no simulation starts any more [s]; rows that are not measured by then are
+            declined. It bounds each simulation of an engine of another package too. None for no limit.
+        notify: Function that is called with each row as soon as it is complete.
 
     Returns:
         The report, with a row for each phenomenon in a fixed order.
@@ -50,20 +70,28 @@ def check(
     """
     started = time.perf_counter()
     configuration = _configuration(target)
-    chosen = phenomena(only, include_deformables=include_deformables)
-    rows = []
-    with Engine(configuration.backend, time_limit_s) as engine:
-        for row in _rows(Measurements(engine), configuration, chosen):
-            rows.append(row)
+    chosen = selection(only, include_deformables=include_deformables)
+    with Engine(configuration.backend, simulation_limit_s(time_limit_s)) as engine:
+        measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
+        run = _Run(measurements, configuration)
+        rows = run.rows([one for one in phenomena(include_deformables=True) if one.id in chosen], notify=notify)
+        if GRAVITY_ID in chosen:
+            gravity = gravity_row(configuration, run.language)
+            rows = [gravity, *rows]
             if notify is not None:
-                notify(row)
-    if all(row.verdict is Verdict.DECLINED for row in rows) and any(row.default is not None for row in rows):
-        raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {rows[0].remark}")
+                notify(gravity)
+        simulated = [row for row in rows if row.experiment and row.applies]
+        refused = simulated and all(row.verdict is Verdict.DECLINED for row in simulated) and not run.is_cut_short
+        if refused and any(row.default is not None for row in simulated):
+            raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}")
+        cure = run.cure(rows)
     return Report(
         configuration=configuration,
         rows=tuple(rows),
         versions={**engine.versions, **versions()},
         wall_s=time.perf_counter() - started,
+        cure=cure,
+        notes=(f"the time limit, {time_limit_s} s, is reached: the check is incomplete",) if run.is_cut_short else (),
     )
 
 
@@ -75,53 +103,150 @@ def _configuration(target: Any) -> TrainingConfiguration:
     return configuration(target)
 
 
-def _rows(
-    measurements: Measurements, configuration: TrainingConfiguration, chosen: Sequence[Phenomenon]
-) -> Iterator[PhenomenonResult]:
-    for phenomenon in chosen:
-        configured = measurements.measure(phenomenon, configuration.settings)
-        default = measurements.measure(phenomenon, {})
-        yield PhenomenonResult(
+class _Run:
+    """Measures all phenomena in a configuration, and explains what is flagged.
+
+    Args:
+        measurements: Measurements on the backend.
+        configuration: The checked configuration.
+    """
+
+    def __init__(self, measurements: Measurements, configuration: TrainingConfiguration) -> None:
+        self._measurements = measurements
+        self._configuration = configuration
+        self._subjects: list[Subject] = []
+        self.language = Language(is_mjcf=configuration.is_model)
+        self.is_cut_short = False
+
+    def rows(
+        self, chosen: Sequence[Phenomenon], *, notify: Callable[[PhenomenonResult], None] | None
+    ) -> list[PhenomenonResult]:
+        """Return a row for each phenomenon."""
+        self._subjects = [subject_of(self._measurements, self._configuration, one) for one in chosen]
+        outcomes = [self._in_time(partial(one.measured, self._measurements)) or {} for one in self._subjects]
+        defaults = [
+            self._in_time(partial(self._measurements.measure, one.phenomenon, {})) if one.sets else None
+            for one in self._subjects
+        ]
+        rows = []
+        for subject, outcome, default in zip(self._subjects, outcomes, defaults, strict=True):
+            row = self._row(subject, outcome, default) if outcome else self._unmeasured(subject, default)
+            rows.append(row)
+            if notify is not None:
+                notify(row)
+        return rows
+
+    def cure(self, rows: Sequence[PhenomenonResult]) -> Cure | None:
+        """Return the change that mends most flags; None when there is no flag or no cure."""
+        flags = {row.phenomenon for row in rows if row.is_flag}
+        # Where an engine died, changes would let it die again.
+        explained = {row.phenomenon for row in rows if row.cause is not None}
+        flagged = [one for one in self._subjects if one.phenomenon.id in flags & explained]
+        others = [one for one in self._subjects if one.sets and one.phenomenon.id not in flags and not one.advisory]
+        named = {name for row in rows if row.cause is not None for name in row.cause.settings}
+        search = (self._measurements, self._configuration, flagged, others, self.language)
+        cure = self._in_time(lambda: find_cure(*search, named=named))
+        if GRAVITY_ID not in flags:
+            return cure
+        upright = upright_gravity(self._configuration)
+        text, total = gravity_text(self.language, upright), len(flags)
+        changes = {GRAVITY_ID: upright}
+        if cure is None:
+            line = f"{text}: {f'1 of {total} flags goes' if total > 1 else 'the one flag goes'}"
+            return Cure(changes=changes, line=line, flag_count=total, mended_count=1)
+        return Cure(
+            changes={**cure.changes, **changes},
+            line=f"{cure.line}; and {text} for the row gravity",
+            flag_count=total,
+            mended_count=cure.mended_count + 1,
+            new_flags=cure.new_flags,
+        )
+
+    def _in_time(self, work: Callable[[], Any]) -> Any:
+        """Return the result of work; None when the time limit is reached."""
+        try:
+            return work()
+        except TimeLimitError:
+            self.is_cut_short = True
+            return None
+
+    def _unmeasured(self, subject: Subject, default: Measured | None) -> PhenomenonResult:
+        phenomenon = subject.phenomenon
+        return PhenomenonResult(
             phenomenon=phenomenon.id,
             title=phenomenon.title,
             experiment=phenomenon.scenario.id,
             unit=phenomenon.unit,
             reality=phenomenon.reality,
-            default=default.value,
-            configured=configured.value,
-            verdict=configured.verdict,
-            default_verdict=default.verdict,
-            cause=find_cause(measurements, phenomenon, configuration.settings, configured, default),
-            remark=configured.remark,
-            curve=_curve(phenomenon, configured, default),
+            default=None if default is None else default.value,
+            configured=None,
+            verdict=Verdict.DECLINED,
+            default_verdict=Verdict.DECLINED if default is None else default.verdict,
+            remark=subject.inapplicable or "not measured within the time limit",
+            advisory=subject.advisory,
+            applies=not subject.inapplicable,
         )
 
+    def _row(self, subject: Subject, outcomes: dict[str, Measured], default: Measured | None) -> PhenomenonResult:
+        phenomenon = subject.phenomenon
+        geoms, configured = worst_of(outcomes)
+        # A rollout that diverges is wrong whatever the target states.
+        advisory = subject.advisory if configured.rollout is not None else ""
+        cause = None
+        if not advisory and default is not None:
+            cause = self._in_time(lambda: self._cause(subject, geoms, configured, default))
+        several = [
+            GroupOutcome(geoms=g, value=m.value, verdict=m.verdict, remark=m.remark) for g, m in outcomes.items()
+        ]
+        is_judged_by_group = len(self._configuration.contact_sets) > 1 and len(several) > 1
+        return PhenomenonResult(
+            phenomenon=phenomenon.id,
+            title=phenomenon.title,
+            experiment=phenomenon.scenario.id,
+            unit=phenomenon.unit,
+            reality=phenomenon.reality,
+            default=None if default is None else default.value,
+            configured=configured.value,
+            verdict=configured.verdict,
+            default_verdict=Verdict.DECLINED if default is None else default.verdict,
+            cause=cause,
+            remark=configured.remark,
+            curve=_curve(phenomenon, configured, default),
+            advisory=advisory,
+            geoms=geoms if is_judged_by_group else "",
+            groups=tuple(several) if is_judged_by_group else (),
+        )
 
-def _curve(phenomenon: Phenomenon, configured: Measured, default: Measured) -> Curve | None:
+    def _cause(self, subject: Subject, geoms: str, configured: Measured, default: Measured) -> Cause | None:
+        search = (self._measurements, subject.phenomenon, subject.sets[geoms], configured, default)
+        return find_cause(*search, language=self.language)
+
+
+def _curve(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
     trace = phenomenon.trace
     if trace is None:
         return None
     times, values = _thinned(phenomenon, configured)
-    default_times, default_values = _thinned(phenomenon, default)
-    mean, scatter = _real_curve(phenomenon, np.asarray(default_times))
+    default_times, default_values = ((), ()) if default is None else _thinned(phenomenon, default)
+    centre, tolerance = _real_curve(phenomenon, np.asarray(default_times))
     return Curve(
         label=trace.label,
         times_s=default_times,
         default=default_values,
         configured_times_s=times,
         configured=values,
-        reality=tuple(mean.tolist()),
-        scatter=tuple(scatter.tolist()),
+        reality=tuple(centre.tolist()),
+        tolerance=tuple(tolerance.tolist()),
     )
 
 
 def _real_curve(phenomenon: Phenomenon, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation of reality at times; empty when only one value is known."""
+    """Return centre and half-width of the interval of reality at times; empty when only one value is known."""
     trace, reality = phenomenon.trace, phenomenon.reality
     if trace is not None and trace.reality is not None:
         return trace.reality(times_s)
     if trace is not None and trace.is_level:
-        return np.full_like(times_s, reality.value), np.full_like(times_s, reality.scatter)
+        return np.full_like(times_s, reality.value), np.full_like(times_s, reality.tolerance)
     return np.zeros(0), np.zeros(0)
 
 

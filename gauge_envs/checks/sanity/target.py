@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,6 +16,8 @@ from gauge_envs.backends.mujoco import mjcf_probe
 from gauge_envs.backends.registry import is_bundled
 from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.mujoco_model import mujoco_configuration
+from gauge_envs.checks.sanity.readers.dm_control import PREFIX as SUITE_PREFIX
+from gauge_envs.checks.sanity.readers.dm_control import suite_task
 from gauge_envs.errors import GaugeError, ParameterError, TargetError, first_fault
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -30,8 +33,9 @@ MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 SETTINGS_SUFFIXES = (".toml", ".json")
 
 ACCEPTED = (
-    "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file (.xml, .mjcf, .urdf), a settings file (.toml, "
-    ".json), or a backend with or without a preset (mujoco:out_of_box)"
+    "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of dm_control's suite (dm_control:walker/walk), a "
+    "model file (.xml, .mjcf, .urdf), a settings file (.toml, .json), or a backend with or without a preset "
+    "(mujoco:out_of_box)"
 )
 
 TRIAL_VARIANT = "BouncingBall-rubber"
@@ -69,6 +73,7 @@ def configuration(
         target: One of
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
+            a task of dm_control's suite (`dm_control:walker/walk`), whose model file is read without dm_control;
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
@@ -91,6 +96,8 @@ def configuration(
         return _of_env(target, name=_env_name(target), pair=pair)
     if not isinstance(target, str | Path):
         raise TargetError(f"{type(target).__name__} cannot be checked; give {ACCEPTED}, or a mujoco.MjModel or an env")
+    if str(target).startswith(SUITE_PREFIX):
+        return _of_suite_task(str(target), pair)
     suffix = Path(target).suffix.lower()
     if suffix in MODEL_SUFFIXES:
         return _of_model_file(Path(target), pair)
@@ -137,6 +144,12 @@ def _of_model_file(path: Path, pair: tuple[str, str] | None) -> TrainingConfigur
     except ValueError as error:
         raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}") from None
     return _of_model(model, name=path.name, source=f"model file {path}", pair=pair)
+
+
+def _of_suite_task(name: str, pair: tuple[str, str] | None) -> TrainingConfiguration:
+    task = suite_task(name)
+    read = _of_model_file(task.model, pair)
+    return replace(read, name=name, source=task.source, notes=(*task.notes, *read.notes))
 
 
 def _of_id(name: str, pair: tuple[str, str] | None) -> TrainingConfiguration:

@@ -126,7 +126,7 @@ def test_foot_stays_behind_the_base() -> None:
 
 
 def test_numbers_of_the_recordings() -> None:
-    found = {one.id: (one.reality.value, one.reality.scatter) for one in deformable()}
+    found = {one.id: (one.reality.value, one.reality.scatter) for one in deformable() if one.reality.scatter}
     assert found["beam"] == (1.69, 0.03)
     assert found["foam-stretch"] == pytest.approx((2.7, 2.5))
     assert found["foam-compress"] == pytest.approx((-5.5, 2.5))

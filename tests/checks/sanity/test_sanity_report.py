@@ -19,7 +19,9 @@ from gauge_envs.checks import sanity
 from gauge_envs.checks.sanity.model import (
     Cause,
     ContactGroup,
+    Cure,
     Curve,
+    GroupOutcome,
     PhenomenonResult,
     Reality,
     Report,
@@ -62,7 +64,7 @@ CREEP = PhenomenonResult(
     title="creep of a <cube> [of wood]",
     experiment="GAUGE/SlopeSlider-1-wood",
     unit="mm/s",
-    reality=Reality(value=0.0, scatter=0.5, source="paper, Table 5 & more"),
+    reality=Reality.law(0.0, tolerance=0.5, source="paper, Table 5 & more", rationale="cubes <rest>"),
     default=0.002,
     configured=-28.0,
     verdict=Verdict.WRONG,
@@ -82,7 +84,7 @@ CREEP = PhenomenonResult(
         configured_times_s=(0.0, 1.0),
         configured=(0.0, 28.0),
         reality=(0.0, 0.0, 0.0),
-        scatter=(0.0, 0.25, 0.5),
+        tolerance=(0.0, 0.25, 0.5),
     ),
 )
 SLIDE = replace(CREEP, phenomenon="slide", title="slide", configured=1.5, verdict=Verdict.VISIBLE, cause=None)
@@ -101,6 +103,9 @@ WALL = replace(
     remark="'brick' is too heavy",
     curve=None,
 )
+
+ADVICE = replace(CREEP, phenomenon="rebound", title="rebound", advisory="no impact constant is stated", cause=None)
+NOTHING = replace(WALL, phenomenon="slip", title="slip", remark="the model has no gravity", applies=False)
 
 
 def report(*rows: PhenomenonResult) -> Report:
@@ -121,13 +126,13 @@ def shown(checked: Report, *, width: int = 200) -> str:
 
 def test_the_table_shows_reality_values_verdict_and_what_is_responsible() -> None:
     lines = shown(WHOLE).splitlines()
-    index = next(index for index, line in enumerate(lines) if line.startswith("creep of a <cube> [of wood]"))
-    for part in ("0 +- 0.5 mm/s", "0.002", "-28", "wrong, 56 sigma"):
+    index = next(index for index, line in enumerate(lines) if line.startswith("creep-wood"))
+    for part in ("0 +- 0.5 mm/s", "0.002", "-28", "wrong, -28 mm/s"):
         assert part in lines[index]
     assert "cone: elliptic instead of pyramidal brings" in lines[index + 1]
     text = "\n".join(lines)
     assert re.search(r"^wall .* - +- +declined\n +'brick' is too heavy", text, re.MULTILINE)
-    assert "visible, 3 sigma" in text
+    assert "visible, +1.5 mm/s" in text
     assert "1 wrong, 1 visible, 1 inside, 1 declined; 12 s" in text
 
 
@@ -143,20 +148,25 @@ def test_what_was_read_is_shown_with_its_origin() -> None:
 
 def test_verdicts_that_do_not_occur_are_not_explained() -> None:
     assert "declined" not in shown(report(PERIOD))
-    assert "2 sigma of reality" in shown(report(PERIOD))
+    assert "advisory" not in shown(WHOLE)
+    assert "a real trial could have done this" in " ".join(shown(report(PERIOD)).split())
 
 
 def test_a_narrow_terminal_loses_no_verdict() -> None:
     text = shown(WHOLE, width=80)
-    assert "wrong, 56 sigma" in text
+    assert "wrong, -28 mm/s" in text
+    assert max(map(len, text.splitlines())) <= 80
+    row = next(line for line in text.splitlines() if line.startswith("creep-wood"))
+    assert row.split()[-3:] == ["wrong,", "-28", "mm/s"]
     assert "declined" in text
 
 
 def test_markdown_is_a_row_each() -> None:
-    title, rule, *rows, _, tally = sanity_markdown(WHOLE).splitlines()
+    top, _, title, rule, *rows, _, tally = sanity_markdown(WHOLE).splitlines()
+    assert top == "2 flags; no change that was tried mends one"
     assert title.split(" | ")[-1] == "responsible |"
-    assert rule == "| --- | ---: | ---: | ---: | --- | --- |"
-    assert [row.split(" | ")[4].split(",")[0] for row in rows] == ["wrong", "visible", "inside", "declined"]
+    assert rule == "| --- | --- | --- | ---: | ---: | ---: | --- | --- |"
+    assert [row.split(" | ")[6].split(",")[0] for row in rows] == ["wrong", "visible", "inside", "declined"]
     assert tally.endswith("1 wrong, 1 visible, 1 inside, 1 declined; 12 s")
 
 
@@ -168,6 +178,72 @@ def test_json_is_the_configuration_and_then_a_row_each() -> None:
     assert rows[0]["cause"]["settings"] == ["cone"]
     assert rows[0]["cause"]["tried"][1] == {"changes": {"timestep_s": 0.001}, "value": None, "on_default": True}
     assert not any("curve" in row for row in rows)
+
+
+def test_the_top_line_is_the_change_that_mends_most() -> None:
+    cure = Cure(
+        changes={"cone": "elliptic"}, line='<option cone="elliptic"/>: 2 of 2 flags go', flag_count=2, mended_count=2
+    )
+    first = shown(replace(WHOLE, cure=cure)).splitlines()[0]
+    assert first == 'Mends most: <option cone="elliptic"/>: 2 of 2 flags go'
+    assert shown(report(PERIOD)).splitlines()[0] == "No flags: nothing to change"
+    assert shown(report(NOTHING)).splitlines()[0] == "Nothing was measured"
+
+
+def test_advice_is_shown_and_does_not_count() -> None:
+    text = shown(report(ADVICE, PERIOD))
+    assert "advisory, -28 mm/s" in text
+    assert "no impact constant is stated" in text
+    assert "1 inside, 1 advisory; 12 s" in text
+    assert report(ADVICE, PERIOD).worst is Verdict.INSIDE
+
+
+def test_the_geoms_that_decide_are_named() -> None:
+    groups = (
+        GroupOutcome(geoms="floor with trunk", value=0.1, verdict=Verdict.INSIDE),
+        GroupOutcome(geoms="floor with foot", value=-28.0, verdict=Verdict.WRONG),
+    )
+    row = replace(CREEP, geoms="floor with foot", groups=groups)
+    assert "worst: floor with foot" in shown(report(row))
+    page = " ".join("".join(_Page(sanity_page(report(row))).text).split())
+    assert "floor with trunk" in page
+
+
+def test_regressions_are_those_that_are_worse_than_before(tmp_path, monkeypatch) -> None:
+    before = tmp_path / "before.json"
+    before.write_text("\n".join(json.dumps(row) for row in sanity_rows(report(CREEP, PERIOD))))
+    known = ["sanity", "mujoco", "--baseline", str(before)]
+    monkeypatch.setattr(sanity, "check", lambda *_, **__: report(CREEP, PERIOD))
+    assert RUNNER.invoke(app, known).exit_code == 0
+    monkeypatch.setattr(sanity, "check", lambda *_, **__: report(CREEP, replace(PERIOD, verdict=Verdict.VISIBLE)))
+    outcome = RUNNER.invoke(app, known)
+    assert outcome.exit_code == 1
+    assert "regression: period: visible, was inside" in outcome.stderr
+    assert RUNNER.invoke(app, [*known, "--fail-on", "wrong"]).exit_code == 0
+    monkeypatch.setattr(sanity, "check", lambda *_, **__: report(SLIDE, PERIOD))
+    assert RUNNER.invoke(app, known).exit_code == 1
+    monkeypatch.setattr(sanity, "check", lambda *_, **__: report(ADVICE, PERIOD))
+    assert RUNNER.invoke(app, known).exit_code == 0
+
+
+def test_ids_titles_and_kinds_are_listed_without_a_target() -> None:
+    outcome = RUNNER.invoke(app, ["sanity", "--list", "--json", "--only", "creep-*,gravity", "--only", "rebound"])
+    rows = {row["id"]: row for row in map(json.loads, outcome.stdout.splitlines())}
+    assert set(rows) == {"gravity", "creep-wood", "creep-plastic", "creep-metal", "rebound"}
+    assert (rows["rebound"]["kind"], rows["rebound"]["trial_count"]) == ("measured", 22)
+    assert (rows["creep-wood"]["kind"], rows["creep-wood"]["trial_count"]) == ("law", 0)
+    assert rows["gravity"]["rationale"]
+    assert "rope-length" in RUNNER.invoke(app, ["sanity", "--list", "--all"]).stdout
+
+
+def test_a_time_limit_leaves_rows_unmeasured() -> None:
+    outcome = RUNNER.invoke(
+        app, ["sanity", "HalfCheetah-v5", "--time-limit-s", "0", "--only", "gravity,creep-wood", "--json"]
+    )
+    first, gravity, creep = map(json.loads, outcome.stdout.splitlines())
+    assert (gravity["verdict"], creep["verdict"]) == ("inside", "declined")
+    assert creep["remark"] == "not measured within the time limit"
+    assert "the time limit, 0.0 s, is reached" in first["notes"][0]
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
@@ -223,8 +299,10 @@ def test_the_page_states_everything_in_words() -> None:
         "creep of a <cube> [of wood]",
         "a <model> of [mine]",
         "0 +- 0.5 mm/s",
-        "wrong, 56 sigma",
-        "visible, 3 sigma",
+        "wrong, -28 mm/s",
+        "visible, +1.5 mm/s",
+        "cubes <rest>",
+        "2 flags; no change that was tried mends one",
         "declined",
         "cone: elliptic instead of pyramidal brings creep from 28 to 0.02 mm/s",
         "timestep_s = 0.001",
@@ -242,12 +320,12 @@ def test_each_curve_is_a_picture_with_a_band_and_two_lines_of_different_style() 
     assert len(pictures) == 2
     for picture in pictures:
         ElementTree.fromstring(picture)
-        for label in ("reality, 1 sigma", "default", "this configuration", "way downhill [mm]", "time [s]"):
+        for label in ("reality", "preset", "this configuration", "way downhill [mm]", "time [s]"):
             assert f">{label}<" in picture
         assert "stroke-dasharray" in picture
-    without = replace(CREEP, curve=replace(CREEP.curve, reality=(), scatter=(), configured=(), configured_times_s=()))
+    without = replace(CREEP, curve=replace(CREEP.curve, reality=(), tolerance=(), configured=(), configured_times_s=()))
     picture = re.search(r"<svg.*?</svg>", sanity_page(report(without)), re.DOTALL).group()
-    assert "reality" not in picture
+    assert ">reality<" not in picture
     assert "this configuration" not in picture
 
 
@@ -295,6 +373,9 @@ def test_the_command_on_a_real_configuration(tmp_path) -> None:
         ((SLIDE, PERIOD), "visible", 1),
         ((PERIOD, WALL), "visible", 0),
         ((WALL,), "never", 1),
+        ((ADVICE, PERIOD), "wrong", 0),
+        ((ADVICE, CREEP), "wrong", 1),
+        ((NOTHING,), "wrong", 0),
     ],
 )
 def test_exit_codes(monkeypatch, rows: tuple[PhenomenonResult, ...], fail_on: str, code: int) -> None:
@@ -308,7 +389,10 @@ def test_exit_codes(monkeypatch, rows: tuple[PhenomenonResult, ...], fail_on: st
         (["CartPole-v1"], "CartPole-v1 is .* which has no MuJoCo model"),
         (["HalfCheetah-v5", "--pair", "floor"], "--pair 'floor': expected the names of two geoms"),
         (["HalfCheetah-v5", "--pair", "floor,nose"], "no geom 'nose'; it has floor, torso"),
-        (["mujoco", "--only", "nope"], "unknown phenomenon 'nope'"),
+        (["mujoco", "--only", "gravity,nope"], "unknown phenomenon 'nope'"),
+        ([], "no target is given"),
+        (["mujoco", "--baseline", "nowhere.json"], "nowhere.json: cannot be read"),
+        (["mujoco", "--baseline", __file__], "is not the output of gauge sanity --json"),
         (["mujoco:nope"], "unknown MuJoCo preset 'nope'"),
     ],
 )

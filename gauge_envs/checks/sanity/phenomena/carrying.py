@@ -50,12 +50,13 @@ def _carried(material: str) -> Phenomenon:
         quantity="slip",
         scenario=scenario,
         unit="mm",
-        reality=Reality(
-            value=0.0,
-            scatter=scatter,
-            source="Coulomb, omega^2 r < mu g; scatter: of a position in the plane of the table in real trials (paper, "
-            "Table 5)",
+        reality=Reality.law(
+            0.0,
+            tolerance=scatter,
+            source="Coulomb, omega^2 r < mu g",
+            rationale="standard deviation of a position of this cube on this table in real trials (paper, Table 5)",
         ),
+        needs_friction=True,
         read=lambda rollout: PhenomenonValue(value=float(slip_mm(rollout)[-1])),
         trace=Trace(label="slip on the plate [mm]", values=slip_mm, is_level=True),
     )
@@ -78,12 +79,14 @@ def _slip() -> Phenomenon:
         quantity="slip",
         scenario=scenario,
         unit="deg",
-        reality=Reality(
-            value=real["value"],
+        reality=Reality.measured(
+            real["value"],
             scatter=scatter,
+            trial_count=1,
             source=f"one recorded trial ({RECORDINGS}); scatter: of a position along the circle of {scenario.variant} "
             "(paper, Table 5)",
         ),
+        needs_friction=True,
         read=lambda rollout: PhenomenonValue(value=float(slip_deg(rollout)[rollout.between(*STEADY_S)].mean())),
         trace=Trace(label="slip on the plate [deg]", values=slip_deg),
     )

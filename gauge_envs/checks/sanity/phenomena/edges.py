@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
-from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, facts, placing_scatter_mm, recorded
+from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, facts, recorded, rigid_tolerance
 from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import ConvexUnion
@@ -31,11 +31,9 @@ def phenomena() -> Iterator[Phenomenon]:
 
 def _seam() -> Phenomenon:
     scenario = Scenario(name="seam", variant="SlopeContact-wood", seconds=SEAM_S[1])
-    scene = scenario.scene
     layout = facts("recordings/recordings")["layouts"]["seam"]["coordinates"][0]
     seam = np.array(layout["direction"])
-    friction = next(c.friction for c in scene.contacts if "base" in c.second)
-    law = scene.gravity_m_per_s2 * float(-seam[2] - friction * np.hypot(seam[0], seam[1]))
+    friction = next(c.friction for c in scenario.scene.contacts if "base" in c.second)
     real = recorded("slope_contact", "slide_acceleration_m_per_s2")
 
     def slid_mm(rollout: Rollout) -> FloatArray:
@@ -51,12 +49,13 @@ def _seam() -> Phenomenon:
         quantity="acceleration",
         scenario=scenario,
         unit="m/s^2",
-        reality=Reality(
-            value=law,
+        reality=Reality.measured(
+            real["value"],
             scatter=real["sigma"],
-            source=f"Coulomb with the calibrated mu = {friction:.3f}; scatter: of the recorded slide, "
-            f"{real['value']:.1f} m/s^2 ({RECORDINGS})",
+            trial_count=1,
+            source=f"one recorded slide ({RECORDINGS}); the tetrahedron has the calibrated mu = {friction:.3f}",
         ),
+        needs_friction=True,
         read=read,
         trace=Trace(label="displacement down the seam [mm]", values=slid_mm),
     )
@@ -68,14 +67,15 @@ def _point() -> Phenomenon:
     def depth_mm(rollout: Rollout) -> FloatArray:
         return _depths_mm(rollout, "pyramid", "squarebase")
 
-    scatter, origin = placing_scatter_mm()
     return Phenomenon(
         id="point",
         title="sharp edges: penetration of a falling tip into the base",
         quantity="depth",
         scenario=scenario,
         unit="mm",
-        reality=Reality(value=0.0, scatter=scatter, source=f"rigid bodies do not overlap; scatter: {origin}"),
+        reality=Reality.law(
+            0.0, source="rigid bodies do not overlap", **rigid_tolerance(1.0, "the height of 75 mm of the pyramid")
+        ),
         read=lambda rollout: PhenomenonValue(value=float(depth_mm(rollout).max())),
         trace=Trace(label="depth of the tip [mm]", values=depth_mm, is_level=True),
     )

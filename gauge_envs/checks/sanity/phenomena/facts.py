@@ -8,10 +8,13 @@ from typing import Any
 from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.references.published import published_baselines
 
-__all__ = ["RECORDINGS", "facts", "placing_scatter_mm", "position_scatter_mm", "recorded"]
+__all__ = ["PUBLISHED_TRIALS", "RECORDINGS", "facts", "position_scatter_mm", "recorded", "rigid_tolerance"]
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
 """File that `recorded` reads; sources name it."""
+
+PUBLISHED_TRIALS = 20
+"""Real trials of each experiment whose scores are published (paper, section on data)."""
 
 
 @cache
@@ -36,11 +39,11 @@ def position_scatter_mm(variant: str) -> float:
     return float(((baseline.mean**2 + baseline.std**2) / 3.0) ** 0.5)
 
 
-def placing_scatter_mm() -> tuple[float, str]:
-    """Return the standard deviation of measured start positions of real bodies [mm], and its source.
+def rigid_tolerance(millimetres: float, of: str) -> dict[str, Any]:
+    """Return tolerance and rationale of a law on rigid bodies at rest, as arguments of `Reality.law`.
 
-    It serves for heights and depths without a published scatter: trials cannot resolve smaller deviations.
+    Args:
+        millimetres: Tolerance [mm].
+        of: Length that shows how small the tolerance is.
     """
-    trials = facts("bouncing_ball_summary")
-    source = f"of the start heights of {trials['trial_count']} real drops (scoring/facts/bouncing_ball_summary.toml)"
-    return 1e3 * float(trials["start_height_m"]["std"]), source
+    return {"tolerance": millimetres, "rationale": f"the eye sees {millimetres:g} mm on {of}"}

@@ -8,7 +8,7 @@ import numpy as np
 
 from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
-from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, placing_scatter_mm, recorded
+from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, recorded, rigid_tolerance
 from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.checks.sanity.scenario import Scenario
 
@@ -37,14 +37,15 @@ def _rope() -> Phenomenon:
         stretch = stretch_mm(rollout)
         return PhenomenonValue(value=float(stretch[np.abs(stretch).argmax()]))
 
-    scatter, origin = placing_scatter_mm()
     return Phenomenon(
         id="rope-length",
         title="rope: largest change of its length while two balls fall into it",
         quantity="stretch",
         scenario=Scenario(name="rope", variant="RopeWinding-rubber", seconds=JERK_S, nodes_of=("rope",)),
         unit="mm",
-        reality=Reality(value=0.0, scatter=scatter, source=f"the rope does not visibly stretch; scatter: {origin}"),
+        reality=Reality.law(
+            0.0, source="the rope does not visibly stretch", **rigid_tolerance(2.0, "the length of 340 mm of the rope")
+        ),
         read=read,
         trace=Trace(label="stretch of the rope [mm]", values=stretch_mm, is_level=True),
     )
@@ -64,12 +65,14 @@ def _foot() -> Phenomenon:
         quantity="lag",
         scenario=Scenario(name="foot", variant="StickStack-soft", seconds=DRAG_S),
         unit="mm",
-        reality=Reality(
-            value=0.5 * (low + high),
+        reality=Reality.measured(
+            0.5 * (low + high),
             scatter=(high - low) / float(np.sqrt(12.0)),
+            trial_count=1,
             source=f"one recorded trial, between {low:g} and {high:g} mm; scatter: of a uniform distribution "
             f"({RECORDINGS})",
         ),
+        needs_friction=True,
         read=lambda rollout: PhenomenonValue(value=float(lag_mm(rollout)[rollout.between(STEADY_S, DRAG_S)].mean())),
         trace=Trace(label="lag of the foot [mm]", values=lag_mm),
     )

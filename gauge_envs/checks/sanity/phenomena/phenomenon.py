@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.checks.rollout import Rollout
-from gauge_envs.checks.sanity.model import Reality
+from gauge_envs.checks.sanity.model import Need, Reality
 from gauge_envs.checks.sanity.scenario import Scenario
 
 __all__ = ["FloatArray", "Phenomenon", "PhenomenonValue", "Trace"]
@@ -38,8 +38,9 @@ class Trace:
     Attributes:
         label: Name of the quantity with its unit.
         values: Function from a rollout to the quantity, shape [sample_count].
-        reality: Function from times [s] to mean and standard deviation of reality; None when only one value is known.
-        is_level: Whether reality has the phenomenon's value and scatter at all times.
+        reality: Function from times [s] to centre and half-width of the interval of reality; None when only one value
+            is known.
+        is_level: Whether reality has the phenomenon's interval at all times.
         until_s: Last time that is drawn [s].
     """
 
@@ -63,6 +64,9 @@ class Phenomenon:
         reality: Value and scatter for real objects.
         read: Function that measures the number in a rollout of the scenario.
         trace: Quantity that is drawn over time; None when there is none.
+        needs_friction: Whether the phenomenon means nothing without friction.
+        is_impact: Whether the number depends on a restitution that the target may not state.
+        advisory: Why the row never counts for the whole configuration; empty when it counts.
     """
 
     id: str
@@ -73,3 +77,12 @@ class Phenomenon:
     reality: Reality
     read: Callable[[Rollout], PhenomenonValue]
     trace: Trace | None = None
+    needs_friction: bool = False
+    is_impact: bool = False
+    advisory: str = ""
+
+    @property
+    def needs(self) -> tuple[Need, ...]:
+        """What a target must have for the phenomenon to apply."""
+        contact = (Need.CONTACT,) if self.scenario.scene.contacts else ()
+        return (Need.GRAVITY, *contact, *((Need.FRICTION,) if self.needs_friction else ()))

@@ -47,9 +47,10 @@ def _area(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
         quantity="change",
         scenario=Scenario(name=f"foam-{name}", variant=variant, seconds=GRIPPED_S),
         unit="%",
-        reality=Reality(
-            value=100.0 * recorded(recording, "area_change_ratio")["value"],
+        reality=Reality.measured(
+            100.0 * recorded(recording, "area_change_ratio")["value"],
             scatter=100.0 * facts("recordings/recordings")[recording]["uncertainty"]["relative"],
+            trial_count=1,
             source=f"one recorded trial of soft or hard foam; scatter: of the measurement ({RECORDINGS})",
         ),
         read=lambda rollout: PhenomenonValue(value=float(change(rollout)[-1])),
@@ -75,12 +76,13 @@ def _beam() -> Phenomenon:
         quantity="frequency",
         scenario=Scenario(name="beam", variant="CantileverBeam-soft", seconds=SWING_S),
         unit="Hz",
-        reality=Reality(
-            value=real["value"],
+        reality=Reality.measured(
+            real["value"],
             scatter=real["sigma"],
-            source=f"one recorded trial ({RECORDINGS}); the modulus of the blocks is not published, and the scene has "
-            "that of the rubber rod, so the engine is not responsible for a stiffer beam",
+            trial_count=1,
+            source=f"one recorded trial ({RECORDINGS})",
         ),
+        advisory="the modulus of the blocks is not published, and the scene has that of the rubber rod",
         read=read,
         trace=Trace(label="height of the tip [mm]", values=height_mm),
     )

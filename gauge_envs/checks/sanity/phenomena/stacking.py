@@ -9,7 +9,7 @@ import numpy as np
 
 from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
-from gauge_envs.checks.sanity.phenomena.facts import placing_scatter_mm
+from gauge_envs.checks.sanity.phenomena.facts import rigid_tolerance
 from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import Scene
@@ -44,10 +44,14 @@ def phenomena() -> Iterator[Phenomenon]:
     def drift_mm(rollout: Rollout) -> FloatArray:
         return np.asarray(np.linalg.norm(displacements_mm(rollout)[..., :2], axis=-1).max(axis=0))
 
-    scatter, origin = placing_scatter_mm()
-    for name, title, values in (
-        ("sag", "stacking: settling of a wall of 118 bricks", sag_mm),
-        ("drift", f"stacking: drift of the bricks of a wall within {STAND_S:g} s", drift_mm),
+    for name, title, values, tolerance in (
+        ("sag", "stacking: settling of a wall of 118 bricks", sag_mm, rigid_tolerance(1.0, "eleven layers of 15 mm")),
+        (
+            "drift",
+            f"stacking: drift of the bricks of a wall within {STAND_S:g} s",
+            drift_mm,
+            rigid_tolerance(1.0, "the length of 40 mm of a brick"),
+        ),
     ):
         yield Phenomenon(
             id=f"wall-{name}",
@@ -55,7 +59,8 @@ def phenomena() -> Iterator[Phenomenon]:
             quantity=name,
             scenario=scenario,
             unit="mm",
-            reality=Reality(value=0.0, scatter=scatter, source=f"a dry wall does not move; scatter: {origin}"),
+            reality=Reality.law(0.0, source="a dry wall does not move", **tolerance),
+            needs_friction=True,
             read=_last_of(values),
             trace=Trace(label=f"{name} of the wall [mm]", values=values, is_level=True),
         )

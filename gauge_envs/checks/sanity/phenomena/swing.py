@@ -29,6 +29,9 @@ CURVE_S = 5.0
 PRINTED = 0.01
 """Last printed digit of the published energy loss."""
 
+PERIOD_TOLERANCE = 0.01
+"""Relative tolerance of the period."""
+
 
 def phenomena() -> Iterator[Phenomenon]:
     """Yield the period and the energy loss."""
@@ -54,22 +57,24 @@ def phenomena() -> Iterator[Phenomenon]:
         return PhenomenonValue(value=energy_loss(height, rest_height_mm=1e3 * (hinge.anchor_m[2] - length)))
 
     period = recorded("pendulum", "period_s")
+    law = pendulum_period_s(
+        length_m=length,
+        gyration_m=float(np.sqrt(0.4)) * ball.shape.radius_m,
+        amplitude_rad=float(np.arccos(-arm[2] / length)),
+        gravity_m_per_s2=scenario.scene.gravity_m_per_s2,
+    )
     yield Phenomenon(
         id="period",
         title="pendulum: period from 90 degrees",
         quantity="period",
         scenario=scenario,
         unit="s",
-        reality=Reality(
-            value=pendulum_period_s(
-                length_m=length,
-                gyration_m=float(np.sqrt(0.4)) * ball.shape.radius_m,
-                amplitude_rad=float(np.arccos(-arm[2] / length)),
-                gravity_m_per_s2=scenario.scene.gravity_m_per_s2,
-            ),
-            scatter=period["sigma"],
-            source="elliptic integral with the scene's length; scatter: of the recorded period, "
-            f"{period['value']:.3f} s with real damping ({RECORDINGS})",
+        reality=Reality.law(
+            law,
+            tolerance=PERIOD_TOLERANCE * law,
+            source=f"elliptic integral with the scene's length; a recorded trial shows {period['value']:.3f} +- "
+            f"{period['sigma']:.3f} s with real damping ({RECORDINGS})",
+            rationale=f"{PERIOD_TOLERANCE:.0%}, an error of one swing in a hundred; the recording resolves no less",
         ),
         read=read_period,
         trace=Trace(label="horizontal displacement [mm]", values=aside_mm, until_s=CURVE_S),
@@ -80,10 +85,11 @@ def phenomena() -> Iterator[Phenomenon]:
         quantity="energy loss",
         scenario=scenario,
         unit="1",
-        reality=Reality(
-            value=real.mean,
-            scatter=PRINTED,
-            source="energy loss of real trials, published as 0.00 (paper, Table 5); scatter: its last digit",
+        reality=Reality.law(
+            real.mean,
+            tolerance=PRINTED,
+            source="energy loss of real trials, published as 0.00 (paper, Table 5)",
+            rationale="last printed digit of the published loss",
         ),
         read=read_energy,
     )

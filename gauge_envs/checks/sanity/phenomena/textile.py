@@ -10,7 +10,7 @@ import numpy as np
 from gauge_envs.checks.conformance.laws import hann_mean
 from gauge_envs.checks.rollout import Rollout
 from gauge_envs.checks.sanity.model import Reality
-from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, placing_scatter_mm, recorded
+from gauge_envs.checks.sanity.phenomena.facts import RECORDINGS, recorded
 from gauge_envs.checks.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.scene import Cloth, Scene
@@ -25,6 +25,9 @@ HANG_S, SETTLED_S = 0.8, 0.2
 
 FLING_S = 1.0
 """Simulated time [s]: the rod is fastest at 0.68 s, and the cloth lags most before that."""
+
+SAG_TOLERANCE = 0.2
+"""Relative tolerance of the sag of a hanging cloth."""
 
 ROW_M = 1e-3
 """Difference in height within which markers are in one row [m]."""
@@ -62,7 +65,10 @@ def _carry() -> Phenomenon:
         quantity="lag",
         scenario=Scenario(name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S),
         unit="mm",
-        reality=Reality(value=real["value"], scatter=real["sigma"], source=f"one recorded trial ({RECORDINGS})"),
+        reality=Reality.measured(
+            real["value"], scatter=real["sigma"], trial_count=1, source=f"one recorded trial ({RECORDINGS})"
+        ),
+        needs_friction=True,
         read=lambda rollout: PhenomenonValue(value=float(lag_mm(rollout)[-1])),
         trace=Trace(label="lag behind the rod [mm]", values=lag_mm),
     )
@@ -94,18 +100,17 @@ def _sag() -> Phenomenon:
     def read(rollout: Rollout) -> PhenomenonValue:
         return PhenomenonValue(value=float(hann_mean(sag_mm(rollout)[rollout.between(SETTLED_S, HANG_S)])))
 
-    scatter, origin = placing_scatter_mm()
     return Phenomenon(
         id="cloth-sag",
         title="cloth, satin: sag of its lowest markers under its own weight",
         quantity="sag",
         scenario=scenario,
         unit="mm",
-        reality=Reality(
-            value=law_mm,
-            scatter=scatter,
-            source="rho g (L s - s^2 / 2) / K_s with the measured K_s = "
-            f"{cloth.stretch_stiffness_n_per_m:.1f} N/m; scatter: {origin}",
+        reality=Reality.law(
+            law_mm,
+            tolerance=SAG_TOLERANCE * law_mm,
+            source=f"rho g (L s - s^2 / 2) / K_s with the measured K_s = {cloth.stretch_stiffness_n_per_m:.1f} N/m",
+            rationale=f"{SAG_TOLERANCE:.0%} of the sag: an effective stiffness that is off by as much",
         ),
         read=read,
         trace=Trace(label="sag of the lowest markers [mm]", values=sag_mm, is_level=True),
@@ -129,9 +134,10 @@ def _fling() -> Phenomenon:
         quantity="angle",
         scenario=scenario,
         unit="deg",
-        reality=Reality(
-            value=real["value"],
+        reality=Reality.measured(
+            real["value"],
             scatter=real["sigma"],
+            trial_count=1,
             source=f"one recorded trial of an unknown fabric ({RECORDINGS}); satin swings "
             "like leather, which has 28 times its mass",
         ),
