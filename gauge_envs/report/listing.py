@@ -133,8 +133,9 @@ def list_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 def _usable_text(backends: dict[str, list[str]]) -> str:
     usable = [name for name, lacks in backends.items() if not lacks]
-    if len(usable) == len(backends) > 2:
-        return f"all {len(usable)}"
+    others = [name for name, lacks in backends.items() if lacks]
+    if len(usable) > 2 and len(others) < 2:
+        return f"all {len(usable)}" if not others else f"all but {others[0]}"
     return ", ".join(usable) or "none"
 
 

@@ -75,7 +75,7 @@ def test_show_states_grade_trials_and_driver(gauge):
 
 def test_backend_list(gauge):
     assert "mujoco" in gauge("backend", "list").stdout
-    assert lines(gauge("backend", "list", "--json"))[0]["name"] == "mujoco"
+    assert "mujoco" in [one["name"] for one in lines(gauge("backend", "list", "--json"))]
 
 
 def test_help_is_quick_and_imports_no_engine():

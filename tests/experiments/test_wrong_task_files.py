@@ -97,7 +97,10 @@ def test_a_number_that_python_cannot_write_is_an_error(crate: Path) -> None:
         load_experiment_file(crate)
 
 
-def test_an_error_of_a_band_prints_no_text_of_the_file(crate: Path, tmp_path: Path) -> None:
+def test_an_error_of_a_band_prints_no_text_of_the_file(
+    crate: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
     private = tmp_path / "private.csv"
     private.write_text("root:secret:0,frame\n1,2\n")
     band = next(line for line in crate.read_text().splitlines() if line.startswith("file = "))

@@ -10,7 +10,7 @@ from gauge_envs.checks.rollout import DeclinedError
 from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.scenario import Scenario
 
-__all__ = ["Alternative", "alternatives"]
+__all__ = ["Alternative", "alternatives", "preset_label"]
 
 DOCUMENTED_PRESET = "out_of_box"
 """Preset of every backend that holds the engine's documented defaults."""
@@ -75,7 +75,7 @@ def alternatives(
     references = [
         *_in_force(measurements, scenario, {"preset": DOCUMENTED_PRESET}, DOCUMENTED),
         *_in_force(measurements, GENERAL, {}, None),
-        (_preset_label(preset), {name: value for name, value in preset.items() if name not in RECIPES}),
+        (preset_label(preset), {name: value for name, value in preset.items() if name not in RECIPES}),
     ]
     stated = set(configured) if "preset" in settings else set(settings)
     found: dict[str, list[Alternative]] = {}
@@ -98,10 +98,11 @@ def _in_force(
         force = measurements.in_force(scenario, settings)
     except DeclinedError:
         return
-    yield label or _preset_label(force), force
+    yield label or preset_label(force), force
 
 
-def _preset_label(force: Mapping[str, Any]) -> str:
+def preset_label(force: Mapping[str, Any]) -> str:
+    """Return the text for the preset of settings in force."""
     return f"this package's preset {force.get('preset', 'default')}"
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
-from gauge_envs.checks.sanity.alternatives import Alternative, alternatives
+from gauge_envs.checks.sanity.alternatives import Alternative, alternatives, preset_label
 from gauge_envs.checks.sanity.language import Language, assignment
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, Verdict
@@ -155,7 +156,12 @@ class _Search:
             return None
         changed = self._with_put_back(suffice)
         if not self.explains(changed):
-            return None
+            # Training may not afford the preset's own step, but it shows what is responsible.
+            found, self._best = self._best, self._best | {name: self._of_preset(name) for name in suffice}
+            changed = self._with_put_back(suffice)
+            if not self.explains(changed):
+                self._best = found
+                return None
         alone = ", ".join(f"{name} {self._measured_text(self._alone[name])}" for name in suffice)
         return self._cause(suffice, changed, also=f" (each alone on this package's preset: {alone})")
 
@@ -182,6 +188,11 @@ class _Search:
         """Return that this package's preset has at least half of the error."""
         line = f"no setting alone explains it; this package's preset: {self._measured_text(self._default)}"
         return Cause(settings=(), line=line, tried=tuple(self._tried))
+
+    def _of_preset(self, name: str) -> Alternative:
+        """Return the value of a setting in this package's preset of the scene."""
+        preset = self._measurements.in_force(self._phenomenon.scenario, {})
+        return replace(self._best[name], value=preset[name], source=preset_label(preset))
 
     # --- changes ---
 
