@@ -63,6 +63,14 @@ def test_a_replayed_simulation_continues_bit_for_bit() -> None:
     assert {one.status for one in results} == {Status.PASS}
 
 
+def test_a_replayed_simulation_reports_the_faults_of_its_engine() -> None:
+    scene = load_experiment("BouncingBall-rubber").scene
+    inner = MUJOCO.build(scene)
+    inner.fault = lambda: "gave up"  # type: ignore[method-assign]
+    assert ReplayedSimulation(inner).fault() == "gave up"
+    assert ReplayedSimulation(MUJOCO.build(scene)).fault() is None
+
+
 def test_without_it_the_error_says_what_to_do() -> None:
     (result,) = run_checks(Stateless(replayed=False), only=["restore"])
     assert result.status is Status.ERROR

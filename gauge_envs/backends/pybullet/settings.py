@@ -61,7 +61,7 @@ class SettingsPyBullet(SteppedSettings):
         contact_slop: Penetration in units that is not corrected.
         late_impacts: Start an impact when the bodies overlap. Otherwise Bullet brakes them shortly before they touch,
             and restitution then acts on the braked speed.
-        planes: Shape of planes: Bullet's plane, or a box larger than the scene, on which more contact points are found.
+        planes: Shape of planes: Bullet's plane, or a box of 16 m, on which more contact points are found.
         polyhedral_features: Collide boxes and convex hulls face by face, with all contact points at once.
         reduced_coordinates: Simulate free bodies by Featherstone's algorithm, as PyBullet does by default.
         island_size: Smallest number of constraints that the solver takes together.

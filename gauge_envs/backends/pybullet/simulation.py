@@ -14,8 +14,9 @@ from gauge_envs.backends.pybullet.engine import pybullet
 from gauge_envs.backends.pybullet.frames import Handle
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.backends.pybullet.world import PLANE_REACH_M
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
 __all__ = ["SimulationPyBullet"]
@@ -42,6 +43,8 @@ class SimulationPyBullet(Simulation):
         self._scene = scene
         self._scale = settings.units_per_m
         self._timestep_s = settings.timestep_s
+        boxes = settings.planes == "box"
+        self._planes = [body.pose for body in scene.bodies if boxes and isinstance(body.shape, Plane)]
         self._kinematic = [body.name for body in scene.bodies if body.motion is Motion.KINEMATIC]
         self._start()
 
@@ -91,6 +94,20 @@ class SimulationPyBullet(Simulation):
         for name, motion in motions.items():
             self._placed[name] = _row(motion.pose(seconds), motion.velocity_at(seconds))
         self._driven.clear()
+
+    def fault(self) -> str | None:
+        """Return which body is beyond the box of a plane, where nothing would carry it."""
+        names = [body.name for body in self._scene.dynamic_bodies]
+        if not names or not self._planes:
+            return None
+        positions = self.body_states(names)[:, :3]
+        for plane in self._planes:
+            across = np.abs((positions - plane.position_m) @ plane.rotation.as_matrix()[:, :2]).max(axis=1)
+            if across.max() > PLANE_REACH_M:
+                return (
+                    f"{names[int(across.argmax())]} is beyond the {PLANE_REACH_M:g} m that this backend's planes reach"
+                )
+        return None
 
     def _motion(self, name: str) -> DrivenMotion:
         """Return the motion of a driven body; without a call of `drive`, it stays where it is."""

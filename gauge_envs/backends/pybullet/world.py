@@ -23,8 +23,9 @@ __all__ = ["DRIVEN_MASS_KG", "BulletWorld"]
 FASTEST_JOINT = 1e9
 """Bullet's limit on the speed of joints in units per second; its default of 100 is 1 m/s at 100 units per metre."""
 
-PLANE_SIZE = 2.0
-"""Half the edge of the box for a plane, over the largest distance of a body from the world's origin."""
+PLANE_REACH_M = 8.0
+"""Half the edge of the box for a plane [m]. On some boxes with half an edge of 11.7 m or more, Bullet brakes rolling
+spheres by up to 39 %; on 107 boxes from 1 to 11.6 m, spheres roll within 0.1 % of the law."""
 
 DRIVEN_MASS_KG = 1e6
 """Mass of a driven body, which contacts between two drives do not move: 1 N moves it by 2e-11 m in 1/180 s."""
@@ -95,10 +96,10 @@ class BulletWorld:
         return int(self.call("createCollisionShape", pybullet.GEOM_MESH, fileName=str(path), flags=flags, **place))
 
     def _plane(self, flags: int, place: dict[str, Any]) -> int:
-        """Return Bullet's plane, or a box below the plane that reaches beyond every place of a body."""
+        """Return Bullet's plane, or a box below the plane that reaches `PLANE_REACH_M` to each side."""
         if self.settings.planes == "plane":
             return int(self.call("createCollisionShape", pybullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0], **place))
-        half = PLANE_SIZE * self.scale * self.scene.distance_limit_m
+        half = self.scale * PLANE_REACH_M
         place = place | {"collisionFramePosition": [0.0, 0.0, -half]}
         return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=[half] * 3, flags=flags, **place))
 

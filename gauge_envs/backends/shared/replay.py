@@ -70,6 +70,10 @@ class ReplayedSimulation(Simulation):
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
         return self._inner.body_states(names)
 
+    def fault(self) -> str | None:
+        """Return why the engine gave up the state; see `World.fault`."""
+        return self._inner.fault()
+
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         return self._inner.nodes(name)

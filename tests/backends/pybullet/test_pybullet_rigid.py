@@ -22,6 +22,7 @@ from gauge_envs.scene import (
     ContactMode,
     ConvexUnion,
     Motion,
+    Plane,
     Pose,
     Region,
     RigidBody,
@@ -448,4 +449,15 @@ def test_wall_stands_and_its_ball_stays_on_the_string() -> None:
     start = simulation.body_states(names)[:, :3]
     simulation.advance(0.5)
     assert np.linalg.norm(simulation.body_states(names)[:, :3] - start, axis=1).max() < 1e-4
+    simulation.close()
+
+
+def test_a_body_beyond_the_plane_ends_the_episode() -> None:
+    ground = solid("ground", Plane(), (0.0, 0.0, 0.0), motion=Motion.FIXED, mass_kg=0.0)
+    ball = replace(solid("ball", Sphere(radius_m=0.03), (7.5, 0.0, 0.03)), linear_velocity_m_per_s=(3.0, 0.0, 0.0))
+    contact = Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.0)
+    simulation = ENGINE.build(Scene(bodies=(ground, ball), contacts=(contact,), duration_s=1.0))
+    assert simulation.fault() is None
+    simulation.advance(0.5)
+    assert simulation.fault() == "ball is beyond the 8 m that this backend's planes reach"
     simulation.close()
