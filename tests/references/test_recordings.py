@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import build_coverage
+import build_engine_table
 import build_recordings
 import numpy as np
 import pytest
@@ -93,6 +94,17 @@ def test_the_table_of_coverage_is_current_and_names_every_id(tmp_path: Path) -> 
     stale.write_text(page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"), encoding="utf-8")
     assert build_coverage.main(["--check", "--out", str(stale)]) == 1
     assert sum(line.startswith(f"| {variant.name} |") for variant in variants() for line in page.splitlines()) == 75
+
+
+def test_the_page_of_engines_is_current_and_no_default_preset_fails_a_check() -> None:
+    assert build_engine_table.main(["--check"]) == 0
+    data = json.loads(build_engine_table.DATA.read_text(encoding="utf-8"))
+    defaults = {one["engine"]: one for one in data["configurations"] if not one["preset"]}
+    assert set(defaults) == set(build_engine_table.ENGINES)
+    assert {engine: one["conformance"]["failed"] for engine, one in defaults.items()} == dict.fromkeys(defaults, [])
+    for one in defaults.values():
+        slides = [ratio for column, ratio in one["laws"].items() if column.startswith("slide")]
+        assert slides == pytest.approx([1.0] * 4, abs=0.01)
 
 
 # From pictures to frames
