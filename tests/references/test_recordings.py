@@ -101,7 +101,9 @@ def test_the_page_of_engines_is_current_and_no_default_preset_fails_a_check() ->
     data = json.loads(build_engine_table.DATA.read_text(encoding="utf-8"))
     defaults = {one["engine"]: one for one in data["configurations"] if not one["preset"]}
     assert set(defaults) == set(build_engine_table.ENGINES)
-    assert {engine: one["conformance"]["failed"] for engine, one in defaults.items()} == {engine: [] for engine in defaults}
+    assert {engine: one["conformance"]["failed"] for engine, one in defaults.items()} == {
+        engine: [] for engine in defaults
+    }
     for one in defaults.values():
         slides = [ratio for column, ratio in one["laws"].items() if column.startswith("slide")]
         assert slides == pytest.approx([1.0] * 4, abs=0.01)
