@@ -132,7 +132,9 @@ class SampledProfile:
 
     @cached_property
     def _curve(self) -> PchipInterpolator:
-        return PchipInterpolator(self.times_s, self.values)
+        # Slopes of subnormal numbers have infinite inverses, from which the slope 0 follows.
+        with np.errstate(over="ignore"):
+            return PchipInterpolator(self.times_s, self.values)
 
     @cached_property
     def _slope(self) -> PchipInterpolator:

@@ -104,3 +104,8 @@ def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z() -> None:
     assert pose.to_world(np.array([0.0, 1.0, 0.0])) == pytest.approx([0.0, 0.0, 1.0])
     assert pose.to_world(np.array([0.0, 0.0, 1.0])) == pytest.approx([1.0, 0.0, 0.0])
     assert pose.to_body(pose.to_world(np.array([0.1, 0.2, 0.3]))) == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_samples_may_be_subnormal_numbers() -> None:
+    profile = SampledProfile(times_s=(1.0, 2.0, 3.0), values=(0.0, 0.0, 2.2250738585e-313))
+    assert profile.value(2.5) == pytest.approx(0.0, abs=1e-300)
