@@ -363,7 +363,7 @@ def grade_lines(grade: Mapping[str, Any]) -> Iterator[str]:
     yield f"### Ranks, grade {grade['grade']}"
     yield ""
     yield f"Mean of the primary score over {', '.join(one.removeprefix('GAUGE/') for one in grade['ids'])}."
-    yield "Configurations of one rank cannot be told apart."
+    yield "A rank is one more than the number of configurations with a distinguishably lower mean."
     yield ""
     scores = sorted(grade["scores"], key=lambda one: (one["rank"], one["mean"]))
     rows = (
