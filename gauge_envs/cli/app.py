@@ -47,7 +47,14 @@ class _Command(typer.core.TyperCommand):
 
 
 class _Group(typer.core.TyperGroup):
-    """Group that prints errors of gauge-envs without a traceback; no other place catches them."""
+    """Group that prints errors of gauge-envs without a traceback; no other place catches them.
+
+    The name of a command may have two words, as `sanity probe` beside `sanity TARGET`.
+    """
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        words = " ".join(args[:2])
+        return super().resolve_command(ctx, [words, *args[2:]] if words in self.commands else args)
 
     def invoke(self, ctx: Any) -> Any:
         try:
