@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gauge_envs.checks.sanity import PhenomenonResult, Report, Verdict
 
 
-__all__ = ["FailOn", "backend_app", "backend_check", "backend_list", "sanity"]
+__all__ = ["FailOn", "backend_app", "backend_check", "backend_list", "has_failed", "print_report", "sanity"]
 
 
 class FailOn(StrEnum):
@@ -122,14 +122,15 @@ def sanity(
             progress.update(bar, advance=1, description=row.phenomenon)
 
         report = check(checked, only=patterns, include_deformables=every, time_limit_s=time_limit_s, notify=notify)
-    _print_report(report, json_lines, markdown, wide)
+    print_report(report, json_lines, markdown, wide)
     if html is not None:
         stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
-    if _has_failed(report, fail_on, before):
+    if has_failed(report, fail_on, before):
         raise typer.Exit(EXIT_FAILED)
 
 
-def _print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+def print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+    """Print a sanity check as JSON lines, as Markdown, or for a terminal."""
     from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
 
     if json_lines:
@@ -167,7 +168,7 @@ def _compare(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
+def has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
     """Return whether a sanity check ends with an error, and print regressions from a baseline."""
     from gauge_envs.checks.sanity import Verdict
     from gauge_envs.checks.sanity.baseline import regressions
