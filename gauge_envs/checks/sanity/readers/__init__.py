@@ -5,6 +5,7 @@ from __future__ import annotations
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
 from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
+from gauge_envs.checks.sanity.readers.newton_model import NEWTON_MODEL
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
 from gauge_envs.checks.sanity.readers.settings import BACKEND, SETTINGS_FILE
 
@@ -12,6 +13,7 @@ __all__ = ["READERS", "GeomPair", "Reader"]
 
 READERS: tuple[Reader, ...] = (
     MODEL_OBJECT,
+    NEWTON_MODEL,
     GYMNASIUM_ENV,
     DM_CONTROL,
     MODEL_FILE,
