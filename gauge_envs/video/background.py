@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gauge_envs.video.frames import Frames, Picture, opencv
 from gauge_envs.video.tasks import REFERENCE_SIZE_PX
 
-__all__ = ["Background", "Region", "background", "noise_level"]
+__all__ = ["Background", "Region", "background", "brightness", "noise_level"]
 
 Region: TypeAlias = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of a picture [px]."""
@@ -41,19 +41,19 @@ class Background:
     @property
     def grey(self) -> NDArray[np.float32]:
         """Brightness of the background, shape [480, 832], 0 to 255."""
-        grey: NDArray[np.float32] = self._picture.mean(axis=2)
-        return grey
+        return brightness(self._picture)
 
     def difference(self, picture: Picture) -> NDArray[np.float32]:
         """Return the largest difference of the three colour channels at each pixel, shape [480, 832], smoothed."""
         cv2 = opencv()
-        difference = np.abs(picture.astype(np.float32) - self._picture).max(axis=2)
+        blue, green, red = cv2.split(cv2.absdiff(picture.astype(np.float32), self._picture))
+        difference = cv2.max(cv2.max(blue, green), red)
         return np.asarray(cv2.GaussianBlur(difference, (5, 5), 0), dtype=np.float32)
 
     def follow(self, picture: Picture, moving: NDArray[np.bool_]) -> None:
         """Take over a share of a picture where nothing moves."""
-        still = ~moving
-        self._picture[still] += ADAPTATION * (picture[still] - self._picture[still])
+        cv2 = opencv()
+        cv2.accumulateWeighted(picture, self._picture, ADAPTATION, mask=(~moving).astype(np.uint8))
 
 
 def background(frames: Frames, frame_count: int, occupied: Region) -> tuple[Background, bool]:
@@ -97,6 +97,12 @@ def background(frames: Frames, frame_count: int, occupied: Region) -> tuple[Back
         mask[top:bottom, left:right] = 255
         result = np.asarray(cv2.inpaint(first, mask, 3, cv2.INPAINT_TELEA))
     return Background(result), leaves
+
+
+def brightness(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the mean of the three colour channels of a picture, shape [height, width]."""
+    cv2 = opencv()
+    return np.asarray(cv2.transform(picture, np.full((1, 3), 1.0 / 3.0, dtype=np.float32)), dtype=np.float32)
 
 
 def noise_level(difference: NDArray[np.float32]) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.video.background import Background, noise_level
+from gauge_envs.video.background import Background, brightness, noise_level
 from gauge_envs.video.frames import Picture, opencv
 
 __all__ = ["DiskFollower", "FaceFollower", "PatchFollower", "Sight"]
@@ -212,7 +212,7 @@ class DiskFollower:
         """Return where the disk is in the next frame."""
         cv2 = opencv()
         light_grey = np.ascontiguousarray(self._background.grey[self._part])
-        grey = picture[self._part].astype(np.float32).mean(axis=2)
+        grey = brightness(picture[self._part].astype(np.float32))
         valid = (light_grey > self._dark + self.LIGHT).astype(np.float32)
         darkness = np.clip((light_grey - grey) / np.maximum(light_grey - self._dark, 1.0), 0.0, 1.0) * valid
         inside_valid = cv2.filter2D(valid, -1, self._disk, borderType=cv2.BORDER_CONSTANT)

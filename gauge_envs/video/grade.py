@@ -59,7 +59,9 @@ def grade_of(
         fatal.append(f"only {len(rows)} frames are retained; a fit needs {LEAST_RETAINED}")
     found = rows[track.is_found[rows]]
     sizes = track.size_ratio[found]
-    odd = found[np.isfinite(sizes) & (np.abs(sizes / np.nanmedian(track.size_ratio) - 1.0) > MOST_SIZE_CHANGE)]
+    known = np.isfinite(sizes)
+    usual = float(np.median(sizes[known])) if known.any() else 1.0
+    odd = found[known & (np.abs(sizes / usual - 1.0) > MOST_SIZE_CHANGE)]
     if len(odd) > MOST_MISSING * len(rows):
         doubts.append(f"the object changes its size by more than 20 % in frames {_runs(track.frames[odd])}")
     confidence = float(track.confidence[found].mean()) if len(found) else 0.0

@@ -126,8 +126,8 @@ def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[in
             break
         later = min(row + WINDOW, len(rows) - 1)
         if later - row >= WINDOW // 2 and along[row + 1 : later + 1].max() - along[row] < MOVING_PX:
-            # The stop falls between two frames, so this frame shows it at rest.
-            end = row - 1
+            # This frame shows it at rest, and the exposure of the one before may hold the stop.
+            end = row - 2
             break
     if task.motion is Motion.SLIDE:
         end = min(end, _last_on_line(track, task, rows, start))

@@ -30,6 +30,12 @@ MOST_SHIFT_PX = 4.0
 MOST_ZOOM = 0.02
 """Largest change of the scale of a still camera."""
 
+SURE = 4.0
+"""Standard uncertainties by which a shift or a zoom must exceed its limit."""
+
+LEAST_LOOKS = 2
+"""Fewest looks that must show it."""
+
 LEAST_POINTS = 12
 """Fewest points of the scene that must be found again for a statement on the camera."""
 
@@ -76,11 +82,11 @@ class SceneWatch:
             text = f"the scene is recomposed: up to {worst:.0%} of the picture differs from the first frame"
             found.append(_event("scene", recomposed, text))
         zoomed = [one for one in self._looks if abs(one.zoom) > MOST_ZOOM]
-        if zoomed:
+        if len(zoomed) >= LEAST_LOOKS:
             worst = max((one.zoom for one in zoomed), key=abs)
             found.append(_event("camera", zoomed, f"the camera zooms by up to {worst:+.1%}"))
         shifted = [one for one in self._looks if one.shift_px > MOST_SHIFT_PX]
-        if shifted:
+        if len(shifted) >= LEAST_LOOKS:
             worst = max(one.shift_px for one in shifted)
             found.append(_event("camera", shifted, f"the camera moves by up to {worst:.0f} px"))
         return found
@@ -107,9 +113,17 @@ class SceneWatch:
         )
         if matrix is None or inliers.sum() < max(LEAST_POINTS, 0.4 * is_found.sum()):
             return 0.0, 0.0
-        centre = np.array([0.5 * grey.shape[1], 0.5 * grey.shape[0], 1.0])
-        shift = float(np.linalg.norm(matrix @ centre - centre[:2]))
-        return shift, float(np.hypot(matrix[0, 0], matrix[1, 0])) - 1.0
+        agreed = inliers.ravel() == 1
+        before, after = self._points[is_found][agreed][:, 0], moved[is_found][agreed][:, 0]
+        middle = before.mean(axis=0)
+        residual = after - before @ matrix[:, :2].T - matrix[:, 2]
+        scatter = float(np.sqrt((residual**2).mean()))
+        spread = float(np.sqrt(((before - middle) ** 2).sum()))
+        zoom = float(np.hypot(matrix[0, 0], matrix[1, 0])) - 1.0
+        shift = float(np.linalg.norm(matrix[:, :2] @ middle + matrix[:, 2] - middle))
+        # What the scatter of the points can feign is no motion of the camera.
+        zoom = float(np.sign(zoom)) * max(0.0, abs(zoom) - SURE * scatter / max(spread, 1.0))
+        return max(0.0, shift - SURE * scatter / len(before) ** 0.5), zoom
 
     @staticmethod
     def _small(picture: NDArray[np.float32]) -> NDArray[np.float32]:

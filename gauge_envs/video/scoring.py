@@ -45,7 +45,13 @@ FRAMING_SIGMA = 0.005
 edges of the cubes, which differ by 1 %."""
 
 LEAST_NOISE_PX = 0.1
-"""Smallest scatter of a tracker that is assumed [px]."""
+"""Smallest scatter of a tracker from frame to frame that is assumed [px]."""
+
+SLOW_NOISE_PX = 0.25
+"""Error of a place that stays for some frames [px]: that of a ball that is half hidden by the pendulum's post."""
+
+SLOW_FRAMES = 6
+"""Frames for which that error stays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,6 +223,15 @@ def noise_px(track: Track, span: tuple[int, int]) -> float:
     return max(scatter, LEAST_NOISE_PX)
 
 
+def _slow_noise(track: Track, rng: np.random.Generator) -> FloatArray:
+    """Return errors that stay for some frames [px], shape [frame_count, 2]."""
+    count = len(track.frames) // SLOW_FRAMES + 2
+    knots = np.arange(count) * SLOW_FRAMES - rng.uniform(0.0, SLOW_FRAMES)
+    values = rng.normal(0.0, SLOW_NOISE_PX, (count, 2))
+    rows = np.arange(len(track.frames))
+    return np.column_stack([np.interp(rows, knots, values[:, axis]) for axis in (0, 1)])
+
+
 def _intervals(
     track: Track, task: VideoTask, span: tuple[int, int], rng: np.random.Generator, guess: tuple[float, float] | None
 ) -> dict[str, tuple[float, float]]:
@@ -226,7 +241,7 @@ def _intervals(
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
     for _ in range(count):
-        points = track.points_px + rng.normal(0.0, noise, track.points_px.shape)
+        points = track.points_px + rng.normal(0.0, noise, track.points_px.shape) + _slow_noise(track, rng)
         if task.pivot_px is not None and task.motion is not Motion.TURN:
             points = points + rng.normal(0.0, task.pivot_sigma_px, 2)
         first = max(0, span[0] + int(rng.integers(-1, 2)))

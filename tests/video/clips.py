@@ -38,6 +38,7 @@ def clip(name: str, rng: np.random.Generator, *, fps: float = 30.0, noise: float
     place, truth, duration_s = _motion(task, rng)
     scene = _scene(task, rng)
     frames = []
+    sheet = rng.normal(0.0, noise, scene.shape)
     for number in range(int(duration_s * fps)):
         exposed = np.zeros(scene.shape, dtype=np.float64)
         for part in range(EXPOSURES):
@@ -45,7 +46,8 @@ def clip(name: str, rng: np.random.Generator, *, fps: float = 30.0, noise: float
             picture = scene.copy()
             _draw(task, picture, *place(time_s))
             exposed += picture
-        grain = rng.normal(0.0, noise, scene.shape)
+        # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
+        grain = np.roll(sheet, rng.integers(0, 400, 2), axis=(0, 1))
         frame = np.clip(exposed / EXPOSURES + grain, 0, 255).astype(np.uint8)
         _, packed = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])
         frames.append(cv2.imdecode(packed, cv2.IMREAD_COLOR)[:, :, ::-1])
