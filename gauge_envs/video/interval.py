@@ -83,7 +83,12 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
         found = _without_rest(track.points_px[rows], MOVING_PX, keeps_end=False)
     else:
         found = _without_rest(np.degrees(swing_angles_rad(track, task)[rows])[:, None], MOVING_DEG, keeps_end=True)
-    return None if found is None else (int(rows[found[0]]), int(rows[found[1]]))
+    if found is None:
+        return None
+    first, last = int(rows[found[0]]), int(rows[found[1]])
+    # A slide and a fall may end outside of the picture. A swing and a ride go on, so frames without the object count.
+    goes_on = task.motion in (Motion.TURN, Motion.PENDULUM) and last == rows[-1]
+    return first, len(track.frames) - 1 if goes_on else last
 
 
 def apices(times_s: FloatArray, angles_rad: FloatArray) -> NDArray[np.intp]:

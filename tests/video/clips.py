@@ -62,20 +62,7 @@ def _motion(
     scale = task.scale_m_per_px
     release = float(rng.uniform(0.2, 0.5))
     if task.motion in (Motion.SLIDE, Motion.FALL):
-        a = float(rng.uniform(0.6, 4.0) if task.motion is Motion.SLIDE else rng.uniform(1.0, 9.81))
-        reach_m = (0.38 if task.motion is Motion.SLIDE else 0.44) * 1.0
-        lasts = (2.0 * reach_m / a) ** 0.5
-        direction = np.array(task.direction)
-
-        def straight(time_s: float) -> tuple[NDArray[np.float64], float]:
-            since = min(max(0.0, time_s - release), lasts)
-            s = 0.5 * a * since**2
-            late = time_s - release - lasts
-            if task.motion is Motion.FALL and late > 0.0:
-                s = max(0.0, s - 0.6 * a * lasts * late + 0.5 * a * late**2)
-            return start + direction * s / scale, 31.6 if task.motion is Motion.SLIDE else 0.0
-
-        return straight, {"a_m_s2": a}, release + lasts + (0.3 if task.motion is Motion.SLIDE else 0.2)
+        return _straight(task, rng, release)
     pivot = np.array(task.pivot_px)
     if task.motion is Motion.TURN:
         offset = start - pivot
@@ -113,6 +100,26 @@ def _motion(
         return pivot + length * np.array([np.sin(angle), np.cos(angle)]), 0.0
 
     return outgoing, {"mte": float(ratios.mean())}, 2.0
+
+
+def _straight(
+    task: VideoTask, rng: np.random.Generator, release: float
+) -> tuple[Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float]:
+    start, scale = np.array(task.centre_px), task.scale_m_per_px
+    a = float(rng.uniform(0.6, 4.0) if task.motion is Motion.SLIDE else rng.uniform(1.0, 9.81))
+    reach_m = (0.38 if task.motion is Motion.SLIDE else 0.44) * 1.0
+    lasts = (2.0 * reach_m / a) ** 0.5
+    direction = np.array(task.direction)
+
+    def straight(time_s: float) -> tuple[NDArray[np.float64], float]:
+        since = min(max(0.0, time_s - release), lasts)
+        s = 0.5 * a * since**2
+        late = time_s - release - lasts
+        if task.motion is Motion.FALL and late > 0.0:
+            s = max(0.0, s - 0.6 * a * lasts * late + 0.5 * a * late**2)
+        return start + direction * s / scale, 31.6 if task.motion is Motion.SLIDE else 0.0
+
+    return straight, {"a_m_s2": a}, release + lasts + (0.3 if task.motion is Motion.SLIDE else 0.2)
 
 
 def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
