@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gauge_envs.video.tasks import Motion, VideoTask
 from gauge_envs.video.track import Track
 
-__all__ = ["apices", "displacement_px", "retained", "swing_angles_rad"]
+__all__ = ["WINDOW", "apices", "displacement_px", "retained", "swing_angles_rad"]
 
 FloatArray: TypeAlias = NDArray[np.float64]
 

@@ -79,7 +79,7 @@ class Track:
         return times
 
 
-def read_track(path: Path, *, fps: float, size_px: tuple[int, int] = REFERENCE_SIZE_PX) -> Track:
+def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFERENCE_SIZE_PX) -> Track:
     """Return a track from a CSV file with the columns frame, x, y and optionally confidence.
 
     Args:
@@ -90,6 +90,7 @@ def read_track(path: Path, *, fps: float, size_px: tuple[int, int] = REFERENCE_S
     Raises:
         VideoError: The file cannot be read, lacks a column, or has a cell that is no finite number.
     """
+    path = Path(path)
     if not (math.isfinite(fps) and fps > 0.0):
         raise VideoError(f"fps is {fps}: state the frame rate of the video, as --fps 30")
     try:

@@ -32,10 +32,24 @@ class Clip:
     truth: dict[str, float]
 
 
-def clip(name: str, rng: np.random.Generator, *, fps: float = 30.0, noise: float = 3.0, quality: int = 80) -> Clip:
-    """Return a clip of a task with random constants, a release between two frames, and the truth."""
+def clip(
+    name: str,
+    rng: np.random.Generator,
+    *,
+    fps: float = 30.0,
+    noise: float = 3.0,
+    quality: int = 80,
+    calibration_sigma: float = 0.0,
+) -> Clip:
+    """Return a clip of a task with random constants, a release between two frames, and the truth.
+
+    With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
+    """
     task = video_task(name)
     place, truth, duration_s = _motion(task, rng)
+    share = 1.0 + rng.normal(0.0, calibration_sigma)
+    powers = {"a_m_s2": 1.0, "mte": 0.5}
+    truth = {metric: value * share ** powers.get(metric, 0.0) for metric, value in truth.items()}
     scene = _scene(task, rng)
     frames = []
     sheet = rng.normal(0.0, noise, scene.shape)
