@@ -34,6 +34,9 @@ METHOD = "_default_sim_config"
 TYPES_FILE = "utils/structs/types.py"
 """File of ManiSkill with the defaults of SimConfig."""
 
+LINK_DAMPING_PER_S = 0.05
+"""Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
+
 BASE_CLASS = "BaseEnv"
 """Class that all environments have in common, and which has the defaults."""
 
@@ -90,8 +93,10 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
         values.take("solver", "TGS" if uses_tgs else "PGS", scene.name("enable_tgs"))
     foot = _contact(table)
     values.take("hinges", "articulation", "a robot is an articulation")
+    for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
+        values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
     values.take("sustained_restitution", any(foot.restitution), "the stated restitution")
-    values.notes.append("materials that a task gives its own objects are not seen")
+    values.notes.append("materials that a task gives its own objects, and friction of joints, are not seen")
     control = table.number("control_freq")
     return values.configuration(
         table,
