@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -36,6 +37,9 @@ TYPES_FILE = "utils/structs/types.py"
 
 LINK_DAMPING_PER_S = 0.05
 """Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
+
+MOST_NAMED = 8
+"""Most tasks that the message on an unknown one names."""
 
 BASE_CLASS = "BaseEnv"
 """Class that all environments have in common, and which has the defaults."""
@@ -140,8 +144,8 @@ def task_sim_config(name: str) -> dict[str, Any]:
     task = name.removeprefix(PREFIX)
     known = _registered(folder)
     if task not in known:
-        near = [one for one in known if one.lower().startswith(task.lower()[:4])] or sorted(known)
-        raise TargetError(f"{name}: ManiSkill {_version()} has no task {task!r}; it has {', '.join(sorted(near)[:12])}")
+        near = get_close_matches(task, known, n=MOST_NAMED, cutoff=0.5) or sorted(known)[:MOST_NAMED]
+        raise TargetError(f"{name}: ManiSkill {_version()} has no task {task!r}; similar ones: {', '.join(near)}")
     defaults = _defaults(folder)
     found: _Class | None = known[task]
     while found is not None and found.tree.name != BASE_CLASS:
