@@ -312,6 +312,7 @@ def test_the_command_names_both_changes_first() -> None:
     first = outcome.stdout.partition("\n\n")[0].replace("\n", " ")
     assert "restitution that a foot meets: from 0 to 0.4" in first
     assert "then friction that a foot meets, straight: from 0.98" in first
-    refused = RUNNER.invoke(app, ["sanity", "absent/env.yaml"])
-    assert refused.exit_code == 2
-    assert "there is no such file" in refused.output
+    for name, reason in {"absent/env.yaml": "there is no such file", "x" * 300: "gymnasium.make fails"}.items():
+        refused = RUNNER.invoke(app, ["sanity", name])
+        assert refused.exit_code == 2
+        assert reason in refused.output.replace("\n", " ")

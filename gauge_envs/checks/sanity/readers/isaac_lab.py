@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -314,7 +315,9 @@ def _ends(table: Table, key: str) -> Range | None:
 
 def _file(target: Path) -> Path:
     """Return the file of a target: itself, or the first one of a training run's folder."""
-    return next((target / name for name in RUN_FILES if (target / name).is_file()), target)
+    with suppress(OSError):
+        return next((target / name for name in RUN_FILES if (target / name).is_file()), target)
+    return target
 
 
 def _matches(target: Any) -> bool:
