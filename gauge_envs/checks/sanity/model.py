@@ -9,6 +9,7 @@ from typing import Any
 
 from scipy.stats import t as student
 
+from gauge_envs.checks.sanity.foot_contact import FootContact
 from gauge_envs.files import json_ready
 
 __all__ = [
@@ -19,7 +20,6 @@ __all__ = [
     "ContactGroup",
     "Cure",
     "Curve",
-    "FootContact",
     "GroupOutcome",
     "Need",
     "PhenomenonResult",
@@ -91,47 +91,6 @@ class ContactGroup:
     constants: Mapping[str, Any]
     is_used: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FootContact:
-    """Friction and restitution of a foot on the ground, after the materials of both are combined.
-
-    Ranges have equal ends where training does not randomize.
-
-    Attributes:
-        friction: Least and greatest coefficient of sliding friction.
-        static_friction: Least and greatest coefficient of static friction.
-        restitution: Least and greatest restitution.
-        source: Origin of both materials, and how they are combined.
-    """
-
-    friction: tuple[float, float]
-    static_friction: tuple[float, float]
-    restitution: tuple[float, float]
-    source: str
-
-    @property
-    def mean_friction(self) -> float:
-        """Centre of the range of sliding friction."""
-        return 0.5 * sum(self.friction)
-
-    @property
-    def mean_restitution(self) -> float:
-        """Centre of the range of restitution."""
-        return 0.5 * sum(self.restitution)
-
-    @property
-    def text(self) -> str:
-        """Coefficients and their origin in one line."""
-        static = "" if self.static_friction == self.friction else f" (static {_range_text(self.static_friction)})"
-        restitution = _range_text(self.restitution)
-        return f"friction {_range_text(self.friction)}{static}, restitution {restitution}: {self.source}"
-
-
-def _range_text(ends: tuple[float, float]) -> str:
-    low, high = ends
-    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -204,6 +204,9 @@ def test_other_engines_and_other_files_are_declined() -> None:
     del newton["sim"]["physx"]
     with pytest.raises(TargetError, match=r"there is no sim\.physx, and there is sim\.newton_cfg instead"):
         isaac_lab_configuration(newton, name="env.yaml", source="test")
+    other = changed(sim__physics={"solver_cfg": {"solver_type": "mujoco_warp"}}, sim__physx=None)
+    with pytest.raises(TargetError, match=r"there is sim\.physics instead"):
+        isaac_lab_configuration(other, name="env.yaml", source="test")
     for text, message in {"a: 1": r"there is no sim\.dt", "[1]": "the file is a list", "": "the file is empty"}.items():
         with pytest.raises(TargetError, match=message):
             isaac_lab_yaml(text, name="env.yaml", source="test")
@@ -228,6 +231,16 @@ def test_the_older_namespace_and_its_keys_are_read() -> None:
     assert found.settings == configuration(G1).settings
     assert found.foot == configuration(G1).foot
     assert found.notes == configuration(G1).notes
+
+
+def test_isaac_lab_3_has_its_solver_at_another_place() -> None:
+    physics = {**DUMPED["sim"]["physx"], "class_type": "isaaclab_physx.physics.physx_manager:PhysxManager"}
+    found = read(sim__physics=physics | {"bounce_threshold_velocity": 0.2}, sim__physx=None)
+    assert found.settings == configuration(G1).settings | {"bounce_threshold_m_per_s": 0.2}
+    assert found.origins["bounce_threshold_m_per_s"] == "sim.physics.bounce_threshold_velocity"
+    text = language(found.language).paste_text({"bounce_threshold_m_per_s": 0.1, "solver": "TGS"})
+    assert text == "self.sim.physics.bounce_threshold_velocity = 0.1; self.sim.physics.solver_type = 1"
+    assert not any("not known" in note for note in found.notes)
 
 
 def test_a_configuration_without_gravity_declines_what_needs_it() -> None:
@@ -265,6 +278,10 @@ def test_changes_are_lines_of_python() -> None:
             math.radians(1000.0),
             "self.scene.robot.spawn.rigid_props.max_angular_velocity = 1000",
         ),
+        "contact_offset_m": (
+            0.01,
+            "self.scene.robot.spawn.collision_props = sim_utils.CollisionPropertiesCfg(contact_offset=0.01)",
+        ),
         "tolerance_length_m": (
             0.1,
             "self.sim.physx.friction_offset_threshold = 0.004; self.sim.physx.friction_correlation_distance = 0.0025",
@@ -274,6 +291,9 @@ def test_changes_are_lines_of_python() -> None:
         assert written.writes(name)
         assert written.assignment(name, value) == line
         compile(written.paste_text({name: value, "bounce_threshold_m_per_s": 0.2}), "cure", "exec")
+    both = written.paste_text({"contact_offset_m": 0.01, "timestep_s": 0.001, "rest_offset_m": 0.0})
+    assert both.endswith("CollisionPropertiesCfg(contact_offset=0.01, rest_offset=0)")
+    assert written.value_text("max_angular_velocity_rad_per_s", math.pi) == "180"
     assert not written.writes("hinges")
     assert written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
 

@@ -16,7 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.checks.sanity.model import FootContact, TrainingConfiguration
+from gauge_envs.checks.sanity.foot_contact import FootContact
+from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.readers.materials import Material, combined, of_body, one_value, stated_material
 from gauge_envs.checks.sanity.readers.physx_values import PhysxValues
 from gauge_envs.checks.sanity.readers.reader import Reader
