@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
@@ -15,8 +16,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from gauge_envs.backends import backend
 from gauge_envs.checks.sanity import Verdict, check, configuration
 from gauge_envs.checks.sanity.languages import language
+from gauge_envs.checks.sanity.measure import Measurements
+from gauge_envs.checks.sanity.phenomena import phenomena
 from gauge_envs.checks.sanity.readers.maniskill import maniskill_configuration, task_sim_config
 from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
@@ -180,6 +184,16 @@ def test_damping_of_links_is_what_sapien_starts_with() -> None:
     (link,) = builder.build().links
     assert (link.linear_damping, link.angular_damping) == (pytest.approx(0.05), pytest.approx(0.05))
     assert physx.PhysxRigidDynamicComponent().linear_damping == 0.0
+
+
+def test_damping_of_links_acts_on_links_alone() -> None:
+    measurements = Measurements(backend("physx"))
+    slide, energy = phenomena(["energy", "slide-wood"])
+    free, damped = {"timestep_s": 0.01}, {"timestep_s": 0.01, "link_linear_damping_per_s": 0.05}
+    # Half of the energy of small swings is kinetic on average, so it decays at the rate of the damping.
+    lost = measurements.measure(energy, damped).value
+    assert lost == pytest.approx(1.0 - math.exp(-0.05 * 100.0), abs=0.005)
+    assert measurements.measure(slide, damped).value == measurements.measure(slide, free).value
 
 
 def test_objects_are_read_as_their_values() -> None:
