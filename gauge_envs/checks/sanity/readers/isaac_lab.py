@@ -119,7 +119,7 @@ def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
         gravity_m_per_s2=sim.numbers("gravity", 3),
         frame_skip=table.whole("decimation"),
         foot=contact,
-        inapplicable=_inapplicable(sim, ground, foot, table),
+        inapplicable=_inapplicable(table, ground, foot),
     )
 
 
@@ -238,7 +238,7 @@ def _take_iterations(physx: Table, spawn: Table, kind: str, values: PhysxValues)
     values.take(f"{kind}_iterations", used, origin)
 
 
-def _inapplicable(sim: Table, ground: Material, foot: Material, table: Table) -> dict[Need, str]:
+def _inapplicable(table: Table, ground: Material, foot: Material) -> dict[Need, str]:
     """Return what the engine cannot represent and what then cannot be judged."""
     for key in ("scene.terrain.physics_material", "terrain.physics_material", "sim.physics_material"):
         material = table.table(key)
