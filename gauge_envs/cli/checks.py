@@ -48,8 +48,9 @@ def sanity(
         str | None,
         typer.Argument(
             help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
-            "dm_control's suite (dm_control:walker/walk), a model file (robot.xml), a settings file (.toml, .json), or "
-            "a backend and a preset (mujoco:out_of_box, newton)."
+            "dm_control's suite (dm_control:walker/walk), a model file (robot.xml), a settings file (.toml, .json), "
+            "the params/env.yaml of Isaac Lab, a task of ManiSkill (maniskill:PickCube-v1), or a backend and a preset "
+            "(mujoco:out_of_box, newton)."
         ),
     ] = None,
     pair: Annotated[

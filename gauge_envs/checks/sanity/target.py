@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium
 import mujoco
@@ -15,7 +16,7 @@ from gauge_envs.errors import TargetError
 
 __all__ = ["Target", "configuration"]
 
-Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env
+Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | Mapping[str, Any]
 """A target of a sanity check; see `configuration`."""
 
 
@@ -30,6 +31,9 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
+            the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
+            a YAML file in the style of IsaacGym, or the same as a mapping or an object;
+            a task of ManiSkill (`maniskill:PickCube-v1`), an environment of it, or a SimConfig;
             a `mujoco.MjModel` or a `gymnasium.Env`;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
