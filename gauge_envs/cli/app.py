@@ -21,6 +21,7 @@ from gauge_envs.cli.interrupts import (
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
+from gauge_envs.cli.sanity_probe import sanity_probe
 from gauge_envs.cli.streams import reserved_stdout
 from gauge_envs.errors import GaugeError
 
@@ -94,6 +95,7 @@ app = typer.Typer(
 app.command("list")(list_)
 for command in (show, run, score, plot, compare, diagnose, sanity, materials):
     app.command()(command)
+app.command("sanity probe")(sanity_probe)
 app.add_typer(backend_app, name="backend")
 app.add_typer(assets_app, name="assets")
 app.add_typer(data_app, name="data")

@@ -32,7 +32,7 @@ class BackendMuJoCo(Backend):
         return {"mujoco": mujoco.__version__}
 
     def supports(self, scene: Scene) -> Support:
-        """Return the unsupported features: cloth or a soft body on a dynamic body; below MuJoCo 4, deformable bodies."""
+        """Return the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""
         return Support((*without_deformables(scene), *unsupported_features(scene)))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:

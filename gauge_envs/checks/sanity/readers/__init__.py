@@ -5,6 +5,7 @@ from __future__ import annotations
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
 from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
+from gauge_envs.checks.sanity.readers.probe import PROBE_FILE
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
 from gauge_envs.checks.sanity.readers.settings import BACKEND, SETTINGS_FILE
 
@@ -15,6 +16,7 @@ READERS: tuple[Reader, ...] = (
     GYMNASIUM_ENV,
     DM_CONTROL,
     MODEL_FILE,
+    PROBE_FILE,
     SETTINGS_FILE,
     BACKEND,
     # Takes every text.
