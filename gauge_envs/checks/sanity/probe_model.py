@@ -110,6 +110,9 @@ def build_saved_model(data: ModelData, name: str) -> tuple[mujoco.MjModel, list[
         for key, qpos in data.keyframes.items():
             spec.add_key(name=key, qpos=qpos)
         model = spec.compile()
+        for key, qpos in data.keyframes.items():
+            if len(qpos) != model.nq:
+                raise ValueError(f"keyframes.{key} has {len(qpos)} numbers, expected {model.nq}")
     except (ValueError, IndexError, TypeError) as error:
         raise TargetError(f"{name}: data: {' '.join(str(error).split())}") from None
     for kind, columns in {"geom": ("bodyid", "contype", "condim"), "body": ("parentid",)}.items():
@@ -149,6 +152,8 @@ def _tables(data: ModelData) -> dict[str, dict[str, NDArray[Any]]]:
     for name, kind in {"jnt_bodyid": "body", "geom_bodyid": "body", "pair_geom1": "geom", "pair_geom2": "geom"}.items():
         owner, column = name.split("_")
         _check_ids(name, tables[owner][column], counts[kind])
+    excluded = np.array(np.divmod(tables["exclude"]["signature"], 1 << 16))
+    _check_ids("exclude_signature", excluded, counts["body"])
     parents = tables["body"]["parentid"][:, 0]
     if parents[0] != 0 or (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
         raise ValueError("arrays.body_parentid: a body must follow its parent")
