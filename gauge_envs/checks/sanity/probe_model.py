@@ -216,9 +216,14 @@ def _set_flags(spec: mujoco.MjSpec, data: ModelData, name: str, value: Any) -> l
     if not isinstance(value, list) or not all(isinstance(flag, str) for flag in value):
         raise ValueError(f"options.{name}: expected a list of names")
     setattr(spec.option, name, sum(bits[flag] for flag in sorted(set(value)) if flag in bits))
-    notes = [f"the flag {flag} is unknown to MuJoCo {mujoco.__version__}" for flag in value if flag not in bits]
-    absent = sorted(set(bits) - set(data.known_flags.get(name, bits))) if name == "disableflags" else []
-    return notes + [f"the target's MuJoCo has no flag {flag}; it is at its default here" for flag in absent]
+    notes = [
+        f"the flag {flag} is unknown to the installed MuJoCo {mujoco.__version__}" for flag in value if flag not in bits
+    ]
+    absent = sorted(set(bits) - set(data.known_flags.get(name, bits)))
+    if absent and name == "disableflags":
+        flags = ", ".join(flag.removeprefix("mjDSBL_").lower() for flag in absent)
+        notes.append(f"the target's MuJoCo has no flag {flags}; here they are at their defaults")
+    return notes
 
 
 # --- objects ---------------------------------------------------------------------------------------------------------

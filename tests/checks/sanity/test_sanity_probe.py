@@ -56,7 +56,8 @@ HARD = """
     <body name="other" pos="2 0 1"><freejoint/><geom size=".1"/></body>
   </worldbody>
   <contact>
-    <pair geom1="pin" geom2="floor" condim="3" friction="1.2 1.1 .01 .001 .002" solref=".003 .8" solreffriction=".01 1"/>
+    <pair geom1="pin" geom2="floor" condim="3" friction="1.2 1.1 .01 .001 .002" solref=".003 .8"
+      solreffriction=".01 1"/>
     <exclude body1="base" body2="other"/>
   </contact>
   <equality><connect body1="tip" body2="other" anchor="0 0 0"/></equality>
@@ -232,7 +233,8 @@ def test_a_file_of_another_version_says_so(file: Path) -> None:
     notes = "; ".join(configuration(file).notes)
     for note in (
         f"training runs with MuJoCo 3.2.0; the rows are measured with MuJoCo {mujoco.__version__}",
-        "the target's MuJoCo has no flag mjDSBL_MULTICCD",
+        "the target's MuJoCo has no flag multiccd; here",
+        "margins and gaps of two geoms are combined as since MuJoCo 3.9, not as in training",
         "the flag mjDSBL_LATER is unknown",
         "the option later is unknown",
         "training runs on MuJoCo Warp",
@@ -344,6 +346,7 @@ def test_damaged_files_end_in_errors_for_people(file: Path) -> None:
     places += [f"data.{name}" for name in original["data"]]
     values: list[Any] = [None, True, -1, 0, 1e308, 2**31, "", "nan", [], [[]], {}, [1e308] * 10, [-1] * 10, [0] * 70]
     chance = random.Random(4)
+    refused = 0
     for _ in range(150):
         document = original
         for place in chance.sample(places, 2):
@@ -351,8 +354,9 @@ def test_damaged_files_end_in_errors_for_people(file: Path) -> None:
         file.write_text(json.dumps(document))
         try:
             configuration(file)
-        except GaugeError as error:
-            assert str(error)
+        except GaugeError:
+            refused += 1
+    assert 75 < refused < 150
 
 
 def test_a_json_file_is_recognized_by_its_start(file: Path, tmp_path: Path) -> None:

@@ -33,6 +33,10 @@ MOST_PROBE_BYTES = 16 * MEGABYTE
 START = re.compile(rb'\s*\{\s*"format"\s*:\s*"gauge-probe"')
 """Start of a probe file whatever its name."""
 
+MARGINS_SINCE = (3, 9)
+MARGINS_TEXT = ".".join(map(str, MARGINS_SINCE))
+"""First version in which the margins of two geoms add up, and gaps come on top of them."""
+
 DIFFERENCES = {
     "mjx": "training runs on MJX; the rows are measured with MuJoCo's C engine",
     "mujoco_warp": "training runs on MuJoCo Warp; the rows are measured with MuJoCo's C engine",
@@ -100,9 +104,17 @@ def _read_mujoco(file: _ProbeFile, path: Path, pair: GeomPair | None) -> Trainin
         notes.append(f"training runs with MuJoCo {trained}; the rows are measured with MuJoCo {mujoco.__version__}")
     if data.implementation in DIFFERENCES:
         notes.append(DIFFERENCES[data.implementation])
+    if _release(trained) < MARGINS_SINCE and any(data.arrays["geom_margin"] + data.arrays["geom_gap"]):
+        notes.append(f"margins and gaps of two geoms are combined as since MuJoCo {MARGINS_TEXT}, not as in training")
     notes += [note for count, note in ABSENT_PARTS.items() if data.counts.get(count)]
     read = read_model(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
     return replace(read, notes=(*read.notes, *notes))
+
+
+def _release(version: str | None) -> tuple[int, ...]:
+    """Return the first two numbers of a version; large ones for a version that is unknown."""
+    found = re.match(r"(\d{1,4})\.(\d{1,4})", version or "")
+    return (int(found[1]), int(found[2])) if found else MARGINS_SINCE
 
 
 KINDS: Mapping[str, Callable[[_ProbeFile, Path, GeomPair | None], TrainingConfiguration]] = {
