@@ -61,6 +61,9 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
             return Subject(phenomenon=phenomenon, sets={}, inapplicable=reason)
     if not phenomenon.is_impact:
         return Subject(phenomenon=phenomenon, sets=sets, advisory=phenomenon.advisory)
+    foot = configuration.foot
+    if foot is not None and not any(foot.restitution):
+        return Subject(phenomenon=phenomenon, sets=sets, advisory="the target states a restitution of 0")
     stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}
     reason = "" if stating else "the target states no impact constant: its contacts are critically damped or stiffer"
     return Subject(phenomenon=phenomenon, sets=stating or sets, advisory=reason)

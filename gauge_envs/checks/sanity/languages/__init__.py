@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from gauge_envs.checks.sanity.languages.base import Language
+from gauge_envs.checks.sanity.languages.isaac_gym import IsaacGym
+from gauge_envs.checks.sanity.languages.isaac_lab import IsaacLab
+from gauge_envs.checks.sanity.languages.maniskill import ManiSkill
 from gauge_envs.checks.sanity.languages.mjcf import Mjcf
 from gauge_envs.checks.sanity.languages.toml import Toml
 
 __all__ = ["LANGUAGES", "Language", "language"]
 
-LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf())}
+LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf(), IsaacLab(), IsaacGym(), ManiSkill())}
 """All languages by name."""
 
 

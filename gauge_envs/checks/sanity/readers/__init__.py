@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
 from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
+from gauge_envs.checks.sanity.readers.isaac_gym import ISAAC_GYM
+from gauge_envs.checks.sanity.readers.isaac_lab import ISAAC_LAB
+from gauge_envs.checks.sanity.readers.maniskill import MANISKILL
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
 from gauge_envs.checks.sanity.readers.probe import PROBE_FILE
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
@@ -13,12 +16,15 @@ __all__ = ["READERS", "GeomPair", "Reader"]
 
 READERS: tuple[Reader, ...] = (
     MODEL_OBJECT,
+    MANISKILL,
     GYMNASIUM_ENV,
     DM_CONTROL,
     MODEL_FILE,
     PROBE_FILE,
     SETTINGS_FILE,
     BACKEND,
+    ISAAC_GYM,
+    ISAAC_LAB,
     # Takes every text.
     GYMNASIUM_ID,
 )
