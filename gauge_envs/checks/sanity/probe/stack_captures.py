@@ -28,8 +28,10 @@ def isaaclab_cfg(target: Any) -> Any:
 
 
 def capture_isaaclab(target: Any) -> dict[str, Any]:
-    """Return the configuration as Isaac Lab writes it to `env.yaml`."""
+    """Return the configuration as Isaac Lab writes it to `env.yaml`; IsaacGym's has other keys."""
     cfg = isaaclab_cfg(target)
+    if found(cfg, "sim.physx.num_position_iterations") is not None:
+        return {"kind": "isaacgym-cfg", "engine": "physx", "source": "IsaacGym", "data": {"cfg": plain(cfg)}}
     entries = cfg.to_dict() if callable(getattr(cfg, "to_dict", None)) else cfg
     source = f"Isaac Lab, {type(cfg).__name__}"
     return {"kind": "isaaclab-cfg", "engine": "physx", "source": source, "data": {"cfg": plain(entries)}}

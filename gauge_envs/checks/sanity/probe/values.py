@@ -46,7 +46,8 @@ def members(value: Any) -> dict[Any, Any]:
         return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if hasattr(value, "model_dump"):
         return dict(value.model_dump())
-    return {name: entry for name, entry in getattr(value, "__dict__", {}).items() if not name.startswith("_")}
+    public = {name: found(value, name) for name in dir(value) if not name.startswith("_")}
+    return {name: entry for name, entry in public.items() if not callable(entry)}
 
 
 def array_values(value: Any) -> Any:

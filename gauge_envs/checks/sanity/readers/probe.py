@@ -16,6 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.probe_model import ModelData, build_saved_model
+from gauge_envs.checks.sanity.readers.isaac_gym import isaac_gym_configuration
+from gauge_envs.checks.sanity.readers.isaac_lab import isaac_lab_configuration, isaac_lab_yaml
+from gauge_envs.checks.sanity.readers.maniskill import maniskill_configuration
 from gauge_envs.checks.sanity.readers.mujoco_model import read_model
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
 from gauge_envs.errors import ParameterError, TargetError, first_fault
@@ -27,6 +30,9 @@ SUFFIX = ".gaugeprobe.json"
 
 VERSION = 1
 """Version of the format that is read."""
+
+MUJOCO = "mujoco-model"
+"""Kind of files with a model of MuJoCo."""
 
 MOST_PROBE_BYTES = 16 * MEGABYTE
 
@@ -79,10 +85,12 @@ def _read(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
             f"{path}: version {file.version} of the format, this gauge-envs reads version {VERSION}: run `gauge sanity "
             "probe` again here, and its output where the policy is trained"
         )
-    if file.kind not in KINDS:
-        raise TargetError(f"{path}: kind {file.kind!r} is not known; known are {', '.join(KINDS)}")
+    if file.kind != MUJOCO and file.kind not in KINDS:
+        raise TargetError(f"{path}: kind {file.kind!r} is not known; known are {', '.join((MUJOCO, *KINDS))}")
+    if file.kind != MUJOCO and pair is not None:
+        raise TargetError(f"{path}: pairs of geoms are those of a MuJoCo model, and the target has none")
     try:
-        read = KINDS[file.kind](file, path, pair)
+        read = _read_mujoco(file, path, pair) if file.kind == MUJOCO else KINDS[file.kind](file, path)
     except ParameterError as error:
         raise TargetError(f"{path}: {error}") from error
     return replace(read, name=file.name, source=f"probe file {path.name}: {file.source}")
@@ -117,10 +125,34 @@ def _release(version: str | None) -> tuple[int, ...]:
     return (int(found[1]), int(found[2])) if found else MARGINS_SINCE
 
 
-KINDS: Mapping[str, Callable[[_ProbeFile, Path, GeomPair | None], TrainingConfiguration]] = {
-    "mujoco-model": _read_mujoco,
+def _read_isaac_lab(file: _ProbeFile, path: Path) -> TrainingConfiguration:
+    text = file.data.get("env_yaml")
+    if isinstance(text, str):
+        return isaac_lab_yaml(text, name=str(path), source=file.source)
+    return isaac_lab_configuration(_table(file, path, "cfg"), name=str(path), source=file.source)
+
+
+def _read_isaac_gym(file: _ProbeFile, path: Path) -> TrainingConfiguration:
+    return isaac_gym_configuration(_table(file, path, "cfg"), name=str(path), source=file.source)
+
+
+def _read_maniskill(file: _ProbeFile, path: Path) -> TrainingConfiguration:
+    return maniskill_configuration(_table(file, path, "sim_config"), name=str(path), source=file.source)
+
+
+def _table(file: _ProbeFile, path: Path, key: str) -> Mapping[str, Any]:
+    found = file.data.get(key)
+    if not isinstance(found, Mapping):
+        raise TargetError(f"{path}: data.{key}: expected an object")
+    return found
+
+
+KINDS: Mapping[str, Callable[[_ProbeFile, Path], TrainingConfiguration]] = {
+    "isaaclab-cfg": _read_isaac_lab,
+    "isaacgym-cfg": _read_isaac_gym,
+    "maniskill-sim-config": _read_maniskill,
 }
-"""Function that reads each kind of file."""
+"""Function that reads each kind of file but MuJoCo's, whose models have geoms to choose from."""
 
 
 def _is_probe_file(target: Any) -> bool:
