@@ -8,6 +8,7 @@ from gauge_envs.checks.sanity.readers.isaac_gym import ISAAC_GYM
 from gauge_envs.checks.sanity.readers.isaac_lab import ISAAC_LAB
 from gauge_envs.checks.sanity.readers.maniskill import MANISKILL
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
+from gauge_envs.checks.sanity.readers.probe import PROBE_FILE
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
 from gauge_envs.checks.sanity.readers.settings import BACKEND, SETTINGS_FILE
 
@@ -19,6 +20,7 @@ READERS: tuple[Reader, ...] = (
     GYMNASIUM_ENV,
     DM_CONTROL,
     MODEL_FILE,
+    PROBE_FILE,
     SETTINGS_FILE,
     BACKEND,
     ISAAC_GYM,
