@@ -9,6 +9,7 @@ from typing import Any
 
 from scipy.stats import t as student
 
+from gauge_envs.checks.sanity.contact_capacity import ContactCapacity
 from gauge_envs.files import json_ready
 
 __all__ = [
@@ -110,6 +111,7 @@ class TrainingConfiguration:
         up: Unit vector away from the ground, shape [3].
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
         language: Name of the language in which changes are written; see `gauge_envs.checks.sanity.languages`.
+        capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
     """
 
     name: str
@@ -125,6 +127,7 @@ class TrainingConfiguration:
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     is_model: bool = False
     language: str = "toml"
+    capacity: ContactCapacity | None = None
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:
