@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium
 import mujoco
@@ -13,7 +13,7 @@ from gauge_envs.checks.sanity.readers import READERS, GeomPair
 from gauge_envs.checks.sanity.readers.reader import NotATargetError
 from gauge_envs.errors import TargetError
 
-__all__ = ["Target", "configuration"]
+__all__ = ["Target", "compiled_model", "configuration"]
 
 Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env
 """A target of a sanity check; see `configuration`."""
@@ -52,6 +52,16 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
         return reader.read(target, pair)
     except NotATargetError as error:
         raise TargetError(f"{error}; give {accepted()}") from error
+
+
+def compiled_model(target: Any) -> mujoco.MjModel | None:
+    """Return the model of a target whose memory for contacts is limited; None for other targets.
+
+    Raises:
+        TargetError: The target cannot be read.
+    """
+    reader = next((one for one in READERS if one.matches(target)), None)
+    return None if reader is None or reader.model is None else reader.model(target)
 
 
 def accepted() -> str:

@@ -176,9 +176,7 @@ def _substepped(config: Mapping[str, Any]) -> int | None:
 def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     name = str(target)
     task = playground_task(name)
-    packaged = packaged_model(task.model_file, task.folders)
-    for option, value in task.options.items():
-        setattr(packaged.model.opt, option, value)
+    packaged = _packaged(task)
     read = read_model(
         packaged.model,
         name=name,
@@ -192,6 +190,14 @@ def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     limits = task.limits
     capacity = None if limits is None else contact_capacity(packaged.model, limits, unknown=packaged.missing_geoms)
     return _completed(read, capacity, notes)
+
+
+def _packaged(task: PlaygroundTask) -> PackagedModel:
+    """Return the compiled model of a task, with the options that its code sets."""
+    packaged = packaged_model(task.model_file, task.folders)
+    for option, value in task.options.items():
+        setattr(packaged.model.opt, option, value)
+    return packaged
 
 
 def _completed(
@@ -253,6 +259,7 @@ PLAYGROUND = Reader(
     matches=lambda target: isinstance(target, str | Path) and str(target).startswith(PREFIX),
     read=_read_name,
     has_geoms=True,
+    model=lambda target: _packaged(playground_task(str(target))).model,
 )
 """Reader of Playground's tasks."""
 
@@ -262,5 +269,6 @@ PLAYGROUND_ENV = Reader(
     matches=_is_env,
     read=_read_env,
     has_geoms=True,
+    model=lambda target: getattr(target, "unwrapped", target).mj_model,
 )
 """Reader of Playground's environments in this process."""
