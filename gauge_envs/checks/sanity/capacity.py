@@ -35,7 +35,7 @@ def capacity_row(configuration: TrainingConfiguration, language: Language) -> Ph
         return _row(None, Verdict.DECLINED, remark=capacity.reason, applies=False)
     missing = capacity.missing_rows + math.ceil(capacity.missing_contacts)
     if not missing:
-        return _row(0.0, Verdict.INSIDE)
+        return _row(0.0, Verdict.INSIDE, remark=_need_text(capacity))
     changes = capacity_changes(capacity)
     line = f"{language.paste_text(changes)}: {_need_text(capacity)}"
     return _row(float(missing), Verdict.WRONG, cause=Cause(settings=tuple(changes), line=line))
@@ -52,15 +52,15 @@ def capacity_changes(capacity: ContactCapacity) -> dict[str, Any]:
 
 
 def _need_text(capacity: ContactCapacity) -> str:
+    """Return what the target's own model needs, and its limits."""
     need, limits, parts = capacity.need, capacity.limits, []
     assert need is not None, "only a counted need is described"
-    if capacity.missing_rows:
-        parts.append(f"its model needs {need.rows} constraint rows {need.situation}, and njmax is {limits.njmax}")
-    if capacity.missing_contacts and limits.naconmax is not None and limits.worlds:
+    if limits.njmax is not None:
+        place = f"in {need.situation}" if need.rows else "at most"
+        parts.append(f"its model needs {need.rows} constraint rows {place}, and njmax is {limits.njmax}")
+    if limits.naconmax is not None and limits.worlds:
         share = limits.naconmax / limits.worlds
-        parts.append(
-            f"its model needs {need.mean_contacts:.3g} contacts in the mean of all worlds, and has {share:.3g}"
-        )
+        parts.append(f"it needs {need.mean_contacts:.3g} contacts in the mean of all worlds, and has {share:.3g}")
     return "; ".join(parts)
 
 

@@ -132,8 +132,8 @@ def contact_capacity(model: mujoco.MjModel, limits: CapacityLimits, *, unknown: 
 def contact_need(model: mujoco.MjModel) -> ContactNeed:
     """Return the contacts and constraint rows that a model needs when it falls, lies and flails.
 
-    The model is dropped from its keyframes and from its initial pose, in several orientations when it floats, at rest
-    and with random controls, as an untrained policy gives them. Each motion takes a second.
+    The model is dropped from its keyframes, or from its initial pose when it has none, in several orientations when it
+    floats, at rest and with random controls, as an untrained policy gives them. Each motion takes a second.
     """
     generator = np.random.default_rng(SEED)
     steps = max(1, round(DROP_S / model.opt.timestep))
@@ -174,10 +174,9 @@ def _motions(model: mujoco.MjModel, generator: np.random.Generator) -> Iterator[
     starts = [
         (f"keyframe {model.key(number).name or number}", model.key_qpos[number], model.key_ctrl[number])
         for number in range(model.nkey)
-    ]
-    starts.append(("the initial pose", model.qpos0, np.zeros(model.nu)))
+    ] or [("the initial pose", model.qpos0, np.zeros(model.nu))]
     for number in range(DROP_COUNT):
-        name, qpos, ctrl = starts[number % len(starts)]
+        name, qpos, ctrl = starts[number // 2 % len(starts)]
         start = np.array(qpos, dtype=np.float64)
         turned = bool(floating) and number % 2 == 1
         for address in floating:
@@ -187,7 +186,9 @@ def _motions(model: mujoco.MjModel, generator: np.random.Generator) -> Iterator[
                 start[address + 3 : address + 7] = quaternion / np.linalg.norm(quaternion)
         is_random = number >= DROP_COUNT // 2
         words = ["turned at random"] * turned + ["with random controls"] * is_random
-        yield _Motion(name=", ".join([f"from {name}", *words]), qpos=start, ctrl=np.array(ctrl), is_random=is_random)
+        yield _Motion(
+            name=", ".join([f"a motion from {name}", *words]), qpos=start, ctrl=np.array(ctrl), is_random=is_random
+        )
 
 
 def _steps(
