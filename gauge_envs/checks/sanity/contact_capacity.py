@@ -109,14 +109,19 @@ class _Motion:
     is_random: bool
 
 
-def contact_capacity(model: mujoco.MjModel, limits: CapacityLimits, *, unknown: Sequence[int] = ()) -> ContactCapacity:
+def contact_capacity(
+    model: mujoco.MjModel, limits: CapacityLimits, *, unknown: Sequence[int] = (), reason: str = ""
+) -> ContactCapacity:
     """Return limits of a target and what its model needs.
 
     Args:
         model: The model.
         limits: The limits.
         unknown: Numbers of colliding geoms whose shape is not known.
+        reason: Why the model's contacts cannot be counted; empty when they can.
     """
+    if reason:
+        return ContactCapacity(limits=limits, reason=reason)
     if limits.njmax is None and limits.naconmax is None:
         return ContactCapacity(limits=limits, reason="the engine chooses the limits")
     if len(unknown):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from gauge_envs.checks.sanity.languages.base import Language
 from gauge_envs.checks.sanity.languages.mjcf import Mjcf
+from gauge_envs.checks.sanity.languages.mjlab import Mjlab
 from gauge_envs.checks.sanity.languages.playground import Playground
 from gauge_envs.checks.sanity.languages.toml import Toml
 
 __all__ = ["LANGUAGES", "Language", "language"]
 
-LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf(), Playground())}
+LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf(), Playground(), Mjlab())}
 """All languages by name."""
 
 

@@ -111,6 +111,15 @@ class Expressions(ABC):
     def _list(self, node: ast.List, frame: Frame) -> Any:
         return [self.evaluate(one, frame) for one in node.elts]
 
+    def _listcomp(self, node: ast.ListComp, frame: Frame) -> Any:
+        """Return a list over known values, by one name and without conditions."""
+        one = node.generators[0]
+        values = self.evaluate(one.iter, frame)
+        if len(node.generators) > 1 or one.ifs or not isinstance(one.target, ast.Name) or not isinstance(values, list):
+            return UNKNOWN
+        name = one.target.id
+        return [self.evaluate(node.elt, Frame(frame.module, {**frame.names, name: value})) for value in values]
+
     def _dict(self, node: ast.Dict, frame: Frame) -> Any:
         keys = [None if one is None else self.evaluate(one, frame) for one in node.keys]
         values = [self.evaluate(one, frame) for one in node.values]

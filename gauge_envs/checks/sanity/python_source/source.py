@@ -234,8 +234,20 @@ class Source(Expressions):
             test = self.evaluate(node.test, frame)
             if test is not UNKNOWN:
                 self._block(node.body if test else node.orelse, frame)
+        elif isinstance(node, ast.For):
+            self._loop(node, frame)
         elif isinstance(node, ast.Import | ast.ImportFrom):
             self._import(node, frame)
+
+    def _loop(self, node: ast.For, frame: Frame) -> None:
+        """Evaluate a loop over known values that has no way out but its end."""
+        values = self.evaluate(node.iter, frame)
+        leaves = any(isinstance(one, ast.Break | ast.Continue) for one in ast.walk(node))
+        if leaves or not isinstance(values, list | tuple | dict):
+            return
+        for value in list(values):
+            self._assign(node.target, value, frame)
+            self._block(node.body, frame)
 
     def _import(self, node: ast.Import | ast.ImportFrom, frame: Frame) -> None:
         for one in node.names:

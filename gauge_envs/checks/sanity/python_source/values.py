@@ -74,8 +74,22 @@ METHODS: Mapping[type, frozenset[str]] = {
 }
 """Methods without side effects outside of the value."""
 
+MOST_NUMBERS = 1000
+"""Most numbers of a range."""
+
+
+def _numbers(*args: int) -> list[int]:
+    """Return the numbers of `range`, the first `MOST_NUMBERS` of them."""
+    return list(range(*args)[:MOST_NUMBERS])
+
+
 BUILTINS: Mapping[str, Callable[..., Any]] = {
-    one.__name__: one for one in (str, int, float, bool, len, max, min, abs, round, tuple, list, dict, set, sorted, sum)
+    "range": _numbers,
+    "enumerate": lambda values: list(enumerate(values)),
+    **{
+        one.__name__: one
+        for one in (str, int, float, bool, len, max, min, abs, round, tuple, list, dict, set, sorted, sum)
+    },
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
 from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
+from gauge_envs.checks.sanity.readers.mjlab import MJLAB, MJLAB_CFG, MJLAB_FILE
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
 from gauge_envs.checks.sanity.readers.playground import PLAYGROUND, PLAYGROUND_ENV
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
@@ -14,9 +15,12 @@ __all__ = ["READERS", "GeomPair", "Reader"]
 READERS: tuple[Reader, ...] = (
     MODEL_OBJECT,
     PLAYGROUND_ENV,
+    MJLAB_CFG,
     GYMNASIUM_ENV,
     DM_CONTROL,
     PLAYGROUND,
+    MJLAB,
+    MJLAB_FILE,
     MODEL_FILE,
     SETTINGS_FILE,
     BACKEND,
