@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from gauge_envs.checks.sanity.readers.batched_model import MJX_MODEL, MUJOCO_WARP
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
 from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
 from gauge_envs.checks.sanity.readers.mjlab import MJLAB, MJLAB_CFG, MJLAB_FILE
@@ -14,6 +15,8 @@ __all__ = ["READERS", "GeomPair", "Reader"]
 
 READERS: tuple[Reader, ...] = (
     MODEL_OBJECT,
+    MJX_MODEL,
+    MUJOCO_WARP,
     PLAYGROUND_ENV,
     MJLAB_CFG,
     GYMNASIUM_ENV,
