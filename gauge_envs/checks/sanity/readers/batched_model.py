@@ -87,12 +87,16 @@ def _read(target: Any, pair: GeomPair | None, name: str, note: str) -> TrainingC
 
 
 def _capacity(data: Any) -> ContactCapacity:
-    """Return the limits of mujoco_warp's data, and what its worlds need now.
+    """Return the limits of mujoco_warp's data, and what its worlds need in their state.
 
-    The counts of constraint rows and contacts go on where the memory ends.
+    The count of constraint rows goes on where the memory ends. That of contacts ends there without a warning; the count
+    of pairs of geoms that are near goes on.
     """
     worlds, njmax, naconmax = int(data.nworld), int(data.njmax), int(data.naconmax)
     rows, contacts = int(np.max(_array(data.nefc))), int(np.max(_array(data.nacon)))
+    near = int(np.max(_array(data.ncollision))) if hasattr(data, "ncollision") else 0
+    if near > naconmax:
+        contacts = max(contacts, near)
     need = ContactNeed(
         rows=rows,
         contacts=-(-contacts // worlds),
