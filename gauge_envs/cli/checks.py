@@ -54,8 +54,8 @@ def sanity(
         str | None,
         typer.Argument(
             help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
-            "dm_control's suite (dm_control:walker/walk), a model file (robot.xml), a settings file (.toml, .json), or "
-            "a backend and a preset (mujoco:out_of_box, newton)."
+            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk) or of mjlab, a "
+            "model file (robot.xml), a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
     ] = None,
     pair: Annotated[

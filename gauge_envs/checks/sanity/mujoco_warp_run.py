@@ -167,7 +167,7 @@ def with_mujoco_warp(report: Report, *, model: mujoco.MjModel | None = None) -> 
         rows.append(again)
     limits = None if configuration.capacity is None else configuration.capacity.limits
     notes = [f"{held} of {flagged} flags hold on {engine}"] if flagged else []
-    if model is not None and limits is not None and limits.njmax is not None:
+    if model is not None and limits is not None:
         effect = overflow_effect(model, limits)
         notes.append(f"on {engine}, {effect}")
     return replace(report, rows=tuple(rows), notes=(*report.notes, *notes))
@@ -177,48 +177,49 @@ def overflow_effect(model: mujoco.MjModel, limits: CapacityLimits) -> str:
     """Return what the limits of the memory for contacts do to a model on mujoco_warp, in words.
 
     The model starts in the state in which MuJoCo's C engine counts most constraint rows. mujoco_warp counts its own
-    rows there. If they do not fit, the model moves with the limit and with enough memory.
+    rows and contacts there. If they do not fit, a world moves with its share of the memory and with enough of it.
 
     Args:
         model: The target's own model.
-        limits: Its limits; `njmax` is stated.
+        limits: Its limits.
     """
-    assert limits.njmax is not None, "there is a limit to judge"
+    rows = MOST_ROWS if limits.njmax is None else limits.njmax
+    contacts = MOST_CONTACTS if limits.naconmax is None or not limits.worlds else limits.naconmax // limits.worlds
     start = most_needed_data(model)
-    needed = _moved(model, start, MOST_ROWS, 0.0)[1]
-    if needed <= limits.njmax:
-        return f"the model needs at most {needed} constraint rows, and njmax={limits.njmax} has place for them"
-    lost, enough = (_moved(model, start, rows, EFFECT_S)[0] for rows in (limits.njmax, MOST_ROWS))
-    difference = np.abs(lost.qpos - enough.qpos)
-    index = int(np.nan_to_num(difference, nan=np.inf).argmax())
-    joint = int(np.searchsorted(model.jnt_qposadr, index, side="right")) - 1
-    name = model.joint(joint).name or f"number {joint}"
-    outcome = f"joint {name} is {difference[index]:.2g} (m or rad) elsewhere than with enough memory"
+    _, needed_rows, needed_contacts = _moved(model, start, MOST_ROWS, MOST_CONTACTS, 0.0)
+    need = f"the model needs {needed_rows} constraint rows and {needed_contacts} contacts"
+    if needed_rows <= rows and needed_contacts <= contacts:
+        return f"{need} at most, and has place for them"
+    lost = _moved(model, start, rows, contacts, EFFECT_S)[0]
+    enough = _moved(model, start, MOST_ROWS, MOST_CONTACTS, EFFECT_S)[0]
     if not np.isfinite(lost.qpos).all():
-        outcome = "the state is no longer finite, and with enough memory it is"
-    return (
-        f"the model needs {needed} constraint rows and njmax={limits.njmax} drops {needed - limits.njmax}: after "
-        f"{EFFECT_S:g} s {outcome}"
-    )
+        outcome = "the state is no longer finite"
+    else:
+        difference = np.abs(lost.qpos - enough.qpos)
+        joint = int(np.searchsorted(model.jnt_qposadr, int(difference.argmax()), side="right")) - 1
+        name = model.joint(joint).name or f"number {joint}"
+        outcome = f"joint {name} is {difference.max():.2g} (m or rad) elsewhere than with enough memory"
+    return f"{need}, and has place for {rows} and {contacts}: after {EFFECT_S:g} s {outcome}"
 
 
-def _moved(model: mujoco.MjModel, start: mujoco.MjData, njmax: int, seconds: float) -> tuple[mujoco.MjData, int]:
-    """Return the data after some time on mujoco_warp, and the constraint rows that the start needs."""
+def _moved(
+    model: mujoco.MjModel, start: mujoco.MjData, njmax: int, naconmax: int, seconds: float
+) -> tuple[mujoco.MjData, int, int]:
+    """Return the data after some time on mujoco_warp, and the constraint rows and contacts that the start needs."""
     warp, device = _started()
-    end = mujoco.MjData(model)
+    end, blank = mujoco.MjData(model), mujoco.MjData(model)
+    for name in ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat"):
+        getattr(blank, name)[:] = getattr(start, name)
     with device:
         on_warp = warp.put_model(model)
         on_warp.opt.warn_overflow = 0
-        blank = mujoco.MjData(model)
-        for name in ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat"):
-            getattr(blank, name)[:] = getattr(start, name)
-        state = warp.put_data(model, blank, nconmax=MOST_CONTACTS, njmax=njmax)
+        state = warp.put_data(model, blank, naconmax=naconmax, njmax=njmax)
         warp.forward(on_warp, state)
-        needed = int(state.nefc.numpy()[0])
+        rows, contacts = int(state.nefc.numpy()[0]), int(state.nacon.numpy()[0])
         for _ in range(round(seconds / model.opt.timestep)):
             warp.step(on_warp, state)
     end.qpos[:], end.qvel[:] = state.qpos.numpy()[0], state.qvel.numpy()[0]
-    return end, needed
+    return end, rows, contacts
 
 
 def _again(

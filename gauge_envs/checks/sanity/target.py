@@ -27,10 +27,13 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
             a task of dm_control's suite (`dm_control:walker/walk`), whose model file is read without dm_control;
+            a task of MuJoCo Playground (`playground:WalkerWalk`) or of mjlab (`mjlab:TASK`), read from its source;
+            `params/env.yaml` of a training run of mjlab, or its task configuration;
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
-            a `mujoco.MjModel` or a `gymnasium.Env`;
+            a `mujoco.MjModel`, a `gymnasium.Env` or an environment of MuJoCo Playground;
+            a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
             ones of moving geoms on the ground.

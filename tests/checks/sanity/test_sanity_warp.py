@@ -172,13 +172,17 @@ def test_sliding_and_driving_follow_the_laws() -> None:
 @pytest.mark.slow
 def test_the_effect_of_an_overflow_is_measured() -> None:
     model = mujoco.MjModel.from_xml_string(BALLS)
-    text = overflow_effect(model, CapacityLimits(njmax=4))
-    assert text.startswith("the model needs 8 constraint rows and njmax=4 drops 4: after 0.5 s joint ")
-    # The ball without a contact falls on.
     falls_m = 0.5 * 9.81 * EFFECT_S**2 - most_needed_data(model).qvel[2] * EFFECT_S
-    assert float(text.split(" is ")[1].split()[0]) == pytest.approx(falls_m, rel=0.05)
-    enough = overflow_effect(model, CapacityLimits(njmax=8))
-    assert enough == "the model needs at most 8 constraint rows, and njmax=8 has place for them"
+    need = "the model needs 8 constraint rows and 2 contacts"
+    rows = overflow_effect(model, CapacityLimits(njmax=4))
+    assert rows.startswith(f"{need}, and has place for 4 and 256: after 0.5 s joint ")
+    contacts = overflow_effect(model, CapacityLimits(naconmax=8, worlds=8))
+    assert contacts.startswith(f"{need}, and has place for 1024 and 1: after 0.5 s joint ")
+    for text in (rows, contacts):
+        # The ball whose contact is left out falls on.
+        assert float(text.split(" is ")[1].split()[0]) == pytest.approx(falls_m, rel=0.05)
+    enough = overflow_effect(model, CapacityLimits(njmax=8, naconmax=2, worlds=1))
+    assert enough == f"{need} at most, and has place for them"
 
 
 def test_limits_of_the_engine_are_described() -> None:
