@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
+from gauge_envs.checks.sanity.capacity import CAPACITY_ID, CAPACITY_REALITY, CAPACITY_TITLE
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
@@ -119,6 +120,7 @@ def phenomena_rows(*, include_deformables: bool = False, only: Sequence[str] = (
     """
     chosen = selection(only, include_deformables=include_deformables)
     known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
+    known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
     known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return [
         {

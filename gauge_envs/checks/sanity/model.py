@@ -10,6 +10,7 @@ from typing import Any
 from scipy.stats import t as student
 
 from gauge_envs.checks.sanity.foot_contact import FootContact
+from gauge_envs.checks.sanity.contact_capacity import ContactCapacity
 from gauge_envs.files import json_ready
 
 __all__ = [
@@ -112,6 +113,7 @@ class TrainingConfiguration:
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
         language: Name of the language in which changes are written; see `gauge_envs.checks.sanity.languages`.
         foot: Friction and restitution that a foot meets, as the target's materials state them; None when unknown.
+        capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
     """
 
     name: str
@@ -128,6 +130,7 @@ class TrainingConfiguration:
     is_model: bool = False
     language: str = "toml"
     foot: FootContact | None = None
+    capacity: ContactCapacity | None = None
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:
