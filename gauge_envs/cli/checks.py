@@ -39,6 +39,7 @@ class OtherEngine(StrEnum):
     """Engine on which flagged rows are run again."""
 
     MUJOCO_WARP = "mujoco_warp"
+__all__ = ["FailOn", "backend_app", "backend_check", "backend_list", "has_failed", "print_report", "sanity"]
 
 
 class FailOn(StrEnum):
@@ -142,13 +143,15 @@ def sanity(
             progress.update(bar, description=on_engine.value)
             report = with_mujoco_warp(report, model=compiled_model(target))
     _print_report(report, json_lines, markdown, wide)
+    print_report(report, json_lines, markdown, wide)
     if html is not None:
         stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
-    if _has_failed(report, fail_on, before):
+    if has_failed(report, fail_on, before):
         raise typer.Exit(EXIT_FAILED)
 
 
-def _print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+def print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+    """Print a sanity check as JSON lines, as Markdown, or for a terminal."""
     from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
 
     if json_lines:
@@ -186,7 +189,7 @@ def _compare(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
+def has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
     """Return whether a sanity check ends with an error, and print regressions from a baseline."""
     from gauge_envs.checks.sanity import Verdict
     from gauge_envs.checks.sanity.baseline import regressions

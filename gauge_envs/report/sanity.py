@@ -87,7 +87,10 @@ def top_line(report: Report) -> str:
     if report.cure is not None:
         return f"Mends most: {report.cure.line}"
     if flags:
-        return f"{flags} {'flags' if flags > 1 else 'flag'}; no change that was tried mends one"
+        text = f"{flags} {'flags' if flags > 1 else 'flag'}"
+        if any(row.cause is not None for row in report.rows):
+            return f"{text}; no change that was tried mends one"
+        return f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
     measured = any(row.verdict is not Verdict.DECLINED for row in report.rows)
     return "No flags: nothing to change" if measured else "Nothing was measured"
 
