@@ -100,15 +100,14 @@ def read_foot(
     geoms = [int(g) for g in touching if _first_moving_body(model, model.geom_bodyid[g]) == robot]
     lowest = {geom: _lowest_m(model, stance, geom) for geom in geoms}
     height = max(_top_m(model, stance, robot) - min(lowest.values()), 1e-3)
-    feet = _feet(model, {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height})
+    standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
+    feet = _soles(_feet(model, standing_geoms), lowest, SOLE_WITHIN * height)
     body = min(feet, key=lambda one: (min(lowest[geom] for geom in feet[one]), one))
-    bottom = min(lowest[geom] for geom in feet[body])
-    sole = [geom for geom in feet[body] if lowest[geom] <= bottom + SOLE_WITHIN * height]
     mass = float(model.body_subtreemass[robot])
     return FootGeometry(
         name=model.body(body).name or f"body {body}",
-        geoms=_geoms_text(model, sole, body),
-        parts=_parts(model, stance, sole),
+        geoms=_geoms_text(model, feet[body], body),
+        parts=_parts(model, stance, feet[body]),
         load_kg=mass / len(feet),
         robot_mass_kg=mass,
         foot_count=len(feet),
@@ -210,6 +209,14 @@ def _feet(model: mujoco.MjModel, lowest: dict[int, float]) -> dict[int, list[int
         bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
     carrying = {parent for body in bodies for parent in _ancestors(model, body)}
     return {body: geoms for body, geoms in bodies.items() if body not in carrying}
+
+
+def _soles(feet: dict[int, list[int]], lowest_m: dict[int, float], within_m: float) -> dict[int, list[int]]:
+    """Return the geoms of each foot that lie as low as its lowest one, within a height."""
+    return {
+        body: [geom for geom in geoms if lowest_m[geom] <= min(lowest_m[other] for other in geoms) + within_m]
+        for body, geoms in feet.items()
+    }
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
