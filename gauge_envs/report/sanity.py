@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
+from gauge_envs.checks.sanity.foot import FootGeometry
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
@@ -20,6 +21,7 @@ __all__ = [
     "ADVISORY_NOTE",
     "VERDICT_NOTES",
     "effect_text",
+    "foot_text",
     "measured_text",
     "phenomena_rows",
     "phenomena_table",
@@ -147,12 +149,17 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
     if checked.foot is not None:
-        facts["foot"] = f"{checked.foot.description}, in the {checked.foot.pose}; {checked.foot.assumption}"
+        facts["foot"] = foot_text(checked.foot)
     for origin, settings in settings_by_origin(checked).items():
         facts[origin] = ", ".join(f"{name} = {setting_text(value)}" for name, value in settings.items())
     if not checked.settings:
         facts["settings"] = "this package's presets"
     return facts
+
+
+def foot_text(foot: FootGeometry) -> str:
+    """Return what the rows on the foot of a robot are about."""
+    return f"{foot.description}, in the {foot.pose}; {foot.assumption}"
 
 
 def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, Any]]:
