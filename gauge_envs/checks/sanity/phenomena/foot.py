@@ -29,6 +29,9 @@ FOOT, GROUND = "foot", "ground"
 
 MATERIAL = "wood"
 
+SOFTENED_BY_INVERSE_WEIGHT = ("mujoco", "mujoco_warp")
+"""Backends that build MuJoCo's own model, whose contacts are softened by the inverse weight of a link."""
+
 HOLD_DEG, SLIDE_DEG = 10.0, 30.0
 """Slopes of the measured boards [degrees]."""
 
@@ -118,13 +121,13 @@ def _replaced(
 def _scenario(
     kind: str, foot: FootGeometry, *, seconds: float, slope_deg: float, lift_m: float = 0.0, steep: bool = True
 ) -> Scenario:
-    softening = {"mujoco": {"inverse_weight_scale": foot.softening}} if foot.softening is not None else {}
+    softening = {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
     return Scenario(
         name=f"foot-{kind}-{foot.digest}",
         variant=f"SlopeSlider-{2 if steep else 1}-{MATERIAL}",
         seconds=seconds,
         change=partial(_replaced, foot=foot, friction=_friction(), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds),
-        engine_settings=softening,
+        engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
     )
 
 
@@ -335,6 +338,8 @@ def _rest(foot: FootGeometry) -> Phenomenon:
     )
 
 
-def with_foot(phenomenon: Phenomenon, foot: FootGeometry) -> Phenomenon:
-    """Return a row of this module with another foot."""
+def with_foot(phenomenon: Phenomenon, foot: FootGeometry | None) -> Phenomenon:
+    """Return a row with the foot of a target; rows on other objects are unchanged."""
+    if foot is None or not phenomenon.needs_foot:
+        return phenomenon
     return next(one for one in foot_phenomena(foot) if one.id == phenomenon.id)
