@@ -15,7 +15,7 @@ from gauge_envs.backends.mujoco.contact_pairs import ContactPairs, PairKind, can
 from gauge_envs.backends.mujoco.model_settings import contact_settings
 from gauge_envs.checks.sanity.foot import COPIES, FootGeometry
 from gauge_envs.checks.sanity.model import ContactGroup
-from gauge_envs.scene import Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
 from gauge_envs.scene.geometry import vector
 
 __all__ = ["NoFootError", "read_foot"]
@@ -34,6 +34,12 @@ UPRIGHT = 0.7
 
 FLAT = 1e-3
 """Component of a unit vector below which a face or an edge counts as level."""
+
+HELD_M_PER_S = 1e-3
+"""Speed of falling below which the damping of a joint counts as holding a robot [m/s]."""
+
+MOST_GEOMS = 4
+"""Most geoms of a foot that are listed; of more, the others are counted."""
 
 GEOM_KINDS = {
     mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
@@ -75,9 +81,9 @@ def read_foot(
 ) -> FootGeometry:
     """Return the foot of the heaviest robot of a model.
 
-    A robot can rise and fall: its first joint is free, or a vertical slide. Its feet are the bodies that can touch the
-    ground and lie lowest in the keyframe `home`, or in the initial pose with joints within their limits. Of several
-    feet, the lowest one is read.
+    A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
+    actuator, unless the model has none. Its feet are the bodies that can touch the ground and lie lowest in the
+    keyframe `home`, or in the initial pose with joints within their limits. Of several feet, the lowest one is read.
 
     Args:
         model: The compiled model.
@@ -88,16 +94,19 @@ def read_foot(
     Raises:
         NoFootError: Nothing stands on the ground, or the foot is of a kind of geom that no scene can have.
     """
-    on_ground = np.flatnonzero(pairs.kinds < PairKind.MOVING)
-    moving = can_move(model)
-    touching = np.unique(pairs.geoms[on_ground][moving[pairs.geoms[on_ground]]])
+    touching = _touching(model, pairs)
+    if not touching:
+        raise NoFootError("the model has no ground that a moving geom can touch")
     stance = _stance(model, np.asarray(up))
-    robots = {int(_first_moving_body(model, model.geom_bodyid[geom])) for geom in touching}
+    robots = {_first_moving_body(model, int(model.geom_bodyid[geom])) for geom in touching}
+    driven = _driven_bodies(model)
+    if driven:
+        robots &= {_first_moving_body(model, body) for body in driven}
     standing = [body for body in robots if _can_fall(model, body, np.asarray(up))]
     if not standing:
-        raise NoFootError("no part of the model stands on the ground under its own weight")
+        raise NoFootError("no robot of the model stands on the ground under its own weight")
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    geoms = [int(g) for g in touching if _first_moving_body(model, model.geom_bodyid[g]) == robot]
+    geoms = [g for g in touching if _first_moving_body(model, int(model.geom_bodyid[g])) == robot]
     lowest = {geom: _lowest_m(model, stance, geom) for geom in geoms}
     height = max(_top_m(model, stance, robot) - min(lowest.values()), 1e-3)
     standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
@@ -115,6 +124,19 @@ def read_foot(
         sets=_sets(model, pairs, groups, {geom for several in feet.values() for geom in several}),
         softening=float(model.body_invweight0[body, 0]) * COPIES * mass / len(feet),
     )
+
+
+def _touching(model: mujoco.MjModel, pairs: ContactPairs) -> list[int]:
+    """Return the moving geoms that can touch the ground: planes and height fields, or other geoms of the world."""
+    rows = _ground_rows(pairs)
+    moving = can_move(model)
+    geoms = pairs.geoms[rows]
+    return [int(geom) for geom in np.unique(geoms[moving[geoms]])]
+
+
+def _ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
+    kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING
+    return np.flatnonzero((pairs.kinds == kind) & (pairs.kinds < PairKind.MOVING))
 
 
 # --- stance ----------------------------------------------------------------------------------------------------------
@@ -155,15 +177,46 @@ def _first_moving_body(model: mujoco.MjModel, body: int) -> int:
     return int(first)
 
 
+def _driven_bodies(model: mujoco.MjModel) -> set[int]:
+    """Return the bodies on which actuators act."""
+    bodies = set()
+    for actuator in range(model.nu):
+        kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+        if kind in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
+            bodies.add(int(model.jnt_bodyid[target]))
+        elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+            bodies |= _pulled_bodies(model, target)
+        elif kind in (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK)):
+            bodies.add(int(model.site_bodyid[target]))
+        elif kind == int(mujoco.mjtTrn.mjTRN_BODY):
+            bodies.add(target)
+    return bodies
+
+
+def _pulled_bodies(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """Return the bodies of the joints and sites of a tendon."""
+    first = int(model.tendon_adr[tendon])
+    owners = {int(mujoco.mjtWrap.mjWRAP_JOINT): model.jnt_bodyid, int(mujoco.mjtWrap.mjWRAP_SITE): model.site_bodyid}
+    return {
+        int(owners[int(model.wrap_type[wrap])][model.wrap_objid[wrap]])
+        for wrap in range(first, first + int(model.tendon_num[tendon]))
+        if int(model.wrap_type[wrap]) in owners
+    }
+
+
 def _can_fall(model: mujoco.MjModel, body: int, up: NDArray[np.float64]) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
+    weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
+    on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    driven = set(model.actuator_trnid[on_joints, 0].tolist())
     for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             return True
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
             axis = np.zeros(3)
             mujoco.mju_rotVecQuat(axis, model.jnt_axis[joint], model.body_quat[body])
-            if abs(axis @ up) > UPRIGHT:
+            falls = weight > HELD_M_PER_S * model.dof_damping[model.jnt_dofadr[joint]]
+            if abs(axis @ up) > UPRIGHT and joint not in driven and falls:
                 return True
     return False
 
@@ -274,14 +327,17 @@ def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:
     owner = model.body(body).name or f"body {body}"
     names = [model.geom(geom).name or f"geom {geom} of {owner}" for geom in geoms]
     kinds = [GEOM_KINDS.get(mujoco.mjtGeom(int(model.geom_type[geom])), "geom") for geom in geoms]
-    return ", ".join(f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True))
+    texts = [f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)]
+    if len(texts) > MOST_GEOMS:
+        texts = [*texts[: MOST_GEOMS - 1], f"{len(texts) - MOST_GEOMS + 1} more"]
+    return ", ".join(texts)
 
 
 def _sets(
     model: mujoco.MjModel, pairs: ContactPairs, groups: Sequence[ContactGroup], feet: set[int]
 ) -> tuple[str, ...]:
     """Return the names of the judged sets of contact constants that feet have on the ground."""
-    rows = [row for row in np.flatnonzero(pairs.kinds == pairs.kinds.min()) if set(pairs.geoms[row].tolist()) & feet]
+    rows = [row for row in _ground_rows(pairs) if set(pairs.geoms[row].tolist()) & feet]
     own = [contact_settings(model, pairs.constants[row]) for row in rows]
     names: dict[str, str] = {}
     for group in groups:

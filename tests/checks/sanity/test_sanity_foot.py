@@ -115,8 +115,8 @@ def test_feet_of_gymnasiums_robots(name: str, geoms: str, count: int, mass_kg: f
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("InvertedPendulum-v5", "no part of the model stands on the ground under its own weight"),
-        ("Reacher-v5", "no part of the model stands on the ground under its own weight"),
+        ("InvertedPendulum-v5", "the model has no ground that a moving geom can touch"),
+        ("Pusher-v5", "no robot of the model stands on the ground under its own weight"),
     ],
 )
 def test_what_does_not_stand_has_no_foot(name: str, reason: str) -> None:
@@ -176,6 +176,39 @@ def test_an_arm_on_a_fixed_base_does_not_stand() -> None:
     xml = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body pos="0 0 1"><joint axis="0 1 0"/>
       <geom type="capsule" fromto="0 0 0 .9 0 0" size=".03"/></body></worldbody></mujoco>"""
     assert configuration(model(xml)).foot is None
+
+
+ARM_AND_BOX = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/>
+  <body pos="0 0 1"><joint name="shoulder" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .9 0 0" size=".03"/></body>
+  <body pos="1 1 .1"><freejoint/><geom name="box" type="box" size=".1 .1 .1" mass="2"/></body></worldbody>
+  {actuator}</mujoco>"""
+
+
+def test_an_object_beside_a_driven_robot_is_no_foot() -> None:
+    driven = '<actuator><motor joint="shoulder"/></actuator>'
+    assert configuration(model(ARM_AND_BOX.format(actuator=driven))).foot is None
+    assert foot_of(model(ARM_AND_BOX.format(actuator=""))).geoms == "box (box)"
+
+
+@pytest.mark.parametrize("joint", ['damping="1e11"', 'name="lift"'])
+def test_a_base_that_is_held_or_lifted_does_not_stand(joint: str) -> None:
+    xml = f"""<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body name="base" pos="0 0 .1">
+      <joint type="slide" axis="0 0 1" {joint}/><geom type="box" size=".1 .1 .1"/>
+      <body><joint name="arm" axis="0 1 0"/><geom size=".05" pos="0 0 .3"/></body></body></worldbody>
+      <actuator>
+        <motor joint="arm"/>{'<position joint="lift" kp="1"/>' if "lift" in joint else ""}</actuator></mujoco>"""
+    assert configuration(model(xml)).foot is None
+    free = xml.replace(' damping="1e11"', "").replace('<position joint="lift" kp="1"/>', "")
+    assert foot_of(model(free)).foot_count == 1
+
+
+def test_robots_that_tendons_move_stand_too() -> None:
+    xml = quadruped_xml().replace(
+        "</mujoco>",
+        '<tendon><fixed name="pull"><joint joint="FL_knee" coef="1"/></fixed></tendon>'
+        '<actuator><motor tendon="pull"/></actuator></mujoco>',
+    )
+    assert foot_of(model(xml)).foot_count == 4
 
 
 def test_settings_without_a_model_have_no_foot() -> None:
