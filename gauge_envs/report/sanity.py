@@ -148,8 +148,8 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
-    if checked.foot is not None:
-        facts["foot"] = foot_text(checked.foot)
+    if checked.foot_geometry is not None:
+        facts["foot"] = foot_text(checked.foot_geometry)
     for origin, settings in settings_by_origin(checked).items():
         facts[origin] = ", ".join(f"{name} = {setting_text(value)}" for name, value in settings.items())
     if not checked.settings:

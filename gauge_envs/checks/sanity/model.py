@@ -111,7 +111,7 @@ class TrainingConfiguration:
         gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when the target states none.
         up: Unit vector away from the ground, shape [3].
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
-        foot: Foot of the robot; None when the target has none, or does not state it.
+        foot_geometry: Foot of the robot; None when the target has none, or does not state it.
         language: Name of the language in which changes are written; see `gauge_envs.checks.sanity.languages`.
     """
 
@@ -127,7 +127,7 @@ class TrainingConfiguration:
     gravity_m_per_s2: tuple[float, float, float] | None = None
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     is_model: bool = False
-    foot: FootGeometry | None = None
+    foot_geometry: FootGeometry | None = None
     language: str = "toml"
 
     @property

@@ -56,11 +56,11 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
             return Subject(phenomenon=phenomenon, sets={}, inapplicable=configuration.inapplicable[need])
     sets: dict[str, Mapping[str, Any]] = dict(configuration.contact_sets)
     if phenomenon.needs_foot:
-        foot = configuration.foot
-        if foot is None:
+        geometry = configuration.foot_geometry
+        if geometry is None:
             return Subject(phenomenon=phenomenon, sets={}, inapplicable=NO_ROBOT)
-        phenomenon = with_foot(phenomenon, foot)
-        sets = {geoms: settings for geoms, settings in sets.items() if geoms in foot.sets}
+        phenomenon = with_foot(phenomenon, geometry)
+        sets = {geoms: settings for geoms, settings in sets.items() if geoms in geometry.sets}
         if not sets:
             return Subject(phenomenon=phenomenon, sets={}, inapplicable="the chosen geoms are no foot on the ground")
     if Need.CONTACT not in phenomenon.needs:

@@ -65,7 +65,7 @@ def model(xml: str) -> mujoco.MjModel:
 
 
 def foot_of(target: Any) -> FootGeometry:
-    foot = configuration(target).foot
+    foot = configuration(target).foot_geometry
     assert foot is not None
     return foot
 
@@ -121,7 +121,7 @@ def test_feet_of_gymnasiums_robots(name: str, geoms: str, count: int, mass_kg: f
 )
 def test_what_does_not_stand_has_no_foot(name: str, reason: str) -> None:
     read = configuration(name)
-    assert read.foot is None
+    assert read.foot_geometry is None
     assert read.inapplicable[Need.FOOT] == reason
 
 
@@ -175,7 +175,7 @@ def test_the_ground_may_be_upright() -> None:
 def test_an_arm_on_a_fixed_base_does_not_stand() -> None:
     xml = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body pos="0 0 1"><joint axis="0 1 0"/>
       <geom type="capsule" fromto="0 0 0 .9 0 0" size=".03"/></body></worldbody></mujoco>"""
-    assert configuration(model(xml)).foot is None
+    assert configuration(model(xml)).foot_geometry is None
 
 
 ARM_AND_BOX = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/>
@@ -186,7 +186,7 @@ ARM_AND_BOX = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/>
 
 def test_an_object_beside_a_driven_robot_is_no_foot() -> None:
     driven = '<actuator><motor joint="shoulder"/></actuator>'
-    assert configuration(model(ARM_AND_BOX.format(actuator=driven))).foot is None
+    assert configuration(model(ARM_AND_BOX.format(actuator=driven))).foot_geometry is None
     assert foot_of(model(ARM_AND_BOX.format(actuator=""))).geoms == "box (box)"
 
 
@@ -197,7 +197,7 @@ def test_a_base_that_is_held_or_lifted_does_not_stand(joint: str) -> None:
       <body><joint name="arm" axis="0 1 0"/><geom size=".05" pos="0 0 .3"/></body></body></worldbody>
       <actuator>
         <motor joint="arm"/>{'<position joint="lift" kp="1"/>' if "lift" in joint else ""}</actuator></mujoco>"""
-    assert configuration(model(xml)).foot is None
+    assert configuration(model(xml)).foot_geometry is None
     free = xml.replace(' damping="1e11"', "").replace('<position joint="lift" kp="1"/>', "")
     assert foot_of(model(free)).foot_count == 1
 
@@ -281,10 +281,10 @@ def locked_robot(settings: str, geom: str, friction: float, slope_deg: float, li
 def test_the_scenes_do_what_the_robot_does_with_locked_joints(cone: str, geom: str, tolerance: float) -> None:
     option = f'timestep="0.002" integrator="implicitfast" cone="{cone}" impratio="1"'
     read = configuration(model(quadruped_xml(option=option, geom=geom, locked=True)))
-    assert read.foot is not None and read.foot.softening == pytest.approx(15.1, abs=0.1)
+    assert read.foot_geometry is not None and read.foot_geometry.softening == pytest.approx(15.1, abs=0.1)
     (settings,) = read.contact_sets.values()
     known = Measurements(MUJOCO)
-    creep, depth = row("foot-creep", read.foot), row("foot-landing-depth", read.foot)
+    creep, depth = row("foot-creep", read.foot_geometry), row("foot-landing-depth", read.foot_geometry)
     friction = creep.scenario.scene.contacts[0].friction
     times, places = locked_robot(option, geom, friction, 10.0, 0.0)
     late = times > 0.5
@@ -294,7 +294,7 @@ def test_the_scenes_do_what_the_robot_does_with_locked_joints(cone: str, geom: s
     sunk = 1e3 * (FOOT_RADIUS_M - places[:, 2].min())
     assert known.measure(depth, settings).value == pytest.approx(sunk, rel=tolerance, abs=0.02)
     # Without the softness of the foot's link, the robot creeps many times faster than the scene.
-    plain = known.measure(row("foot-creep", replace(read.foot, softening=None)), settings).value
+    plain = known.measure(row("foot-creep", replace(read.foot_geometry, softening=None)), settings).value
     assert plain is not None and abs(crept) > 3.0 * abs(plain)
 
 

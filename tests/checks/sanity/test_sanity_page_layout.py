@@ -60,7 +60,7 @@ def page_report() -> Report:
         CONFIGURATION,
         source=f"model file /home/user/{'robots/' * 12}{LONG}.xml",
         contact_groups=known,
-        foot=REFERENCE_FOOT,
+        foot_geometry=REFERENCE_FOOT,
         notes=(f"not used: {LONG}",),
     )
     cure = Cure(changes={}, line=f'<geom solref="0.004 1"/> for {LONG}: 2 of 2 flags go', flag_count=2, mended_count=2)
