@@ -10,6 +10,7 @@ from rich.console import Group
 from rich.text import Text
 
 from gauge_envs.checks.sanity.capacity import CAPACITY_ID, CAPACITY_REALITY, CAPACITY_TITLE
+from gauge_envs.checks.sanity.foot import FootGeometry
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
@@ -21,6 +22,7 @@ __all__ = [
     "ADVISORY_NOTE",
     "VERDICT_NOTES",
     "effect_text",
+    "foot_text",
     "measured_text",
     "phenomena_rows",
     "phenomena_table",
@@ -153,11 +155,18 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
         facts["one action"] = f"{checked.frame_skip} steps"
     if checked.foot is not None:
         facts["foot on ground"] = checked.foot.text
+    if checked.foot_geometry is not None:
+        facts["foot"] = foot_text(checked.foot_geometry)
     for origin, settings in settings_by_origin(checked).items():
         facts[origin] = ", ".join(f"{name} = {setting_text(value)}" for name, value in settings.items())
     if not checked.settings:
         facts["settings"] = "this package's presets"
     return facts
+
+
+def foot_text(foot: FootGeometry) -> str:
+    """Return what the rows on the foot of a robot are about."""
+    return f"{foot.description}, in the {foot.pose}; {foot.assumption}"
 
 
 def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, Any]]:
