@@ -21,8 +21,8 @@ from gauge_envs.cli.interrupts import (
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
-from gauge_envs.cli.sanity_probe import sanity_probe
 from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
+from gauge_envs.cli.sanity_probe import sanity_probe
 from gauge_envs.cli.streams import reserved_stdout
 from gauge_envs.cli.video import video_app
 from gauge_envs.errors import GaugeError

@@ -32,14 +32,22 @@ if TYPE_CHECKING:
     from gauge_envs.checks.sanity import PhenomenonResult, Report, Verdict
 
 
-__all__ = ["FailOn", "OtherEngine", "backend_app", "backend_check", "backend_list", "sanity"]
+__all__ = [
+    "FailOn",
+    "OtherEngine",
+    "backend_app",
+    "backend_check",
+    "backend_list",
+    "has_failed",
+    "print_report",
+    "sanity",
+]
 
 
 class OtherEngine(StrEnum):
     """Engine on which flagged rows are run again."""
 
     MUJOCO_WARP = "mujoco_warp"
-__all__ = ["FailOn", "backend_app", "backend_check", "backend_list", "has_failed", "print_report", "sanity"]
 
 
 class FailOn(StrEnum):
@@ -55,11 +63,9 @@ def sanity(
         str | None,
         typer.Argument(
             help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
-            "dm_control's suite (dm_control:walker/walk), a model file (robot.xml), a settings file (.toml, .json), "
-            "the params/env.yaml of Isaac Lab, a task of ManiSkill (maniskill:PickCube-v1), or a backend and a preset "
-            "(mujoco:out_of_box, newton)."
-            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk) or of mjlab, a "
-            "model file (robot.xml), a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
+            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
+            "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
+            "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
     ] = None,
     pair: Annotated[
@@ -142,7 +148,6 @@ def sanity(
 
             progress.update(bar, description=on_engine.value)
             report = with_mujoco_warp(report, model=compiled_model(target))
-    _print_report(report, json_lines, markdown, wide)
     print_report(report, json_lines, markdown, wide)
     if html is not None:
         stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)

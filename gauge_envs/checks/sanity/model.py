@@ -9,9 +9,9 @@ from typing import Any
 
 from scipy.stats import t as student
 
-from gauge_envs.checks.sanity.foot_contact import FootContact
 from gauge_envs.checks.sanity.contact_capacity import ContactCapacity
 from gauge_envs.checks.sanity.foot import FootGeometry
+from gauge_envs.checks.sanity.foot_contact import FootContact
 from gauge_envs.files import json_ready
 
 __all__ = [

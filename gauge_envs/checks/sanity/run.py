@@ -243,7 +243,6 @@ def _with_fix(cure: Cure | None, name: str, text: str, changes: dict[str, Any], 
     )
 
 
-def _curve(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
 def curve_of(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
     """Return the curves of a phenomenon that has one; reality is at the times of the default, if there is a default."""
     trace = phenomenon.trace

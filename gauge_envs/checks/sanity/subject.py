@@ -71,6 +71,16 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
         if not sets:
             reason = f"condim 1: contacts of {'; '.join(frictionless) or 'the target'} have no friction on purpose"
             return Subject(phenomenon=phenomenon, sets={}, inapplicable=reason)
+    return _judged(measurements, configuration, phenomenon, sets)
+
+
+def _judged(
+    measurements: Measurements,
+    configuration: TrainingConfiguration,
+    phenomenon: Phenomenon,
+    sets: Mapping[str, Mapping[str, Any]],
+) -> Subject:
+    """Return a phenomenon that applies with its sets; an impact is advisory unless the target states a constant."""
     if not phenomenon.is_impact:
         return Subject(phenomenon=phenomenon, sets=sets, advisory=phenomenon.advisory)
     foot = configuration.foot

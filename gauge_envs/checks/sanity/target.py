@@ -36,7 +36,6 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
             the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
             a YAML file in the style of IsaacGym, or the same as a mapping or an object;
             a task of ManiSkill (`maniskill:PickCube-v1`), an environment of it, or a SimConfig;
-            a `mujoco.MjModel` or a `gymnasium.Env`;
             a `mujoco.MjModel`, a `gymnasium.Env` or an environment of MuJoCo Playground;
             a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.

@@ -14,9 +14,8 @@ from gauge_envs.checks.sanity.languages.toml import Toml
 __all__ = ["LANGUAGES", "Language", "language"]
 
 LANGUAGES: dict[str, Language] = {
-    one.name: one for one in (Toml(), Mjcf(), IsaacLab(), IsaacLab3(), IsaacGym(), ManiSkill())
+    one.name: one for one in (Toml(), Mjcf(), Playground(), Mjlab(), IsaacLab(), IsaacLab3(), IsaacGym(), ManiSkill())
 }
-LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf(), Playground(), Mjlab())}
 """All languages by name."""
 
 

@@ -8,11 +8,10 @@ from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNAS
 from gauge_envs.checks.sanity.readers.isaac_gym import ISAAC_GYM
 from gauge_envs.checks.sanity.readers.isaac_lab import ISAAC_LAB
 from gauge_envs.checks.sanity.readers.maniskill import MANISKILL
-from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
-from gauge_envs.checks.sanity.readers.probe import PROBE_FILE
 from gauge_envs.checks.sanity.readers.mjlab import MJLAB, MJLAB_CFG, MJLAB_FILE
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
 from gauge_envs.checks.sanity.readers.playground import PLAYGROUND, PLAYGROUND_ENV
+from gauge_envs.checks.sanity.readers.probe import PROBE_FILE
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
 from gauge_envs.checks.sanity.readers.settings import BACKEND, SETTINGS_FILE
 
