@@ -204,6 +204,18 @@ def test_a_wrong_gravity_is_found_with_the_call_that_mends_it() -> None:
     assert report.rows[0].verdict is Verdict.INSIDE
 
 
+def test_too_little_memory_for_contacts_is_a_row_with_the_numbers_that_suffice() -> None:
+    feet: list[dict[str, float]] = [{} for _ in range(6)]
+    solver = solver_of(model_of(*feet), njmax=12, nconmax=4)
+    (row,) = check(newton_configuration(solver, step_s=0.005), only=["contact-capacity"]).rows
+    assert row.verdict is Verdict.WRONG and row.cause is not None
+    assert row.cause.line.startswith("SolverMuJoCo(model, njmax=")
+    changes = {name: int(number) for name, number in re.findall(r"(njmax|nconmax)=(\d+)", row.cause.line)}
+    enough = solver_of(model_of(*feet), **{"nconmax": 100, **changes})
+    (row,) = check(newton_configuration(enough, step_s=0.005), only=["contact-capacity"]).rows
+    assert row.verdict is Verdict.INSIDE
+
+
 # --- truth -----------------------------------------------------------------------------------------------------------
 
 STEP_S = 0.005

@@ -19,7 +19,7 @@ SOLVER = {
     "tolerance": "tolerance",
     "mujoco_contacts": "use_mujoco_contacts",
     "njmax": "njmax",
-    "nconmax": "nconmax",
+    "naconmax": "nconmax",
 }
 """Arguments of `SolverMuJoCo` by name of the setting."""
 

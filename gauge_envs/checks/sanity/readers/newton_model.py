@@ -16,6 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gauge_envs.checks.sanity.contact_capacity import CapacityLimits, ContactCapacity, contact_capacity
 from gauge_envs.checks.sanity.model import ContactGroup, TrainingConfiguration
 from gauge_envs.checks.sanity.mujoco_model import mujoco_configuration
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader, check_settings
@@ -76,7 +77,8 @@ def newton_configuration(
             f"{kind}: rigid bodies are judged with {JUDGED} only. Export the scenes with gauge sanity export, run them "
             f"with {kind}, and judge them with gauge sanity judge"
         )
-    read = mujoco_configuration(_compiled(solver), name=name or kind, source=_source(solver, target), pair=pair)
+    model = _compiled(solver)
+    read = mujoco_configuration(model, name=name or kind, source=_source(solver, target), pair=pair)
     settings = _options(solver, read.settings, step_s) | _contact(solver, read.settings)
     check_settings("newton", settings)
     origins = dict.fromkeys(settings, f"arguments of {kind}")
@@ -95,6 +97,7 @@ def newton_configuration(
         notes=(*_notes(solver, settings), *read.notes),
         is_model=False,
         language="newton",
+        capacity=_capacity(solver, model, settings),
     )
 
 
@@ -167,6 +170,19 @@ def _contact(solver: Any, read: Mapping[str, Any]) -> dict[str, Any]:
 
 def _group(solver: Any, group: ContactGroup) -> ContactGroup:
     return replace(group, settings=_contact(solver, group.settings))
+
+
+def _capacity(solver: Any, model: mujoco.MjModel, settings: Mapping[str, Any]) -> ContactCapacity | None:
+    """Return the limits of the solver's memory for the contacts of a world; None for MuJoCo's C engine."""
+    data = getattr(solver, "mjw_data", None)
+    if getattr(solver, "use_mujoco_cpu", False) or data is None:
+        return None
+    limits = CapacityLimits(njmax=int(data.njmax), naconmax=int(data.naconmax) // max(1, int(data.nworld)), worlds=1)
+    if not settings["mujoco_contacts"]:
+        reason = "Newton finds other contacts than MuJoCo, by which they are counted; see ObservableKind.OVERFLOW"
+        return ContactCapacity(limits=limits, reason=reason)
+    model.opt.timestep = settings.get("timestep_s", model.opt.timestep)
+    return contact_capacity(model, limits)
 
 
 def _notes(solver: Any, settings: Mapping[str, Any]) -> list[str]:
