@@ -99,12 +99,14 @@ class ExportedScene:
 def _all_scenes() -> tuple[ExportedScene, ...]:
     grouped: dict[str, list[Phenomenon]] = {}
     for one in phenomena():
+        if one.needs_foot:
+            continue
         grouped.setdefault(one.scenario.name, []).append(one)
     return tuple(ExportedScene(several[0].scenario, several) for several in grouped.values())
 
 
 def scenes(only: Sequence[str] = ()) -> tuple[ExportedScene, ...]:
-    """Return the scenes of rigid bodies in a fixed order.
+    """Return the scenes of rigid bodies in a fixed order, without those of a target's own foot.
 
     Args:
         only: Ids of phenomena or patterns; scenes without one of them are left out. All when empty.
