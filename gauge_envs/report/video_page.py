@@ -32,7 +32,8 @@ STYLE = """
 body { font: 16px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; max-width: 76rem; margin: 1.5rem auto;
   padding: 0 1rem; overflow-wrap: anywhere; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
-.scroll { overflow-x: auto; overflow-wrap: normal; white-space: nowrap; } table { border-collapse: collapse; } th, td { border-top: 1px solid var(--line);
+.scroll { overflow-x: auto; overflow-wrap: normal; white-space: nowrap; }
+table { border-collapse: collapse; } th, td { border-top: 1px solid var(--line);
   padding: .3rem .6rem; text-align: left; vertical-align: top; } td.n { font-variant-numeric: tabular-nums; }
 .quiet { color: var(--quiet); font-size: .9rem; } .invalid, .doubtful { color: var(--quiet); }
 .strip { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(13rem, 100%), 1fr)); gap: .3rem; }
