@@ -32,7 +32,16 @@ if TYPE_CHECKING:
     from gauge_envs.checks.sanity import PhenomenonResult, Report, Verdict
 
 
-__all__ = ["FailOn", "OtherEngine", "backend_app", "backend_check", "backend_list", "sanity"]
+__all__ = [
+    "FailOn",
+    "OtherEngine",
+    "backend_app",
+    "backend_check",
+    "backend_list",
+    "has_failed",
+    "print_report",
+    "sanity",
+]
 
 
 class OtherEngine(StrEnum):
@@ -54,8 +63,9 @@ def sanity(
         str | None,
         typer.Argument(
             help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
-            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk) or of mjlab, a "
-            "model file (robot.xml), a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
+            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
+            "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
+            "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
     ] = None,
     pair: Annotated[
@@ -138,14 +148,15 @@ def sanity(
 
             progress.update(bar, description=on_engine.value)
             report = with_mujoco_warp(report, model=compiled_model(target))
-    _print_report(report, json_lines, markdown, wide)
+    print_report(report, json_lines, markdown, wide)
     if html is not None:
         stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
-    if _has_failed(report, fail_on, before):
+    if has_failed(report, fail_on, before):
         raise typer.Exit(EXIT_FAILED)
 
 
-def _print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+def print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+    """Print a sanity check as JSON lines, as Markdown, or for a terminal."""
     from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
 
     if json_lines:
@@ -183,7 +194,7 @@ def _compare(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
+def has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
     """Return whether a sanity check ends with an error, and print regressions from a baseline."""
     from gauge_envs.checks.sanity import Verdict
     from gauge_envs.checks.sanity.baseline import regressions

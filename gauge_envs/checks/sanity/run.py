@@ -34,7 +34,7 @@ from gauge_envs.checks.sanity.subject import Subject, subject_of, worst_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
 
-__all__ = ["check"]
+__all__ = ["check", "curve_of"]
 
 CURVE_SAMPLES = 200
 """Largest number of samples of a curve; a figure shows fewer."""
@@ -218,7 +218,7 @@ class _Run:
             default_verdict=Verdict.DECLINED if default is None else default.verdict,
             cause=cause,
             remark=configured.remark,
-            curve=_curve(phenomenon, configured, default),
+            curve=curve_of(phenomenon, configured, default),
             advisory=advisory,
             geoms=geoms if is_judged_by_group else "",
             groups=tuple(several) if is_judged_by_group else (),
@@ -243,12 +243,13 @@ def _with_fix(cure: Cure | None, name: str, text: str, changes: dict[str, Any], 
     )
 
 
-def _curve(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
+def curve_of(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
+    """Return the curves of a phenomenon that has one; reality is at the times of the default, if there is a default."""
     trace = phenomenon.trace
     if trace is None:
         return None
     times, values = _thinned(phenomenon, configured)
-    default_times, default_values = ((), ()) if default is None else _thinned(phenomenon, default)
+    default_times, default_values = (times, ()) if default is None else _thinned(phenomenon, default)
     centre, tolerance = _real_curve(phenomenon, np.asarray(default_times))
     return Curve(
         label=trace.label,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,7 +16,7 @@ from gauge_envs.errors import TargetError
 
 __all__ = ["Target", "compiled_model", "configuration"]
 
-Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env
+Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | Mapping[str, Any]
 """A target of a sanity check; see `configuration`."""
 
 
@@ -32,6 +33,9 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
+            the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
+            a YAML file in the style of IsaacGym, or the same as a mapping or an object;
+            a task of ManiSkill (`maniskill:PickCube-v1`), an environment of it, or a SimConfig;
             a `mujoco.MjModel`, a `gymnasium.Env` or an environment of MuJoCo Playground;
             a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.
