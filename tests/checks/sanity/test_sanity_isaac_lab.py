@@ -298,6 +298,18 @@ def test_changes_are_lines_of_python() -> None:
     assert written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
 
 
+def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
+    settings = {"timestep_s": 0.01, "hinges": "articulation", "link_linear_damping_per_s": 0.05}
+    target = TrainingConfiguration(
+        name="links", source="test", backend="physx", settings=settings, language="isaac_lab"
+    )
+    report = check(target, only=["period"])
+    (row,) = report.rows
+    assert row.cause is not None and row.cause.settings == ("link_linear_damping_per_s",)
+    assert "link_linear_damping_per_s = 0 (which the target has no key for) instead of 0.05" in row.cause.line
+    assert report.cure is None or "link_linear_damping" not in report.cure.line
+
+
 def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated() -> None:
     trained, deployed = (EXAMPLES / f"g1_{name}.yaml" for name in ("trained", "deployed"))
     comparison = compare(trained, deployed, only=["slide-wood,rebound-slow,gravity"])
