@@ -153,8 +153,10 @@ LEAVES = dict(leaves(typer.main.get_command(app)))
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=name_of)
 def test_commands_have_the_options_that_are_shown(page: Path) -> None:
     for words in commands(page):
-        path = next(path for path in (tuple(words[:2]), tuple(words[:1])) if path in LEAVES)
-        arguments = words[len(path) :]
+        # Either a command of a group, or one whose name has two words.
+        candidates = (tuple(words[:2]), (" ".join(words[:2]),), tuple(words[:1]))
+        path = next(path for path in candidates if path in LEAVES)
+        arguments = words[len(" ".join(path).split()) :]
         # Raises where an option is unknown, misses its value, or an argument is too many or missing.
         LEAVES[path].make_context(path[-1], arguments)
 
