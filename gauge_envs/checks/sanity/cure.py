@@ -29,6 +29,9 @@ RECOMMENDED_MUJOCO: Mapping[str, Any] = {
 }
 """Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
 
+STEP = "timestep_s"
+"""Setting that is changed only where no other change mends as much, since shorter steps cost time in proportion."""
+
 MOST_CHANGES = 3
 """Most settings that are changed one after the other."""
 
@@ -113,7 +116,7 @@ def _greedy(
     left, mended = list(flagged), 0
     while left and candidates and len(changes) < MOST_CHANGES:
         scored = [(_score(measurements, left, {**changes, one.name: one.value}), one) for one in candidates]
-        scored.sort(key=lambda pair: (pair[0][0], pair[1].name in named, pair[0][1]), reverse=True)
+        scored.sort(key=lambda pair: _preference(pair[1], named, *pair[0]), reverse=True)
         harms = [
             len(_new_flags(measurements, others, {**changes, one.name: one.value})) for _, one in scored[:MOST_COMPARED]
         ]
@@ -126,6 +129,11 @@ def _greedy(
         yield _Step(changes={best.name: best.value}, mended=mended, source=best.source)
         left = [one for one in left if not _is_inside(one.measured(measurements, changes))]
         candidates = [one for one in candidates if one.name not in changes]
+
+
+def _preference(one: Alternative, named: Collection[str], mended: int, closeness: float) -> tuple[float, ...]:
+    """Return the order of a change: flags it mends, no shorter step, whether it is named for a row, closeness."""
+    return (mended, one.name != STEP, one.name in named, closeness)
 
 
 def _new_flags(measurements: Measurements, others: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[str, ...]:
