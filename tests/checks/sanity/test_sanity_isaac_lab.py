@@ -327,7 +327,7 @@ def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated() -> None:
     trained, deployed = (EXAMPLES / f"g1_{name}.yaml" for name in ("trained", "deployed"))
     comparison = compare(trained, deployed, only=["slide-wood,rebound-slow,gravity"])
     rows = {row.id: row for row in comparison.rows}
-    foot, rebound = rows["foot-straight"], rows["foot-rebound"]
+    foot, rebound = rows["foot-straight"], rows["foot-restitution"]
     assert (foot.trained, foot.deployed) == (pytest.approx(1.0, abs=0.02), pytest.approx(0.5, abs=0.01))
     assert (rebound.trained, rebound.deployed) == (0.0, pytest.approx(0.4, abs=0.01))
     assert [row.change for row in comparison.changed] == [Change.LARGE, Change.LARGE]
