@@ -24,11 +24,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from pxr import Sdf
 
 from gauge_envs import load_experiment
 from gauge_envs.analysis.comparison import compare
+from gauge_envs.checks.sanity import configuration
+from gauge_envs.checks.sanity.probe.program import document as probe_document
 from gauge_envs.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.dataset.trial import TrialError, parse_trial
 from gauge_envs.errors import GaugeError
@@ -50,6 +53,18 @@ MOST_S = 10.0
 MOST_MEMORY_MB = 1000.0
 
 NAME = "SlopeSlider-2-wood"
+
+ROBOT = """
+<mujoco>
+  <asset><mesh name="foot" vertex="0 0 0  .1 0 0  0 .1 0  0 0 .1"/></asset>
+  <worldbody><geom name="floor" type="plane" size="1 1 1"/>
+    <body name="a" pos="0 0 1"><freejoint/><geom type="mesh" mesh="foot"/>
+      <body name="b"><joint range="-1 1" limited="true"/><geom name="b" type="capsule" size=".1 .1"/></body></body>
+  </worldbody>
+  <contact><pair geom1="floor" geom2="b"/><exclude body1="a" body2="b"/></contact>
+</mujoco>
+"""
+"""Seed of probe files."""
 
 TOKENS = (
     *(b"nan", b"-inf", b"1e999", b"-1", b"0", b"1e-320", b"0x" + b"f" * 9000, b"9" * 10_000, b"1000000000", b"null"),
@@ -140,6 +155,7 @@ def targets(folder: Path) -> dict[str, Target]:
             'all = "nominal: a seed"',
         ]
     )
+    probe = json.dumps(probe_document(mujoco.MjModel.from_xml_string(ROBOT))).encode()
     Sdf.Layer.FindOrOpen(str(layer)).Export(str(folder / "scene.usdc"))
 
     def trial_read(file: Path) -> None:
@@ -166,6 +182,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "usdc": Target(
             ".usdc", [(folder / "scene.usdc").read_bytes()], lambda file: from_usd(file, duration_s=1.0), 0.01
         ),
+        "probe": Target(".gaugeprobe.json", [probe], configuration, 0.5),
         "mjcf": Target(
             ".xml",
             [(data_folder("assets") / "mjcf" / f"{NAME}.xml").read_bytes()],

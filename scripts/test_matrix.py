@@ -4,7 +4,7 @@
 
 Each entry makes a fresh environment, installs the wheel with the `plot` extra and without any engine but MuJoCo, runs
 the conformance checks of MuJoCo, and runs the tests from a copy that holds no sources of the package. The lowest MuJoCo
-has no deformable bodies, so an entry with the lowest dependencies runs `--rigid-tests` with it, and the other tests with
+has no deformable bodies. An entry with the lowest dependencies runs `--rigid-tests` with it, and the other tests with
 the lowest MuJoCo that has them. A version without an interpreter is skipped with a message;
 PYTHON3_12=/path/to/python names an interpreter that is not on the PATH.
 """
