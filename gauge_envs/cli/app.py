@@ -21,8 +21,10 @@ from gauge_envs.cli.interrupts import (
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
+from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
 from gauge_envs.cli.sanity_probe import sanity_probe
 from gauge_envs.cli.streams import reserved_stdout
+from gauge_envs.cli.video import video_app
 from gauge_envs.errors import GaugeError
 
 __all__ = ["app", "main"]
@@ -96,10 +98,13 @@ app.command("list")(list_)
 for command in (show, run, score, plot, compare, diagnose, sanity, materials):
     app.command()(command)
 app.command("sanity probe")(sanity_probe)
+app.command("sanity export")(sanity_export)
+app.command("sanity judge")(sanity_judge)
 app.add_typer(backend_app, name="backend")
 app.add_typer(assets_app, name="assets")
 app.add_typer(data_app, name="data")
-for group in (app, backend_app, assets_app, data_app):
+app.add_typer(video_app, name="video")
+for group in (app, backend_app, assets_app, data_app, video_app):
     for registered in group.registered_commands:
         registered.cls = _Command
 

@@ -75,6 +75,8 @@ class SettingsMuJoCo(SteppedSettings):
             friction. None stands for 3.
         torsional_friction_m: Torsional friction coefficient, used if `condim` is at least 4.
         rolling_friction_m: Rolling friction coefficient, used if `condim` is 6.
+        inverse_weight_scale: Factor on the inverse weight of dynamic bodies, by which MuJoCo softens their contacts
+            unless `diagexact` is on. A foot counts with the inertia of its link, not with the load of the robot.
         friction_scale: Factor on the scene's coefficients of friction.
         o_friction: Friction of every contact, which replaces the scene's as MuJoCo's `override` does: tangential (2),
             torsional [m], rolling (2) [m].
@@ -131,6 +133,7 @@ class SettingsMuJoCo(SteppedSettings):
     condim: Literal[1, 3, 4, 6] | None = None
     torsional_friction_m: float = Field(default=0.0, ge=0.0)
     rolling_friction_m: float = Field(default=0.0, ge=0.0)
+    inverse_weight_scale: float = Field(default=1.0, gt=0.0)
     friction_scale: float = Field(default=1.0, ge=0.0)
     o_friction: Friction | None = None
     sustained_solref: tuple[float, float] = (0.002, 1.0)

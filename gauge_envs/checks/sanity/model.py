@@ -9,6 +9,9 @@ from typing import Any
 
 from scipy.stats import t as student
 
+from gauge_envs.checks.sanity.contact_capacity import ContactCapacity
+from gauge_envs.checks.sanity.foot import FootGeometry
+from gauge_envs.checks.sanity.foot_contact import FootContact
 from gauge_envs.files import json_ready
 
 __all__ = [
@@ -19,7 +22,6 @@ __all__ = [
     "ContactGroup",
     "Cure",
     "Curve",
-    "FootContact",
     "GroupOutcome",
     "Need",
     "PhenomenonResult",
@@ -72,6 +74,7 @@ class Need(StrEnum):
     GRAVITY = "gravity"
     CONTACT = "contact"
     FRICTION = "friction"
+    FOOT = "foot"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,47 +97,6 @@ class ContactGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FootContact:
-    """Friction and restitution of a foot on the ground, after the materials of both are combined.
-
-    Ranges have equal ends where training does not randomize.
-
-    Attributes:
-        friction: Least and greatest coefficient of sliding friction.
-        static_friction: Least and greatest coefficient of static friction.
-        restitution: Least and greatest restitution.
-        source: Origin of both materials, and how they are combined.
-    """
-
-    friction: tuple[float, float]
-    static_friction: tuple[float, float]
-    restitution: tuple[float, float]
-    source: str
-
-    @property
-    def mean_friction(self) -> float:
-        """Centre of the range of sliding friction."""
-        return 0.5 * sum(self.friction)
-
-    @property
-    def mean_restitution(self) -> float:
-        """Centre of the range of restitution."""
-        return 0.5 * sum(self.restitution)
-
-    @property
-    def text(self) -> str:
-        """Coefficients and their origin in one line."""
-        static = "" if self.static_friction == self.friction else f" (static {_range_text(self.static_friction)})"
-        restitution = _range_text(self.restitution)
-        return f"friction {_range_text(self.friction)}{static}, restitution {restitution}: {self.source}"
-
-
-def _range_text(ends: tuple[float, float]) -> str:
-    low, high = ends
-    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-
-
-@dataclass(frozen=True, kw_only=True)
 class TrainingConfiguration:
     """Numerical settings that a policy is trained with.
 
@@ -151,8 +113,10 @@ class TrainingConfiguration:
         gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when the target states none.
         up: Unit vector away from the ground, shape [3].
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
+        foot_geometry: Foot of the robot; None when the target has none, or does not state it.
         language: Name of the language in which changes are written; see `gauge_envs.checks.sanity.languages`.
         foot: Friction and restitution that a foot meets, as the target's materials state them; None when unknown.
+        capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
     """
 
     name: str
@@ -167,8 +131,10 @@ class TrainingConfiguration:
     gravity_m_per_s2: tuple[float, float, float] | None = None
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     is_model: bool = False
+    foot_geometry: FootGeometry | None = None
     language: str = "toml"
     foot: FootContact | None = None
+    capacity: ContactCapacity | None = None
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

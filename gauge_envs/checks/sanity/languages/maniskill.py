@@ -25,7 +25,7 @@ SCENE = {
 """Fields of SceneConfig by name of the setting."""
 
 
-LINK = {"angular_damping_per_s": "set_angular_damping", "linear_damping_per_s": "set_linear_damping"}
+LINK = {"angular_damping_per_s": "set_angular_damping", "link_linear_damping_per_s": "set_linear_damping"}
 """Methods of a robot's links by name of the setting; a SimConfig has no field for them."""
 
 

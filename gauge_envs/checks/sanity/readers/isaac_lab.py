@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +70,14 @@ KNOWN_PHYSX = (
 )
 """Keys of `sim.physx` that are read, beside sizes of buffers."""
 
-BUFFERS = ("gpu_", "use_gpu")
+BUFFERS = ("gpu_", "use_gpu", "class_type", "enable_scene_query_support")
 """Starts of keys of `sim.physx` that do not change the physics."""
+
+ISAAC_LAB_3_MARKS = ("physics.bounce_threshold_velocity", "physics.min_position_iteration_count")
+"""Keys of `sim` that show settings of PhysX where Isaac Lab 3 has them."""
+
+OTHER_ENGINES = ("newton_cfg", "physics", "mujoco")
+"""Keys of `sim` with settings of other engines."""
 
 
 def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -> TrainingConfiguration:
@@ -95,14 +102,11 @@ def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
             f"{name}: there is no sim.dt: give the params/env.yaml of a training run with Isaac Lab, or a file with "
             "sim.physx.num_position_iterations as IsaacGym has it"
         )
-    if "physx" not in sim:
-        others = [key for key in ("newton_cfg", "physics") if key in sim]
-        reason = f"there is {sim.name(others[0])} instead" if others else "it states no solver"
-        raise TargetError(f"{name}: there is no {sim.name('physx')}, and {reason}: only PhysX is read of Isaac Lab")
+    physx = _physx(sim)
     values = PhysxValues("isaac")
-    _take_solver(sim, values)
+    _take_solver(sim, physx, values)
     robot = _robot(table)
-    _take_actor(table, robot, values)
+    _take_actor(physx, robot, values)
     ground, foot = _materials(table, sim, robot, values)
     contact = combined(ground, foot)
     values.take("hinges", "articulation", "a robot is an articulation")
@@ -111,11 +115,11 @@ def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
         table,
         name=name,
         source=source,
-        language="isaac_lab",
+        language="isaac_lab" if physx.path.endswith("physx") else "isaac_lab_3",
         gravity_m_per_s2=sim.numbers("gravity", 3),
         frame_skip=table.whole("decimation"),
         foot=contact,
-        inapplicable=_inapplicable(sim, ground, foot, table),
+        inapplicable=_inapplicable(table, ground, foot),
     )
 
 
@@ -131,9 +135,26 @@ def isaac_lab_yaml(content: bytes | str, *, name: str, source: str) -> TrainingC
 # --- solver ----------------------------------------------------------------------------------------------------------
 
 
-def _take_solver(sim: Table, values: PhysxValues) -> None:
-    physx = sim.table("physx")
-    assert physx is not None, "checked before"
+def _physx(sim: Table) -> Table:
+    """Return the settings of PhysX; Isaac Lab 3 has them at another place.
+
+    Raises:
+        TargetError: The engine is another one.
+    """
+    if sim.value("physx") is not None:
+        physx = sim.table("physx")
+    else:
+        physx = sim.table("physics") if any(key in sim for key in ISAAC_LAB_3_MARKS) else None
+    if physx is None:
+        others = [key for key in OTHER_ENGINES if key in sim]
+        reason = f"there is {sim.name(others[0])} instead" if others else "it states no solver"
+        raise TargetError(
+            f"{sim.source}: there is no {sim.name('physx')}, and {reason}: only PhysX is read of Isaac Lab"
+        )
+    return physx
+
+
+def _take_solver(sim: Table, physx: Table, values: PhysxValues) -> None:
     values.take("timestep_s", sim.number("dt"), sim.name("dt"))
     for name, value, key in (
         ("solver", solver_name(physx, "solver_type"), "solver_type"),
@@ -167,14 +188,14 @@ def _robot(table: Table) -> Table | None:
     return None if first is None else scene.table(str(first))
 
 
-def _take_actor(table: Table, robot: Table | None, values: PhysxValues) -> None:
+def _take_actor(physx: Table, robot: Table | None, values: PhysxValues) -> None:
     """Take what the robot states for itself: iterations, damping, limits and offsets."""
     spawn = None if robot is None else robot.table("spawn")
     if robot is None or spawn is None:
         values.notes.append("no robot is found: what bodies state for themselves is that of Isaac Sim's schema")
-        spawn = Table({}, source=table.source, path="scene.robot.spawn")
+        spawn = Table({}, source=physx.source, path="scene.robot.spawn")
     for kind in ASSET_ITERATIONS:
-        _take_iterations(table, spawn, kind, values)
+        _take_iterations(physx, spawn, kind, values)
     for name, keys in {
         "linear_damping_per_s": ("rigid_props.linear_damping",),
         "angular_damping_per_s": ("rigid_props.angular_damping",),
@@ -197,27 +218,27 @@ def _take_actor(table: Table, robot: Table | None, values: PhysxValues) -> None:
         values.notes.append(f"{spawn.name('rigid_props.disable_gravity')} is not carried over: the experiments have it")
 
 
-def _take_iterations(table: Table, spawn: Table, kind: str, values: PhysxValues) -> None:
+def _take_iterations(physx: Table, spawn: Table, kind: str, values: PhysxValues) -> None:
     """Take the robot's count of iterations, clamped into the range of the scene."""
     suffix = f"solver_{kind}_iteration_count"
     key = next((k for k in (f"articulation_props.{suffix}", f"rigid_props.{suffix}") if k in spawn), None)
     count = ASSET_ITERATIONS[kind] if key is None else spawn.whole(key)
     assert count is not None, "the key has a value"
-    low = table.whole(f"sim.physx.min_{kind}_iteration_count")
-    high = table.whole(f"sim.physx.max_{kind}_iteration_count")
+    low = physx.whole(f"min_{kind}_iteration_count")
+    high = physx.whole(f"max_{kind}_iteration_count")
     if low is not None and high is not None and low > high:
-        name = table.name(f"sim.physx.min_{kind}_iteration_count")
-        raise TargetError(f"{table.source}: {name} is {low}, more than the maximum of {high}: exchange them")
+        name = physx.name(f"min_{kind}_iteration_count")
+        raise TargetError(f"{physx.source}: {name} is {low}, more than the maximum of {high}: exchange them")
     used = min(max(count, 0 if low is None else low), 255 if high is None else high)
     origin = "Isaac Sim's schema" if key is None else spawn.name(key)
     if used != count:
-        origin += f", clamped to {table.name('sim.physx')}"
+        origin += f", clamped to {physx.path}"
     if key is None:
         values.notes.append(f"the robot states no count of {kind} iterations, so its asset decides; {used} is used")
     values.take(f"{kind}_iterations", used, origin)
 
 
-def _inapplicable(sim: Table, ground: Material, foot: Material, table: Table) -> dict[Need, str]:
+def _inapplicable(table: Table, ground: Material, foot: Material) -> dict[Need, str]:
     """Return what the engine cannot represent and what then cannot be judged."""
     for key in ("scene.terrain.physics_material", "terrain.physics_material", "sim.physics_material"):
         material = table.table(key)
@@ -314,7 +335,9 @@ def _ends(table: Table, key: str) -> Range | None:
 
 def _file(target: Path) -> Path:
     """Return the file of a target: itself, or the first one of a training run's folder."""
-    return next((target / name for name in RUN_FILES if (target / name).is_file()), target)
+    with suppress(OSError):
+        return next((target / name for name in RUN_FILES if (target / name).is_file()), target)
+    return target
 
 
 def _matches(target: Any) -> bool:

@@ -9,13 +9,15 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.checks.sanity.model import FootContact, TrainingConfiguration
+from gauge_envs.checks.sanity.foot_contact import FootContact
+from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.readers.materials import Material, combined, of_body, one_value, stated_material
 from gauge_envs.checks.sanity.readers.physx_values import PhysxValues
 from gauge_envs.checks.sanity.readers.reader import Reader
@@ -33,6 +35,12 @@ METHOD = "_default_sim_config"
 
 TYPES_FILE = "utils/structs/types.py"
 """File of ManiSkill with the defaults of SimConfig."""
+
+LINK_DAMPING_PER_S = 0.05
+"""Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
+
+MOST_NAMED = 8
+"""Most tasks that the message on an unknown one names."""
 
 BASE_CLASS = "BaseEnv"
 """Class that all environments have in common, and which has the defaults."""
@@ -90,8 +98,10 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
         values.take("solver", "TGS" if uses_tgs else "PGS", scene.name("enable_tgs"))
     foot = _contact(table)
     values.take("hinges", "articulation", "a robot is an articulation")
+    for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
+        values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
     values.take("sustained_restitution", any(foot.restitution), "the stated restitution")
-    values.notes.append("materials that a task gives its own objects are not seen")
+    values.notes.append("materials that a task gives its own objects, and friction of joints, are not seen")
     control = table.number("control_freq")
     return values.configuration(
         table,
@@ -135,8 +145,8 @@ def task_sim_config(name: str) -> dict[str, Any]:
     task = name.removeprefix(PREFIX)
     known = _registered(folder)
     if task not in known:
-        near = [one for one in known if one.lower().startswith(task.lower()[:4])] or sorted(known)
-        raise TargetError(f"{name}: ManiSkill {_version()} has no task {task!r}; it has {', '.join(sorted(near)[:12])}")
+        near = get_close_matches(task, known, n=MOST_NAMED, cutoff=0.5) or sorted(known)[:MOST_NAMED]
+        raise TargetError(f"{name}: ManiSkill {_version()} has no task {task!r}; similar ones: {', '.join(near)}")
     defaults = _defaults(folder)
     found: _Class | None = known[task]
     while found is not None and found.tree.name != BASE_CLASS:

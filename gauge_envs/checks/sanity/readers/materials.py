@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from gauge_envs.checks.sanity.model import FootContact
+from gauge_envs.checks.sanity.foot_contact import FootContact
 from gauge_envs.checks.sanity.readers.table import Table
 from gauge_envs.errors import TargetError
 

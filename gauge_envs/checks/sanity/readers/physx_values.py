@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gauge_envs.checks.sanity.model import FootContact, Need, TrainingConfiguration
+from gauge_envs.checks.sanity.foot_contact import FootContact
+from gauge_envs.checks.sanity.model import Need, TrainingConfiguration
 from gauge_envs.checks.sanity.readers.reader import check_settings
 from gauge_envs.checks.sanity.readers.table import Table
 from gauge_envs.errors import ParameterError, TargetError

@@ -24,7 +24,7 @@ MOST_YAML_BYTES = MEGABYTE
 MOST_DEPTH = 64
 """Largest depth of nested tables and lists."""
 
-MOST_NODES = 200_000
+MOST_NODES = 50_000
 """Largest count of values, where each alias counts as all that it stands for."""
 
 TUPLE = "tag:yaml.org,2002:python/tuple"
