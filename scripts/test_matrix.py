@@ -129,6 +129,8 @@ def _test(
     code = 0
     if is_lowest:
         code = _pytest(commands, rigid_tests, checkout)
+        # MuJoCo 4 consists of several packages; pip would remove their files with the single older one afterwards.
+        _run([str(commands / "python"), "-m", "pip", "uninstall", "--quiet", "--yes", "mujoco"])
         _run([str(commands / "python"), "-m", "pip", "install", "--quiet", LOWEST_WITH_DEFORMABLES])
         print(f"{entry}: goes on with {_versions(commands / 'python')}", flush=True)
     code = _pytest(commands, tests, checkout) or code

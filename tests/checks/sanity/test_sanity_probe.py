@@ -167,13 +167,13 @@ def test_values_of_configurations_become_plain() -> None:
         limits: tuple[float, float] = (-float("inf"), 1.5)
         mode: Mode = Mode.TGS
 
-    values = {"part": Part(), "rows": np.array([[1, 2]]), "ids": slice(None), "kind": ast.parse, 3: np.float32(0.5)}
+    values = {"part": Part(), "rows": np.array([[1, 2]]), "ids": slice(None), "kind": ast.parse, 3: np.float32(0.004)}
     assert plain(values) == {
         "part": {"limits": ["-inf", 1.5], "mode": "TGS"},
         "rows": [[1, 2]],
         "ids": None,
         "kind": "ast:parse",
-        "3": 0.5,
+        "3": 0.004,
     }
     nested: list[Any] = []
     nested.append(nested)
