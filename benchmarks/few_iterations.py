@@ -92,10 +92,11 @@ def case_start(case: Case, options: Options) -> tuple[mujoco.MjModel, mujoco.MjD
 
 def acceleration_warp(case: Case, options: Options) -> float:
     """Return the same for mujoco_warp, on the CPU where there is no GPU."""
-    import mujoco_warp
     import warp
 
     warp.config.quiet = True
+    import mujoco_warp
+
     model, data = case_start(case, options)
     device_model, device_data = mujoco_warp.put_model(model), mujoco_warp.put_data(model, data, nconmax=16, njmax=64)
     device_model.opt.warn_overflow = 0
