@@ -35,8 +35,8 @@ PAGE = ROOT / "docs" / "sanity_popular.md"
 BEGIN = "<!-- configurations, written by scripts/build_popular_configurations.py -->"
 END = "<!-- end of configurations -->"
 
-PHENOMENA = ("gravity", "creep-wood", "rest-height", "slide-wood", "slide-turned", "rebound")
-"""Measured rows of the sanity check."""
+PHENOMENA = ("gravity", "creep-wood", "rest-height", "slide-wood", "slide-turned", "rebound*")
+"""Measured rows of the sanity check, as patterns."""
 
 SLOPE_RAD = math.radians(30.0)
 """Slope on which the cubes of `slide-wood` and `slide-turned` slide."""
@@ -130,13 +130,19 @@ def key_of(read: TrainingConfiguration) -> str:
     return json.dumps(json_ready(parts), sort_keys=True)
 
 
-def friction_of(read: TrainingConfiguration) -> float | None:
-    """Return the sliding friction that a target states for contacts on the ground; None when it states none."""
+def friction_of(read: TrainingConfiguration, geoms: str = "") -> float | None:
+    """Return the sliding friction that a target states for contacts on the ground; None when it states none.
+
+    Args:
+        read: The configuration.
+        geoms: Geoms whose contacts are meant, among those on the ground; the most frequent ones when empty.
+    """
     foot = getattr(read, "foot", None)
     if foot is not None:
         return float(foot.mean_friction)
-    used = [group.constants for group in read.contact_groups if group.is_used]
-    return float(used[0]["friction"][0]) if used else None
+    used = [group for group in read.contact_groups if group.is_used]
+    chosen = [group for group in used if group.geoms == geoms] or used
+    return float(chosen[0].constants["friction"][0]) if chosen else None
 
 
 def share_of_friction(phenomenon: str, acceleration: float | None) -> float | None:
@@ -170,7 +176,8 @@ def row_of(report: Report, package: str, key: str, targets: Sequence[str], packa
         "engine": read.backend,
         "engine_version": report.versions.get(read.backend, ""),
         "step_s": read.settings.get("timestep_s"),
-        "friction": friction_of(read),
+        "friction": friction_of(read, by_id["slide-wood"].geoms),
+        "geoms": {row.phenomenon: row.geoms for row in report.rows if row.geoms},
         "values": {name: row.configured for name, row in by_id.items() if row.verdict is not Verdict.DECLINED},
         "verdicts": {name: row.verdict.value for name, row in by_id.items()},
         "advisory": [name for name, row in by_id.items() if row.advisory],
@@ -229,7 +236,7 @@ def measure(name: str, data: dict[str, Any], file: Path) -> None:
 # --- page ------------------------------------------------------------------------------------------------------------
 
 COLUMNS = ("task", "step [ms]", "stated friction", "met, straight", "met, turned", "creep [mm/s]", "gap [mm]")
-COLUMNS += ("rebound", "gravity [m/s²]", "flags", "what to change first")
+COLUMNS += ("rebound", "slow", "gravity [m/s²]", "flags", "what to change first")
 
 
 def page_text(data: Mapping[str, Any], page: str) -> str:
@@ -277,7 +284,7 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         met(row, "slide-turned"),
         number(values.get("creep-wood"), 1),
         number(values.get("rest-height"), 2),
-        number(values.get("rebound"), 2) + ("*" if "rebound" in row["advisory"] else ""),
+        *(rebound(row, name) for name in ("rebound", "rebound-slow")),
         number(values.get("gravity"), 2),
         flags if row["flag_count"] else "none",
         cure(row["cure"]),
@@ -293,6 +300,13 @@ def met(row: Mapping[str, Any], phenomenon: str) -> str:
         return "held"
     share = share_of_friction(phenomenon, value)
     return f"{share:.0%}".replace("%", " %")
+
+
+def rebound(row: Mapping[str, Any], phenomenon: str) -> str:
+    """Return a rebound, with a star where the target states no restitution; empty when not measured."""
+    if phenomenon not in row["verdicts"]:
+        return ""
+    return number(row["values"].get(phenomenon), 2) + ("*" if phenomenon in row["advisory"] else "")
 
 
 def number(value: float | None, digits: int) -> str:
