@@ -85,6 +85,11 @@ def mjlab_tasks() -> Sequence[str]:
     return [f"mjlab:{name}" for name in mjlab.mjlab_tasks()]
 
 
+def isaac_lab_files() -> Sequence[str]:
+    """Return configurations that training runs of Isaac Lab write, from this repository's examples."""
+    return [str(file) for file in sorted((ROOT / "examples" / "sanity").glob("*.yaml"))]
+
+
 @dataclass(frozen=True)
 class Package:
     """A package whose configurations are measured.
@@ -106,7 +111,7 @@ PACKAGES = {
     "MuJoCo Playground": Package("playground", "mujoco_playground", playground_tasks),
     "mjlab": Package("mjlab", "mjlab", mjlab_tasks),
     "ManiSkill": Package("mani_skill", "mani_skill", lambda: [f"maniskill:{name}-v1" for name in MANISKILL]),
-    "Isaac Lab": Package("isaaclab", "isaaclab", lambda: [str(ROOT / "examples" / "sanity" / "g1_trained.yaml")]),
+    "Isaac Lab": Package("isaaclab", "isaaclab", isaac_lab_files),
 }
 
 
@@ -229,8 +234,19 @@ def measure(name: str, data: dict[str, Any], file: Path) -> None:
             row = row_of(report, name, key, targets, found)
             print(f"{name}: {', '.join(targets)}: {row['wrong_count']} wrong, {report.wall_s:.0f} s", flush=True)
         rows.append({**row, "targets": targets})
-        data["rows"] = [*others, *rows]
-        write_whole(file, (json.dumps(data, indent=1, sort_keys=True) + "\n").encode())
+        # Rows of tasks that come later are kept until they are measured.
+        later = [known[one] for one in list(by_key)[len(rows) :] if one in known]
+        data["rows"] = [*others, *rows, *later]
+        write_data(data, file)
+    data["rows"] = [*others, *rows]
+    write_data(data, file)
+
+
+def write_data(data: Mapping[str, Any], file: Path) -> None:
+    """Write the data, with rows in the order of packages and tasks."""
+    order = list(PACKAGES)
+    rows = sorted(data["rows"], key=lambda row: (order.index(row["package"]), row["targets"]))
+    write_whole(file, (json.dumps({**data, "rows": rows}, indent=1, sort_keys=True) + "\n").encode())
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
