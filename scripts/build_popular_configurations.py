@@ -326,8 +326,8 @@ def rebound(row: Mapping[str, Any], phenomenon: str) -> str:
 
 
 def number(value: float | None, digits: int) -> str:
-    """Return a number with a fixed number of digits; `fails` for a run that gave none."""
-    return "fails" if value is None else f"{value + 0.0:.{digits}f}".replace("-0.00", "0.00")
+    """Return a number with a fixed number of digits, zero without a sign; `fails` for a run that gave none."""
+    return "fails" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def cure(line: str) -> str:

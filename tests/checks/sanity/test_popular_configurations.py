@@ -11,6 +11,7 @@ import build_popular_configurations as script
 import pytest
 
 from gauge_envs.checks.sanity import configuration
+from gauge_envs.scene import GRAVITY_M_PER_S2
 
 
 def test_page_is_current() -> None:
@@ -35,7 +36,7 @@ def test_all_packages_are_in_the_data_with_their_versions() -> None:
 
 def test_share_of_friction_is_one_for_the_real_cube_and_largest_for_one_that_is_held() -> None:
     real = script.real_value("slide-turned")
-    friction = math.tan(math.radians(30.0)) - real / (9.81 * math.cos(math.radians(30.0)))
+    friction = math.tan(math.radians(30.0)) - real / (GRAVITY_M_PER_S2 * math.cos(math.radians(30.0)))
     assert script.share_of_friction("slide-turned", real) == pytest.approx(1.0)
     assert script.share_of_friction("slide-turned", 0.0) == pytest.approx(math.tan(math.radians(30.0)) / friction)
     assert script.share_of_friction("slide-turned", None) is None
@@ -81,6 +82,10 @@ def test_package_that_is_not_installed_keeps_its_rows(
 def test_friction_is_shown_as_a_share(acceleration: float | None, text: str) -> None:
     row = {"values": {"slide-wood": acceleration}}
     assert script.met(row, "slide-wood") == text
+
+
+def test_numbers_have_no_negative_zero() -> None:
+    assert [script.number(value, 1) for value in (-0.04, -0.06, None)] == ["0.0", "-0.1", "fails"]
 
 
 def test_cure_is_shown_by_its_first_change() -> None:
