@@ -293,7 +293,7 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         f", {row['flag_count'] - row['wrong_count']} visible" if row["flag_count"] > row["wrong_count"] else ""
     )
     return [
-        names,
+        names + deciding(row),
         "" if row["step_s"] is None else f"{1e3 * row['step_s']:g}",
         "" if row["friction"] is None else f"{row['friction']:g}",
         met(row, "slide-wood"),
@@ -305,6 +305,13 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         flags if row["flag_count"] else "none",
         cure(row["cure"]),
     ]
+
+
+def deciding(row: Mapping[str, Any]) -> str:
+    """Return the first geom of the contacts that decide how a cube slides; empty where all contacts are equal."""
+    geoms = row["geoms"].get("slide-wood", "")
+    first = geoms.rpartition(" with ")[2].split(",")[0].partition(" and ")[0]
+    return f" ({first})" if first else ""
 
 
 def met(row: Mapping[str, Any], phenomenon: str) -> str:

@@ -84,6 +84,14 @@ def test_friction_is_shown_as_a_share(acceleration: float | None, text: str) -> 
     assert script.met(row, "slide-wood") == text
 
 
+@pytest.mark.parametrize(
+    ("geoms", "text"),
+    [("", ""), ("floor, wall and 2 more with ball", " (ball)"), ("floor with head, torso and 3 more", " (head)")],
+)
+def test_deciding_geom_is_named(geoms: str, text: str) -> None:
+    assert script.deciding({"geoms": {"slide-wood": geoms} if geoms else {}}) == text
+
+
 def test_numbers_have_no_negative_zero() -> None:
     assert [script.number(value, 1) for value in (-0.04, -0.06, None)] == ["0.0", "-0.1", "fails"]
 
