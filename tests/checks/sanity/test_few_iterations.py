@@ -8,7 +8,18 @@ from pathlib import Path
 import few_iterations
 import numpy as np
 import pytest
-from few_iterations import CASES, COLUMNS, MAPPED, Case, Push, acceleration, braking_share, speed_share, start_from
+from few_iterations import (
+    CASES,
+    COLUMNS,
+    MAPPED,
+    Case,
+    Push,
+    acceleration,
+    braking_share,
+    force_acceleration,
+    speed_share,
+    start_from,
+)
 from few_iterations_gait import OPTIONS, robot, standing_slip, targets
 from sliding_bodies import G, Options, feet
 
@@ -57,6 +68,12 @@ def test_neither_line_search_nor_warm_start_is_responsible(change: dict[str, obj
 def test_start_of_the_solver_is_responsible() -> None:
     assert start_from(CUBE, Options(), given_s=np.inf) == pytest.approx(CUBE.law, rel=0.05)
     assert start_from(CUBE, Options(), given_s=0.1) < 0.05 * CUBE.law
+
+
+def test_body_that_is_held_disobeys_its_contact_forces() -> None:
+    assert force_acceleration(CUBE, Options()) > 2.0 * CUBE.law
+    converged = Options().converged
+    assert force_acceleration(CUBE, converged) == pytest.approx(acceleration(CUBE, converged), rel=1e-6)
 
 
 def test_integrator_that_moves_by_forces_lets_the_cube_slide() -> None:
