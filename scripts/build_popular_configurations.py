@@ -35,7 +35,16 @@ PAGE = ROOT / "docs" / "sanity_popular.md"
 BEGIN = "<!-- configurations, written by scripts/build_popular_configurations.py -->"
 END = "<!-- end of configurations -->"
 
-PHENOMENA = ("gravity", "creep-wood", "rest-height", "slide-wood", "slide-turned", "rebound*")
+PHENOMENA = (
+    "gravity",
+    "creep-wood",
+    "rest-height",
+    "slide-wood",
+    "slide-turned",
+    "rebound*",
+    "foot-creep",
+    "foot-slide",
+)
 """Measured rows of the sanity check, as patterns."""
 
 SLOPE_RAD = math.radians(30.0)
@@ -129,10 +138,12 @@ def installed_version(package: Package) -> str | None:
 
 
 def key_of(read: TrainingConfiguration) -> str:
-    """Return a text that is equal for configurations with equal physics."""
+    """Return a text that is equal for configurations with equal settings and with feet that carry the same."""
     needs = {need.value: reason for need, reason in read.inapplicable.items()}
+    foot = read.foot_geometry
+    carried = None if foot is None else (foot.geoms, f"{foot.load_kg:.3g}", f"{foot.softening or math.nan:.3g}")
     parts = (read.backend, list(read.contact_sets.values()), read.gravity_m_per_s2, read.up, needs, friction_of(read))
-    return json.dumps(json_ready(parts), sort_keys=True)
+    return json.dumps(json_ready((*parts, carried)), sort_keys=True)
 
 
 def friction_of(read: TrainingConfiguration, geoms: str = "") -> float | None:
@@ -142,9 +153,8 @@ def friction_of(read: TrainingConfiguration, geoms: str = "") -> float | None:
         read: The configuration.
         geoms: Geoms whose contacts are meant, among those on the ground; the most frequent ones when empty.
     """
-    foot = getattr(read, "foot", None)
-    if foot is not None:
-        return float(foot.mean_friction)
+    if read.foot is not None:
+        return float(read.foot.mean_friction)
     used = [group for group in read.contact_groups if group.is_used]
     chosen = [group for group in used if group.geoms == geoms] or used
     return float(chosen[0].constants["friction"][0]) if chosen else None
@@ -252,7 +262,15 @@ def write_data(data: Mapping[str, Any], file: Path) -> None:
 # --- page ------------------------------------------------------------------------------------------------------------
 
 COLUMNS = ("task", "step [ms]", "stated friction", "met, straight", "met, turned", "creep [mm/s]", "gap [mm]")
-COLUMNS += ("rebound", "slow", "gravity [m/s²]", "flags", "what to change first")
+COLUMNS += (
+    "own foot creeps [mm/s]",
+    "own foot meets",
+    "rebound",
+    "slow",
+    "gravity [m/s²]",
+    "flags",
+    "what to change first",
+)
 
 
 def page_text(data: Mapping[str, Any], page: str) -> str:
@@ -300,6 +318,8 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         met(row, "slide-turned"),
         number(values.get("creep-wood"), 1),
         number(values.get("rest-height"), 2),
+        number(values["foot-creep"], 1) if "foot-creep" in values else "",
+        met(row, "foot-slide") if "foot-slide" in values else "",
         *(rebound(row, name) for name in ("rebound", "rebound-slow")),
         number(values.get("gravity"), 2),
         flags if row["flag_count"] else "none",

@@ -43,10 +43,15 @@ def test_share_of_friction_is_one_for_the_real_cube_and_largest_for_one_that_is_
 
 
 def test_equal_settings_share_a_row() -> None:
-    by_key, read, unreadable = script.groups_of(["Humanoid-v5", "Walker2d-v5", "HumanoidStandup-v5", "NoSuchEnv-v5"])
-    assert list(by_key.values()) == [["Humanoid-v5", "HumanoidStandup-v5"], ["Walker2d-v5"]]
+    by_key, read, unreadable = script.groups_of(["Reacher-v5", "Walker2d-v5", "Swimmer-v5", "NoSuchEnv-v5"])
+    assert list(by_key.values()) == [["Reacher-v5", "Swimmer-v5"], ["Walker2d-v5"]]
     assert len(read) == 2
     assert list(unreadable) == ["NoSuchEnv-v5"]
+
+
+def test_feet_that_differ_have_rows_of_their_own() -> None:
+    by_key, *_ = script.groups_of(["Humanoid-v5", "HumanoidStandup-v5"])
+    assert list(by_key.values()) == [["Humanoid-v5"], ["HumanoidStandup-v5"]]
 
 
 def test_friction_of_a_target_is_that_of_the_geoms_that_decide() -> None:
