@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
+from gauge_envs.checks.sanity.capacity import CAPACITY_ID, CAPACITY_REALITY, CAPACITY_TITLE
 from gauge_envs.checks.sanity.foot import FootGeometry
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
@@ -88,7 +89,10 @@ def top_line(report: Report) -> str:
     if report.cure is not None:
         return f"Mends most: {report.cure.line}"
     if flags:
-        return f"{flags} {'flags' if flags > 1 else 'flag'}; no change that was tried mends one"
+        text = f"{flags} {'flags' if flags > 1 else 'flag'}"
+        if any(row.cause is not None for row in report.rows):
+            return f"{text}; no change that was tried mends one"
+        return f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
     measured = any(row.verdict is not Verdict.DECLINED for row in report.rows)
     return "No flags: nothing to change" if measured else "Nothing was measured"
 
@@ -121,6 +125,7 @@ def phenomena_rows(*, include_deformables: bool = False, only: Sequence[str] = (
     """
     chosen = selection(only, include_deformables=include_deformables)
     known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
+    known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
     known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return [
         {
@@ -148,6 +153,8 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
+    if checked.foot is not None:
+        facts["foot on ground"] = checked.foot.text
     if checked.foot_geometry is not None:
         facts["foot"] = foot_text(checked.foot_geometry)
     for origin, settings in settings_by_origin(checked).items():

@@ -13,6 +13,7 @@ from gauge_envs.backends.mujoco.contacts import contact_constants
 from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.backends.mujoco.versions import constants_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     Box,
@@ -53,13 +54,16 @@ START_KEY = "start"
 EXPLICIT_PAIR_LIMIT = 1000
 """Largest number of explicit geom pairs of a contact; contacts with more use MuJoCo's broad phase."""
 
-INTEGRATORS = {
-    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
-    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
-    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
-    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
-}
+INTEGRATORS = constants_of(
+    "mjtIntegrator",
+    {
+        "Euler": "mjINT_EULER",
+        "RK4": "mjINT_RK4",
+        "implicit": "mjINT_IMPLICIT",
+        "implicitfast": "mjINT_IMPLICITFAST",
+        "discrete": "mjINT_DISCRETE",
+    },
+)
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 SOLVERS = {
     "PGS": mujoco.mjtSolver.mjSOL_PGS,
@@ -75,11 +79,10 @@ DISABLE_FLAGS = {
     "island": mujoco.mjtDisableBit.mjDSBL_ISLAND,
 }
 """MuJoCo's disable bit of each setting that is on by default."""
-ENABLE_FLAGS = {
-    "diagexact": mujoco.mjtEnableBit.mjENBL_DIAGEXACT,
-    "sleep": mujoco.mjtEnableBit.mjENBL_SLEEP,
-    "speculative": mujoco.mjtEnableBit.mjENBL_SPECULATIVE,
-}
+ENABLE_FLAGS = constants_of(
+    "mjtEnableBit",
+    {"diagexact": "mjENBL_DIAGEXACT", "sleep": "mjENBL_SLEEP", "speculative": "mjENBL_SPECULATIVE"},
+)
 """MuJoCo's enable bit of each setting that is off by default."""
 SAME_NAME_OPTIONS = (
     "impratio",

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
+from gauge_envs.backends.mujoco.versions import check_installed
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
@@ -268,9 +269,11 @@ def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> Se
 
     Raises:
         UnknownNameError: The preset does not exist.
-        ParameterError: A setting does not exist or has an invalid value, or cells of that size do not fit a body.
+        ParameterError: A setting does not exist or has an invalid value, the installed version of MuJoCo lacks it, or
+            cells of that size do not fit a body.
     """
     settings = resolve_settings("MuJoCo", PRESETS, preset=_preset_name(scene), changes=overrides)
+    check_installed(settings.model_dump(), overrides or {})
     if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:
         check_cells("MuJoCo", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=2)
     return settings if settings.cell_m is not None else settings.model_copy(update={"cell_m": _default_cell_m(scene)})

@@ -278,7 +278,8 @@ def _set_mass(
 
 
 def _set_limits(component: physx.PhysxRigidBodyComponent, settings: SettingsPhysX) -> None:
-    component.linear_damping = settings.linear_damping_per_s
+    is_link = isinstance(component, physx.PhysxArticulationLinkComponent)
+    component.linear_damping = settings.linear_damping_per_s + is_link * settings.link_linear_damping_per_s
     component.angular_damping = settings.angular_damping_per_s
     component.max_linear_velocity = settings.max_linear_velocity_m_per_s
     component.max_angular_velocity = settings.max_angular_velocity_rad_per_s

@@ -71,8 +71,21 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
         if not sets:
             reason = f"condim 1: contacts of {'; '.join(frictionless) or 'the target'} have no friction on purpose"
             return Subject(phenomenon=phenomenon, sets={}, inapplicable=reason)
+    return _judged(measurements, configuration, phenomenon, sets)
+
+
+def _judged(
+    measurements: Measurements,
+    configuration: TrainingConfiguration,
+    phenomenon: Phenomenon,
+    sets: Mapping[str, Mapping[str, Any]],
+) -> Subject:
+    """Return a phenomenon that applies with its sets; an impact is advisory unless the target states a constant."""
     if not phenomenon.is_impact:
         return Subject(phenomenon=phenomenon, sets=sets, advisory=phenomenon.advisory)
+    foot = configuration.foot
+    if foot is not None and not any(foot.restitution):
+        return Subject(phenomenon=phenomenon, sets=sets, advisory="the target states a restitution of 0")
     stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}
     reason = "" if stating else "the target states no impact constant: its contacts are critically damped or stiffer"
     return Subject(phenomenon=phenomenon, sets=stating or sets, advisory=reason)
