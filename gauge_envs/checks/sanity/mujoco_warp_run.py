@@ -25,6 +25,7 @@ from gauge_envs.checks.sanity.contact_capacity import CapacityLimits, most_neede
 from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
+from gauge_envs.checks.sanity.subject import subject_of
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.scene import Pose, Scene
 
@@ -230,9 +231,9 @@ def _again(
     cure: Mapping[str, Any],
 ) -> tuple[PhenomenonResult, bool]:
     """Return a flagged row with its outcome on mujoco_warp, also with the cure, and whether it is flagged there too."""
-    phenomenon = phenomena([row.phenomenon], include_deformables=True)[0]
-    sets = configuration.contact_sets
-    settings = sets.get(row.geoms) or next(iter(sets.values()))
+    subject = subject_of(measurements, configuration, phenomena([row.phenomenon], include_deformables=True)[0])
+    phenomenon = subject.phenomenon
+    settings = subject.sets.get(row.geoms) or next(iter(subject.sets.values()))
     measured = measurements.measure(phenomenon, settings)
     if measured.verdict is Verdict.DECLINED:
         return _remarked(row, f"not run on {engine}: {measured.remark}"), False
