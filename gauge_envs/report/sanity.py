@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -74,7 +75,7 @@ def sanity_view(report: Report, *, wide: bool = False) -> Group:
         Facts(_facts(checked)),
         *([as_rich(_contact_table(checked), wide=wide)] if len(checked.contact_groups) > 1 else []),
         *(Text(f"note: {note}", style="yellow") for note in checked.notes),
-        as_rich(_phenomenon_table(report), wide=wide),
+        as_rich(_phenomenon_table(report, is_short=not wide), wide=wide),
         Text(""),
         Text(tally_text(report), style="bold"),
         Text(LEGEND, style="dim"),
@@ -205,7 +206,8 @@ def _contact_table(checked: TrainingConfiguration) -> Table:
     )
 
 
-def _phenomenon_table(report: Report) -> Table:
+def _phenomenon_table(report: Report, *, is_short: bool = False) -> Table:
+    repeated = _repeated_causes(report) if is_short else {}
     return Table(
         title="Phenomena",
         columns=(
@@ -216,10 +218,31 @@ def _phenomenon_table(report: Report) -> Table:
             Column("", "preset", lambda row: measured_text(row.default), is_number=True, style=_default_style),
             Column("", "this", lambda row: measured_text(row.configured), is_number=True, style=_style),
             Column("", "verdict", verdict_text, style=_style),
-            Column("", "responsible", responsible_text, place=Place.BELOW),
+            Column(
+                "", "responsible", lambda row: repeated.get(row.phenomenon) or responsible_text(row), place=Place.BELOW
+            ),
         ),
         rows=report.rows,
     )
+
+
+CAUSE_VERB = re.compile(r" brings? ")
+"""Verb of a cause, between the settings and what they do."""
+
+
+def _repeated_causes(report: Report) -> dict[str, str]:
+    """Return shorter texts for rows whose cause is that of an earlier row, by phenomenon."""
+    first: dict[str, str] = {}
+    repeated = {}
+    for row in report.rows:
+        if row.cause is None or not CAUSE_VERB.search(row.cause.line):
+            continue
+        change, effect = CAUSE_VERB.split(row.cause.line, maxsplit=1)
+        if first.setdefault(change, row.phenomenon) != row.phenomenon:
+            # Other settings that would do, and the source, stand in the wide table.
+            known = replace(row.cause, line=f"as for {first[change]}: {re.split(r' [(]|; ', effect)[0]}")
+            repeated[row.phenomenon] = responsible_text(replace(row, cause=known))
+    return repeated
 
 
 def _style(row: PhenomenonResult) -> str:
