@@ -251,10 +251,10 @@ def _again(
     cure: Mapping[str, Any],
 ) -> tuple[PhenomenonResult, bool]:
     """Return a flagged row with its outcome on mujoco_warp, also with the cure, and whether it is flagged there too."""
-    phenomenon = phenomena([row.phenomenon], include_deformables=True)[0]
-    subject = subject_of(measurements, configuration, phenomenon)
+    subject = subject_of(measurements, configuration, phenomena([row.phenomenon], include_deformables=True)[0])
+    phenomenon = subject.phenomenon
     settings = subject.sets.get(row.geoms) or next(iter(subject.sets.values()))
-    measured = measurements.measure(subject.phenomenon, settings)
+    measured = measurements.measure(phenomenon, settings)
     if measured.verdict is Verdict.DECLINED or TOO_LARGE in measured.remark:
         return _remarked(row, f"not run on {engine}: {measured.remark}"), False
     unit = "" if row.unit == "1" else f" {row.unit}"
