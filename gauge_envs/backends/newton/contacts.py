@@ -17,6 +17,12 @@ FRICTION_AS_NORMAL = -1.0
 """Negative friction gain, with which friction has the time constant of the contact. Newton's default gain gives light
 bodies a time constant far below the time step, and they hop."""
 
+DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+"""MuJoCo's default impedance of contacts, which Newton's shapes have."""
+
+DEFAULT_KF_N_S_PER_M = 1000.0
+"""Newton's default friction gain of shapes."""
+
 
 @dataclass(frozen=True)
 class ShapeConstants:
@@ -24,7 +30,7 @@ class ShapeConstants:
 
     friction: float
     solref: tuple[float, float]
-    solimp: tuple[float, float, float]
+    solimp: tuple[float, ...]
     friction_gain_n_s_per_m: float
 
 
@@ -36,6 +42,14 @@ def _constants(contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp) -
         mass_kg: Reduced mass of the two bodies, m1 m2 / (m1 + m2).
         settings: Settings of the solver.
     """
+    if settings.contact_solref is not None:
+        gain = settings.contact_kf_n_s_per_m
+        return ShapeConstants(
+            contact.friction,
+            settings.contact_solref,
+            settings.contact_solimp or DEFAULT_SOLIMP,
+            DEFAULT_KF_N_S_PER_M if gain is None else gain,
+        )
     if contact.mode is ContactMode.SUSTAINED:
         return ShapeConstants(
             contact.friction, settings.sustained_solref, settings.sustained_solimp, FRICTION_AS_NORMAL

@@ -59,9 +59,10 @@ def shape_config() -> newton.ModelBuilder.ShapeConfig:
 def add_contacts(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp) -> None:
     """Write the contact constants of shapes, and exclude all collisions without a contact in the scene."""
     pairs = pair_constants(scene, settings)
+    keeps_material = settings.newton_material and settings.contact_solref is None
     for name, constants in carried_constants(pairs).items():
         for shape in index.shapes[name]:
-            _carry(builder, shape, constants, newton_material=settings.newton_material)
+            _carry(builder, shape, constants, newton_material=keeps_material)
     keep_apart(builder, scene, index)
 
 
@@ -75,7 +76,7 @@ def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, 
         attributes |= {
             "solref": wp.vec2(*constants.solref),
             "solref_mode": SOLREF_AS_GIVEN,
-            "geom_solimp": wp.types.vector(5, wp.float32)(*constants.solimp, *SOLIMP_SHAPE),
+            "geom_solimp": wp.types.vector(5, wp.float32)(*(*constants.solimp, *SOLIMP_SHAPE)[:5]),
         }
     for key, value in attributes.items():
         attribute = builder.custom_attributes[f"mujoco:{key}"]

@@ -66,6 +66,12 @@ class SettingsMuJoCoWarp(SettingsNewton):
         impact_solimp: Impedance of impacts. It is constant in depth, so that the rebound does not depend on depth.
         newton_material: Keep Newton's default stiffness, damping and friction gain of contacts. The four settings above
             and the scene's restitution then have no effect.
+        contact_solref: One solref for all contacts, as a model has that states `ke` and `kd` of its shapes: time
+            constant 2 / kd [s] and damping ratio kd / (2 sqrt(ke)). The five settings above and the scene's restitution
+            then have no effect.
+        contact_solimp: Impedance of all contacts beside it: d0, dwidth, width [m], midpoint, power. MuJoCo's default
+            if None.
+        contact_kf_n_s_per_m: Friction gain of all contacts beside it, Newton's `kf`. Newton's default if None.
         mujoco_contacts: Detect contacts with MuJoCo Warp, Newton's default, and not with Newton's collision pipeline.
             Two meshes then touch in a single point. A box on a box is inaccurate in single precision.
         meshes: Replace boxes, cylinders and spheres by convex meshes, as an import of the published OBJ models does.
@@ -83,6 +89,9 @@ class SettingsMuJoCoWarp(SettingsNewton):
     impact_stiffness: float = Field(default=0.002, gt=0.0)
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
     newton_material: bool = False
+    contact_solref: tuple[float, float] | None = None
+    contact_solimp: tuple[float, float, float, float, float] | None = None
+    contact_kf_n_s_per_m: float | None = None
     mujoco_contacts: bool = False
     meshes: bool = False
 

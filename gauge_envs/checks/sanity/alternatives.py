@@ -29,9 +29,21 @@ STEP_SHARES = {0.5: "half the step", 0.25: "a quarter of the step"}
 RECIPES = {"contact_solref": "sustained_solref", "contact_solimp": "sustained_solimp"}
 """Constants that a target has once for all scenes, and the part of a preset's recipe that stands for them."""
 
-ABSENT = {"contact_margin_m": 0.0, "contact_gap_m": 0.0, "condim": 3, "contact_solreffriction": (0.0, 0.0)}
-"""Values with which MuJoCo runs where this package's settings are None."""
+ABSENT = {
+    "contact_margin_m": 0.0,
+    "contact_gap_m": 0.0,
+    "condim": 3,
+    "contact_solreffriction": (0.0, 0.0),
+    "contact_kf_n_s_per_m": -1.0,
+}
+"""Values with which MuJoCo, and Newton's solver of that name, run where this package's settings are None."""
 
+NEWTON_MATERIAL = {
+    "contact_solref": (0.02, 1.0),
+    "contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
+    "contact_kf_n_s_per_m": 1000.0,
+}
+"""Values with which Newton runs where its own material is kept: those of shapes with `ke` 2500, `kd` 100, `kf` 1000."""
 
 MAY_BE_ABSENT = ("o_friction",)
 """Settings that are put back by leaving them out; the objects then have their own friction."""
@@ -110,7 +122,7 @@ def _values(
     name: str, configured: Mapping[str, Any], references: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> Iterator[Alternative]:
     """Yield each other value of a setting once."""
-    was = _comparable(name, configured[name])
+    was = _comparable(name, _stated(name, configured, None) if configured.get("newton_material") else configured[name])
     seen = [was]
     step_s = configured.get("timestep_s")
     for label, force in references:
@@ -132,6 +144,8 @@ def _values(
 def _stated(name: str, force: Mapping[str, Any], step_s: float | None) -> Any:
     """Return the value of a reference; for contact constants of a recipe, those of its lasting contacts."""
     value = force[name]
+    if value is None and force.get("newton_material"):
+        return NEWTON_MATERIAL.get(name)
     if value is None and name == "contact_solref" and "sustained_solref" in force:
         time_constant, damping_ratio = force["sustained_solref"]
         # MuJoCo raises shorter time constants to two steps.

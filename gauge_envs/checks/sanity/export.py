@@ -24,7 +24,7 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.mjcf_writer import exact_xml, start_notes
 from gauge_envs.checks.sanity import export_loop
 from gauge_envs.checks.sanity.export_manifest import DRIVERS, FORMAT, MANIFEST, ExportedScene, manifest, scenes
-from gauge_envs.errors import ResultFileError
+from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.export.urdf import body_files
 from gauge_envs.experiments.export.usd_layer import SOURCE
 from gauge_envs.files import MEGABYTE, json_document, read_regular
@@ -62,9 +62,12 @@ def export(folder: Path, *, only: Sequence[str] = ()) -> list[Path]:
 
     Raises:
         UnknownNameError: A pattern matches no phenomenon.
+        ParameterError: The phenomena have no scene of their own, such as gravity or rows on a target's foot.
         ResultFileError: The folder holds other files, or cannot be written.
     """
     chosen = scenes(only)
+    if not chosen:
+        raise ParameterError(f"{', '.join(only)}: these rows have no scene to export: see gauge sanity --list")
     _check_folder(folder)
     written = []
     try:

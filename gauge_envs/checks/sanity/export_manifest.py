@@ -106,7 +106,7 @@ def _all_scenes() -> tuple[ExportedScene, ...]:
 
 
 def scenes(only: Sequence[str] = ()) -> tuple[ExportedScene, ...]:
-    """Return the scenes of rigid bodies in a fixed order.
+    """Return the scenes of rigid bodies in a fixed order, without those of a target's own foot.
 
     Args:
         only: Ids of phenomena or patterns; scenes without one of them are left out. All when empty.

@@ -55,7 +55,7 @@ def body_files(scene: Scene) -> dict[str, BodyFile]:
     """Return the URDF file of each rigid body of a scene, by its name.
 
     Raises:
-        UnsupportedSceneError: The scene has deformable bodies or tethers.
+        UnsupportedSceneError: The scene has deformable bodies or tethers, or a shape that is not written.
     """
     if scene.deformables:
         raise UnsupportedSceneError("URDF has no deformable bodies: export the scene as MJCF or USD")
@@ -171,7 +171,9 @@ def _geometry(shape: Shape, mesh: str) -> tuple[Vector, str, dict[str, str]]:
         return centre, "sphere", {"radius": _text((shape.radius_m,))}
     if isinstance(shape, Cylinder):
         return centre, "cylinder", {"radius": _text((shape.radius_m,)), "length": _text((shape.length_m,))}
-    return centre, "mesh", {"filename": mesh}
+    if isinstance(shape, ConvexUnion):
+        return centre, "mesh", {"filename": mesh}
+    raise UnsupportedSceneError(f"the writer of URDF has no {type(shape).__name__}: export the scene as MJCF")
 
 
 def _text(numbers: tuple[float, ...]) -> str:

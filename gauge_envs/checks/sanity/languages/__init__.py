@@ -8,13 +8,15 @@ from gauge_envs.checks.sanity.languages.isaac_lab import IsaacLab, IsaacLab3
 from gauge_envs.checks.sanity.languages.maniskill import ManiSkill
 from gauge_envs.checks.sanity.languages.mjcf import Mjcf
 from gauge_envs.checks.sanity.languages.mjlab import Mjlab
+from gauge_envs.checks.sanity.languages.newton import Newton
 from gauge_envs.checks.sanity.languages.playground import Playground
 from gauge_envs.checks.sanity.languages.toml import Toml
 
 __all__ = ["LANGUAGES", "Language", "language"]
 
 LANGUAGES: dict[str, Language] = {
-    one.name: one for one in (Toml(), Mjcf(), Playground(), Mjlab(), IsaacLab(), IsaacLab3(), IsaacGym(), ManiSkill())
+    one.name: one
+    for one in (Toml(), Mjcf(), Playground(), Mjlab(), IsaacLab(), IsaacLab3(), IsaacGym(), ManiSkill(), Newton())
 }
 """All languages by name."""
 

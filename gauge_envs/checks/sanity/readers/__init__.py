@@ -10,6 +10,7 @@ from gauge_envs.checks.sanity.readers.isaac_lab import ISAAC_LAB
 from gauge_envs.checks.sanity.readers.maniskill import MANISKILL
 from gauge_envs.checks.sanity.readers.mjlab import MJLAB, MJLAB_CFG, MJLAB_FILE
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
+from gauge_envs.checks.sanity.readers.newton_model import NEWTON_MODEL
 from gauge_envs.checks.sanity.readers.playground import PLAYGROUND, PLAYGROUND_ENV
 from gauge_envs.checks.sanity.readers.probe import PROBE_FILE
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
@@ -19,6 +20,7 @@ __all__ = ["READERS", "GeomPair", "Reader"]
 
 READERS: tuple[Reader, ...] = (
     MODEL_OBJECT,
+    NEWTON_MODEL,
     MANISKILL,
     MJX_MODEL,
     MUJOCO_WARP,
