@@ -153,8 +153,8 @@ def friction_of(read: TrainingConfiguration, geoms: str = "") -> float | None:
         read: The configuration.
         geoms: Geoms whose contacts are meant, among those on the ground; the most frequent ones when empty.
     """
-    if read.foot is not None:
-        return float(read.foot.mean_friction)
+    if read.foot_contact is not None:
+        return float(read.foot_contact.mean_friction)
     used = [group for group in read.contact_groups if group.is_used]
     chosen = [group for group in used if group.geoms == geoms] or used
     return float(chosen[0].constants["friction"][0]) if chosen else None

@@ -154,8 +154,8 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
-    if checked.foot is not None:
-        facts["foot on ground"] = checked.foot.text
+    if checked.foot_contact is not None:
+        facts["foot on ground"] = checked.foot_contact.text
     if checked.foot_geometry is not None:
         facts["foot"] = foot_text(checked.foot_geometry)
     for origin, settings in settings_by_origin(checked).items():

@@ -213,8 +213,8 @@ def _configuration(checked: TrainingConfiguration) -> str:
     facts = [("read from", checked.source), ("backend", checked.backend)]
     if checked.frame_skip is not None:
         facts.append(("one action", f"{checked.frame_skip} steps"))
-    if checked.foot is not None:
-        facts.append(("foot on ground", checked.foot.text))
+    if checked.foot_contact is not None:
+        facts.append(("foot on ground", checked.foot_contact.text))
     if checked.foot_geometry is not None:
         facts.append(("foot", foot_text(checked.foot_geometry)))
     parts = [_table(("what", "value"), facts)]

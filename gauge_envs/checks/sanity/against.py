@@ -198,18 +198,18 @@ class _Side:
 
     def stated_friction(self) -> float | None:
         """Return the sliding friction of a foot on the ground; None when the target states none."""
-        if self.configuration.foot is not None:
-            return self.configuration.foot.mean_friction
+        if self.configuration.foot_contact is not None:
+            return self.configuration.foot_contact.mean_friction
         used = [group.constants for group in self.configuration.contact_groups if group.is_used]
         return float(used[0]["friction"][0]) if used else None
 
     def foot_remark(self) -> str:
         """Return the materials that a foot meets; empty when the target states none."""
-        return "" if self.configuration.foot is None else self.configuration.foot.text
+        return "" if self.configuration.foot_contact is None else self.configuration.foot_contact.text
 
     def restitution(self, row: ChangeRow, value: float | None) -> float | None:
         """Return the restitution that a foot meets, from the rebound of a ball; None when unknown."""
-        foot = self.configuration.foot
+        foot = self.configuration.foot_contact
         if foot is None:
             return None
         if not any(foot.restitution):

@@ -115,7 +115,7 @@ class TrainingConfiguration:
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
         foot_geometry: Foot of the robot; None when the target has none, or does not state it.
         language: Name of the language in which changes are written; see `gauge_envs.checks.sanity.languages`.
-        foot: Friction and restitution that a foot meets, as the target's materials state them; None when unknown.
+        foot_contact: Friction and restitution that a foot meets, as the target's materials state them; None if unknown.
         capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
     """
 
@@ -133,7 +133,7 @@ class TrainingConfiguration:
     is_model: bool = False
     foot_geometry: FootGeometry | None = None
     language: str = "toml"
-    foot: FootContact | None = None
+    foot_contact: FootContact | None = None
     capacity: ContactCapacity | None = None
 
     @property

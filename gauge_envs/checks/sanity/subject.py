@@ -83,7 +83,7 @@ def _judged(
     """Return a phenomenon that applies with its sets; an impact is advisory unless the target states a constant."""
     if not phenomenon.is_impact:
         return Subject(phenomenon=phenomenon, sets=sets, advisory=phenomenon.advisory)
-    foot = configuration.foot
+    foot = configuration.foot_contact
     if foot is not None and not any(foot.restitution):
         return Subject(phenomenon=phenomenon, sets=sets, advisory="the target states a restitution of 0")
     stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}

@@ -125,9 +125,9 @@ def test_a_file_of_humanoidverse_is_read(tmp_path) -> None:
         "sustained_restitution": False,
     }
     assert found.origins["timestep_s"] == "1 / simulator.config.sim.fps"
-    assert found.foot is not None
-    assert found.foot.friction == (0.75, 1.125)
-    assert "robot 0.5 to 1.25 (domain_rand.friction_range), friction by average" in found.foot.text
+    assert found.foot_contact is not None
+    assert found.foot_contact.friction == (0.75, 1.125)
+    assert "robot 0.5 to 1.25 (domain_rand.friction_range), friction by average" in found.foot_contact.text
 
 
 def test_references_of_hydra_are_followed(tmp_path) -> None:
@@ -135,7 +135,7 @@ def test_references_of_hydra_are_followed(tmp_path) -> None:
     found = configuration(tmp_path / "resolved.yml")
     assert found.settings["timestep_s"] == pytest.approx(1 / 120)
     assert (found.frame_skip, found.settings["bounce_threshold_m_per_s"]) == (4, 0.2)
-    assert found.foot is not None and found.foot.mean_friction == 1.0
+    assert found.foot_contact is not None and found.foot_contact.mean_friction == 1.0
     with pytest.raises(TargetError, match="which Hydra fills in: give the file"):
         read(PROTOMOTIONS, fps="${oc.env:FPS}")
     with pytest.raises(TargetError, match=r"neither .*sim\.dt nor a positive"):
@@ -163,8 +163,11 @@ def test_a_task_of_isaac_gym_envs_is_read() -> None:
     found = configuration(task)
     assert (found.settings["timestep_s"], found.settings["solver"]) == (0.0083, "PGS")
     assert (found.frame_skip, found.gravity_m_per_s2) == (4, (0.0, 0.0, -9.81))
-    assert found.foot is not None
-    assert (found.foot.mean_friction, found.foot.mean_restitution) == (pytest.approx(0.8), pytest.approx(0.1))
+    assert found.foot_contact is not None
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (
+        pytest.approx(0.8),
+        pytest.approx(0.1),
+    )
     assert found.settings["sustained_restitution"] is True
 
 

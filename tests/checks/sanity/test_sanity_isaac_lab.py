@@ -85,13 +85,13 @@ def test_the_default_locomotion_task_is_read() -> None:
 
 
 def test_the_ranges_of_an_event_are_what_a_foot_meets() -> None:
-    foot = configuration(G1).foot
+    foot = configuration(G1).foot_contact
     assert foot is not None
     assert (foot.friction, foot.static_friction, foot.restitution) == ((0.6, 0.6), (0.8, 0.8), (0.0, 0.0))
     assert foot.text.endswith(
         "ground 1 (scene.terrain.physics_material) and robot 0.6 (events.physics_material), friction by multiply"
     )
-    drawn = read(events__physics_material__params__dynamic_friction_range=[0.3, 0.8]).foot
+    drawn = read(events__physics_material__params__dynamic_friction_range=[0.3, 0.8]).foot_contact
     assert drawn is not None
     assert drawn.friction == (0.3, 0.8) and drawn.mean_friction == pytest.approx(0.55)
     assert "friction 0.3 to 0.8" in drawn.text
@@ -115,18 +115,20 @@ def test_of_two_rules_the_one_of_higher_priority_combines(
         events=None,
         scene__terrain__physics_material=material(ground[1], ground[0]),
         scene__robot__spawn__physics_material=material(robot[1], robot[0]),
-    ).foot
+    ).foot_contact
     assert found is not None
     assert found.mean_friction == pytest.approx(friction)
 
 
 def test_a_floor_without_a_material_is_that_of_the_engine() -> None:
     found = read(events=None, scene__terrain__physics_material=None, sim__physics_material=None)
-    assert found.foot is not None
-    assert (found.foot.mean_friction, found.foot.mean_restitution) == (0.5, pytest.approx(0.4))
-    assert "Isaac Sim's default ground plane" in found.foot.source
+    assert found.foot_contact is not None
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (0.5, pytest.approx(0.4))
+    assert "Isaac Sim's default ground plane" in found.foot_contact.source
     # A generated terrain is a mesh, which gets the default material of the simulation.
-    mesh = read(events=None, scene__terrain__physics_material=None, scene__terrain__terrain_type="generator").foot
+    mesh = read(
+        events=None, scene__terrain__physics_material=None, scene__terrain__terrain_type="generator"
+    ).foot_contact
     assert mesh is not None
     assert (mesh.mean_friction, mesh.mean_restitution) == (1.0, 0.0)
 
@@ -135,8 +137,8 @@ def test_a_ground_plane_of_a_manipulation_task_is_found() -> None:
     plane = {"spawn": {"func": "isaaclab.sim.spawners.from_files.from_files:spawn_ground_plane"}}
     plane["spawn"]["physics_material"] = material(0.7, "average")  # type: ignore[assignment]
     found = read(events=None, scene__terrain=None, scene__plane=plane, sim__physics_material=material(0.3, "average"))
-    assert found.foot is not None
-    assert found.foot.mean_friction == pytest.approx(0.5)
+    assert found.foot_contact is not None
+    assert found.foot_contact.mean_friction == pytest.approx(0.5)
     nothing = read(events=None, scene__terrain=None)
     assert any("no ground is found" in note for note in nothing.notes)
 
@@ -229,7 +231,7 @@ def test_the_older_namespace_and_its_keys_are_read() -> None:
     older["sim"]["physx"]["use_gpu"] = True
     found = isaac_lab_configuration(older, name="env.yaml", source="test")
     assert found.settings == configuration(G1).settings
-    assert found.foot == configuration(G1).foot
+    assert found.foot_contact == configuration(G1).foot_contact
     assert found.notes == configuration(G1).notes
 
 

@@ -171,8 +171,8 @@ def test_a_sim_config_is_read() -> None:
         "angular_damping_per_s": 0.05,
         "sustained_restitution": False,
     }
-    assert found.foot is not None
-    assert (found.foot.mean_friction, found.foot.mean_restitution) == (pytest.approx(0.3), 0.0)
+    assert found.foot_contact is not None
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (pytest.approx(0.3), 0.0)
 
 
 def test_damping_of_links_is_what_sapien_starts_with() -> None:

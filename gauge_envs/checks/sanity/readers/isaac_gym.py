@@ -87,7 +87,7 @@ def isaac_gym_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
         language="isaac_gym",
         gravity_m_per_s2=_gravity(sim),
         frame_skip=None if decimation is None else decimation * substeps,
-        foot=foot,
+        foot_contact=foot,
     )
 
 

@@ -118,7 +118,7 @@ def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
         language="isaac_lab" if physx.path.endswith("physx") else "isaac_lab_3",
         gravity_m_per_s2=sim.numbers("gravity", 3),
         frame_skip=table.whole("decimation"),
-        foot=contact,
+        foot_contact=contact,
         inapplicable=_inapplicable(table, ground, foot),
     )
 

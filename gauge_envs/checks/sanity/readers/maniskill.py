@@ -110,7 +110,7 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
         language="maniskill",
         gravity_m_per_s2=scene.numbers("gravity", 3),
         frame_skip=None if not control or control < 0.0 else round(rate / control),
-        foot=foot,
+        foot_contact=foot,
     )
 
 

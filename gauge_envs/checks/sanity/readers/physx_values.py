@@ -75,7 +75,7 @@ class PhysxValues:
         language: str,
         gravity_m_per_s2: tuple[float, ...] | None,
         frame_skip: int | None,
-        foot: FootContact,
+        foot_contact: FootContact,
         inapplicable: Mapping[Need, str] | None = None,
     ) -> TrainingConfiguration:
         """Return the configuration, after a trial of its settings.
@@ -110,7 +110,7 @@ class PhysxValues:
             inapplicable=reasons,
             gravity_m_per_s2=None if gravity_m_per_s2 is None else (x, y, z),
             language=language,
-            foot=foot,
+            foot_contact=foot_contact,
         )
 
 
