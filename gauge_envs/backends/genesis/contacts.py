@@ -1,0 +1,159 @@
+"""Constants of contacts between rigid bodies, and the collision bits that let each pair collide with its own.
+
+Genesis takes the larger friction of two geoms, and the mean of their constraint constants. A body has one geom for each
+set of constants in its contacts. Both geoms of a pair have the same constants, so both rules give these constants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from math import pi, sqrt
+
+from scipy.optimize import brentq
+
+from gauge_envs.backends.genesis.settings import SettingsGenesis
+from gauge_envs.scene import Contact, ContactMode, Scene
+
+__all__ = ["CONTACT_LIMIT", "MIN_FRICTION", "Constants", "Layer", "layers_of_bodies", "unsupported_contacts"]
+
+CONTACT_LIMIT = 30
+"""Largest number of contacts of a scene: each needs a bit of Genesis's collision masks."""
+
+MIN_FRICTION = 0.01
+"""Genesis raises the friction of each contact to this value."""
+
+MAX_FRICTION = 5.0
+"""Largest friction that Genesis's materials take."""
+
+IMPEDANCE_SHAPE = (0.5, 2.0)
+"""Midpoint and power of the impedance curve; they have no effect on a constant impedance."""
+
+PHASES = 16
+"""Number of moments within a step at which an impact may start, over which its restitution is averaged."""
+
+MAX_DAMPING = 0.999
+"""Largest damping ratio of an impact; a critically damped one has a restitution of almost 0."""
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Constants of a contact, as geoms hold them.
+
+    Attributes:
+        friction: Coulomb's coefficient.
+        solref: Time constant [s] and damping ratio.
+        solimp: Impedance: least, greatest, width [m], midpoint, power.
+    """
+
+    friction: float
+    solref: tuple[float, float]
+    solimp: tuple[float, ...]
+
+
+@dataclass
+class Layer:
+    """Collision bits of a geom: two geoms collide if one offers a bit that the other accepts."""
+
+    offers: int = 0
+    accepts: int = 0
+
+
+def layers_of_bodies(scene: Scene, settings: SettingsGenesis) -> dict[str, dict[Constants, Layer]]:
+    """Return the geoms that each body needs, by name, as its constants of contacts and their collision bits."""
+    bodies = {body.name for body in scene.bodies}
+    found: dict[str, dict[Constants, Layer]] = {}
+    for number, contact in enumerate(_rigid_contacts(scene)):
+        constants, bit = _constants(contact, settings), 1 << number
+        for name in bodies & set(contact.first):
+            found.setdefault(name, {}).setdefault(constants, Layer()).offers |= bit
+        for name in bodies & set(contact.second):
+            found.setdefault(name, {}).setdefault(constants, Layer()).accepts |= bit
+    return {body.name: found[body.name] for body in scene.bodies if body.name in found}
+
+
+def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
+    """Yield the contacts in which two rigid bodies may collide."""
+    bodies = {body.name for body in scene.bodies}
+    for contact in scene.contacts:
+        if any(bodies.issuperset(pair) for pair in scene.colliding_pairs(contact)):
+            yield contact
+
+
+def _constants(contact: Contact, settings: SettingsGenesis) -> Constants:
+    if contact.mode is ContactMode.IMPACT and settings.impact_steps is not None:
+        damping = damping_ratio(contact.restitution, settings.impact_steps)
+        frequency = pi / (settings.impact_steps * settings.timestep_s)
+        impedance = settings.impact_impedance
+        return Constants(
+            contact.friction, (1.0 / (damping * frequency), damping), (impedance, impedance, 0.001, *IMPEDANCE_SHAPE)
+        )
+    return Constants(
+        contact.friction,
+        (settings.sustained_timeconst_s, settings.sustained_dampratio),
+        (*settings.sustained_impedance, *IMPEDANCE_SHAPE),
+    )
+
+
+@cache
+def damping_ratio(restitution: float, steps: int) -> float:
+    """Return the damping ratio with which a damped spring that only pushes has a restitution.
+
+    Genesis's contact force accelerates a body by -2 z w v - w^2 x at the depth x and the speed v, and only pushes. With
+    the angular frequency w = pi / (steps h), half a period without damping lasts `steps` steps.
+
+    Args:
+        restitution: Ratio of outgoing to incoming speed, at least 0.
+        steps: Steps of half a period.
+    """
+    least, greatest = 1e-6, MAX_DAMPING
+    if _rebound(least, steps) <= restitution:
+        return least
+    if _rebound(greatest, steps) >= restitution:
+        return greatest
+    return float(brentq(lambda damping: _rebound(damping, steps) - restitution, least, greatest, xtol=1e-10))
+
+
+def _rebound(damping: float, steps: int) -> float:
+    """Return the restitution of the spring in steps, the mean over the moments at which an impact may start."""
+    frequency, total = pi / steps, 0.0
+    for phase in range(PHASES):
+        speed, depth = 1.0, (phase + 0.5) / PHASES
+        while depth > 0.0:
+            push = 2.0 * damping * frequency * speed + frequency**2 * depth
+            if push <= 0.0:
+                break
+            speed -= push
+            depth += speed
+        total -= speed
+    return total / PHASES
+
+
+def continuous_rebound(damping: float) -> float:
+    """Return the restitution of a damped spring that only pushes, for infinitely short steps."""
+    from math import atan2, exp
+
+    root = sqrt(1.0 - damping**2)
+    return exp(-damping / root * atan2(2.0 * damping * root, 2.0 * damping**2 - 1.0))
+
+
+def unsupported_contacts(scene: Scene) -> Iterator[str]:
+    """Yield one sentence for each kind of contact between rigid bodies that Genesis cannot take."""
+    contacts = list(_rigid_contacts(scene))
+    for contact in contacts:
+        if not MIN_FRICTION <= contact.friction <= MAX_FRICTION:
+            yield (
+                f"{contact.first[0]!r} and {contact.second[0]!r} touch with a friction of {contact.friction:.6g}: "
+                f"Genesis raises the friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}"
+            )
+            break
+    for contact in contacts:
+        if contact.mode is ContactMode.IMPACT and contact.restitution > 1.0:
+            yield (
+                f"{contact.first[0]!r} and {contact.second[0]!r} rebound with a restitution of "
+                f"{contact.restitution:.6g}: the damped spring that stands for it reaches 1"
+            )
+            break
+    if len(contacts) > CONTACT_LIMIT:
+        yield f"the scene has {len(contacts)} contacts: Genesis's collision masks hold {CONTACT_LIMIT}; join groups"
