@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from gauge_envs.checks.sanity.languages.base import Language
+from gauge_envs.checks.sanity.languages.genesis import GenesisPython
 from gauge_envs.checks.sanity.languages.mjcf import Mjcf
 from gauge_envs.checks.sanity.languages.toml import Toml
 
 __all__ = ["LANGUAGES", "Language", "language"]
 
-LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf())}
+LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf(), GenesisPython())}
 """All languages by name."""
 
 
