@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-gs = pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
+pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
+import genesis as gs
 import torch
 
 from gauge_envs.backends.genesis.engine import EngineLease
@@ -106,13 +107,13 @@ def test_changes_can_be_pasted(engine) -> None:
     text = LANGUAGE.paste_text({"timestep_s": 0.001, "friction_cone": "elliptic", "iterations": 100})
     simulation, _, rigid = text.partition(" and ")
     names = {"gs": gs}
-    assert eval(f"dict({simulation})", names)["sim_options"].dt == 0.001  # noqa: S307
-    options = eval(f"dict({rigid})", names)["rigid_options"]  # noqa: S307
+    assert eval(f"dict({simulation})", names)["sim_options"].dt == 0.001
+    options = eval(f"dict({rigid})", names)["rigid_options"]
     assert options.iterations == 100 and options.friction_cone == gs.friction_cone.elliptic
     scene = ball_scene()
     scene.build()
     constants = LANGUAGE.paste_text({"sustained_timeconst_s": 0.03, "sustained_impedance": (0.95, 0.95, 0.001)})
-    exec(constants, {"scene": scene, "torch": torch})  # noqa: S102
+    exec(constants, {"scene": scene, "torch": torch})
     pasted = np.asarray(scene.rigid_solver.get_sol_params()).reshape(-1, 7)
     scene.destroy()
     assert pasted[:, 0] == pytest.approx(0.03) and pasted[:, 2:4] == pytest.approx(0.95)
