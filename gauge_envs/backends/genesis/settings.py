@@ -41,6 +41,7 @@ class SettingsGenesis(SteppedSettings):
             gives the fastest fall, start or driver of the scene, to two digits.
         impact_impedance: Impedance of impacts, constant in depth; Genesis takes 0.0001 to 0.9999.
         kinematic_mass_kg: Mass of a driven body, so large that contacts do not slow it between two drives.
+        hinge_armature_kg_m2: Rotor inertia of each hinge, on top of the body's. Genesis gives hinges that state none 0.1.
         tether_rate: Natural frequency of a taut string times the step; a string is a spring with critical damping.
     """
 
@@ -66,6 +67,7 @@ class SettingsGenesis(SteppedSettings):
     impact_speed_m_per_s: float | None = Field(default=None, gt=0.0)
     impact_impedance: float = Field(default=0.9999, ge=1e-4, le=0.9999)
     kinematic_mass_kg: float = Field(default=1e3, gt=0.0)
+    hinge_armature_kg_m2: float = Field(default=0.0, ge=0.0)
     tether_rate: float = Field(default=0.5, gt=0.0, le=1.0)
 
     @model_validator(mode="after")
@@ -93,6 +95,7 @@ OUT_OF_BOX = SettingsGenesis(
     sustained_timeconst_s=2 / 180,
     sustained_impedance=(0.9, 0.95, 0.001),
     impact_steps=None,
+    hinge_armature_kg_m2=0.1,
 )
 
 PRESETS: dict[str, SettingsGenesis] = {
