@@ -25,7 +25,7 @@ PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
 
 NEIGHBOURS = 8
-"""Pairs that each convex piece of a scene with many bodies may form at a time. Genesis stops with an error beyond it."""
+"""Pairs that each convex piece of a scene with many bodies may form at a time. Genesis raises an error beyond it."""
 
 
 @dataclass(frozen=True)
