@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gauge_envs.checks.sanity.languages.base import Language
+from gauge_envs.checks.sanity.languages.genesis import GenesisPython
 from gauge_envs.checks.sanity.languages.isaac_gym import IsaacGym
 from gauge_envs.checks.sanity.languages.isaac_lab import IsaacLab, IsaacLab3
 from gauge_envs.checks.sanity.languages.maniskill import ManiSkill
@@ -16,7 +17,18 @@ __all__ = ["LANGUAGES", "Language", "language"]
 
 LANGUAGES: dict[str, Language] = {
     one.name: one
-    for one in (Toml(), Mjcf(), Playground(), Mjlab(), IsaacLab(), IsaacLab3(), IsaacGym(), ManiSkill(), Newton())
+    for one in (
+        Toml(),
+        Mjcf(),
+        GenesisPython(),
+        Playground(),
+        Mjlab(),
+        IsaacLab(),
+        IsaacLab3(),
+        IsaacGym(),
+        ManiSkill(),
+        Newton(),
+    )
 }
 """All languages by name."""
 

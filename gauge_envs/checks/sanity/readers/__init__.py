@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gauge_envs.checks.sanity.readers.batched_model import MJX_MODEL, MUJOCO_WARP
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
+from gauge_envs.checks.sanity.readers.genesis import GENESIS_OPTIONS, GENESIS_SCENE
 from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
 from gauge_envs.checks.sanity.readers.isaac_gym import ISAAC_GYM
 from gauge_envs.checks.sanity.readers.isaac_lab import ISAAC_LAB
@@ -32,6 +33,9 @@ READERS: tuple[Reader, ...] = (
     MJLAB,
     MJLAB_FILE,
     MODEL_FILE,
+    GENESIS_SCENE,
+    # Before settings files, which take every JSON file.
+    GENESIS_OPTIONS,
     PROBE_FILE,
     SETTINGS_FILE,
     BACKEND,

@@ -1,0 +1,56 @@
+"""Presets of the Genesis backend, and the choice of one for a scene.
+
+The content of a scene determines its preset; scores have no influence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gauge_envs.backends.genesis.contacts import is_frictionless
+from gauge_envs.backends.genesis.deformables import deformable_presets
+from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis
+from gauge_envs.backends.settings import resolve_settings
+from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.scene import ContactMode, Scene
+
+__all__ = ["presets_for", "settings_for"]
+
+FRICTIONLESS_IMPRATIO = 1e-9
+"""Ratio of frictional to normal impedance in scenes without friction. Signorini contacts keep their normal force."""
+
+STACK_BODIES = 20
+"""Number of dynamic bodies from which on a rigid scene has the preset `stack`."""
+
+
+def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
+    """Return the presets of a scene by name. Scenes with deformable bodies have presets of their solvers."""
+    return deformable_presets(scene) if scene.deformables else PRESETS
+
+
+def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsGenesis:
+    """Return the settings of a scene: its preset with a user's changes.
+
+    Raises:
+        UnknownNameError: The preset does not exist.
+        ParameterError: A setting does not exist or has an invalid value.
+    """
+    settings = resolve_settings("Genesis", presets_for(scene), preset=_preset_name(scene), changes=changes)
+    if settings.impact_speed_m_per_s is None:
+        settings = settings.model_copy(update={"impact_speed_m_per_s": float(f"{impact_speed_m_per_s(scene):.2g}")})
+    if "impratio" not in (changes or {}) and settings.friction_cone == "elliptic" and is_frictionless(scene):
+        return settings.model_copy(update={"impratio": FRICTIONLESS_IMPRATIO})
+    return settings
+
+
+def _preset_name(scene: Scene) -> str:
+    if scene.deformables:
+        return "default"
+    if not scene.contacts:
+        return "contact_free"
+    if len(scene.dynamic_bodies) >= STACK_BODIES:
+        return "stack"
+    if scene.has_impact_chain:
+        return "impact_chain"
+    return "impact" if all(contact.mode is ContactMode.IMPACT for contact in scene.contacts) else "default"
