@@ -15,7 +15,7 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
-DISTRIBUTION = {"pydrake": "drake", "pxr": "usd-core", "warp": "warp-lang"}
+DISTRIBUTION = {"genesis": "genesis-world", "pydrake": "drake", "pxr": "usd-core", "warp": "warp-lang"}
 """Distributions whose module has another name."""
 
 INDIRECT = {
@@ -24,6 +24,7 @@ INDIRECT = {
     "newton-usd-schemas": "Newton's USD importer imports it",
     "packaging": "Gymnasium's MuJoCo environments import it",
     "moviepy": "Gymnasium's RecordVideo imports it",
+    "torch": "Genesis imports it, and leaves the choice of a build to its users",
 }
 """Declared, and not imported by this package's own modules: the reason for each."""
 
@@ -95,6 +96,7 @@ def test_extras_are_imported_at_first_use() -> None:
     at_once = {file: names & extras for file, (_, names) in FILES.items() if names & extras}
     own = (
         "backends/drake/",
+        "backends/genesis/",
         "backends/newton/",
         "backends/physx/",
         "backends/pybullet/",

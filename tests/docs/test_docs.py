@@ -243,7 +243,7 @@ def test_no_public_name_is_on_the_pages_twice() -> None:
     assert [name for (_, name), count in Counter(objects).items() if count > 1] == []
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "drake", "newton", "physx", "pybullet", "rapier"])
+@pytest.mark.parametrize("engine", ["mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"])
 def test_the_page_of_an_engine_lists_its_presets(engine: str) -> None:
     presets = importlib.import_module(f"gauge_envs.backends.{engine}.settings").PRESETS
     page = (DOCS / "engines" / f"{engine}.md").read_text(encoding="utf-8")

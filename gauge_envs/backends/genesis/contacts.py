@@ -9,14 +9,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from math import pi, sqrt
+from math import pi
 
 from scipy.optimize import brentq
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.scene import Contact, ContactMode, Scene
 
-__all__ = ["CONTACT_LIMIT", "MIN_FRICTION", "Constants", "Layer", "layers_of_bodies", "unsupported_contacts"]
+__all__ = [
+    "CONTACT_LIMIT",
+    "MIN_FRICTION",
+    "Constants",
+    "Layer",
+    "is_frictionless",
+    "layers_of_bodies",
+    "unsupported_contacts",
+]
 
 CONTACT_LIMIT = 30
 """Largest number of contacts of a scene: each needs a bit of Genesis's collision masks."""
@@ -33,8 +41,8 @@ IMPEDANCE_SHAPE = (0.5, 2.0)
 PHASES = 16
 """Number of moments within a step at which an impact may start, over which its restitution is averaged."""
 
-MAX_DAMPING = 0.999
-"""Largest damping ratio of an impact; a critically damped one has a restitution of almost 0."""
+MAX_STEP_DAMPING = 0.9
+"""Largest share of its speed that an impact loses in a step. Genesis raises time constants that mean more than 1."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +115,7 @@ def damping_ratio(restitution: float, steps: int) -> float:
         restitution: Ratio of outgoing to incoming speed, at least 0.
         steps: Steps of half a period.
     """
-    least, greatest = 1e-6, MAX_DAMPING
+    least, greatest = 1e-6, MAX_STEP_DAMPING * steps / (2.0 * pi)
     if _rebound(least, steps) <= restitution:
         return least
     if _rebound(greatest, steps) >= restitution:
@@ -126,26 +134,26 @@ def _rebound(damping: float, steps: int) -> float:
                 break
             speed -= push
             depth += speed
-        total -= speed
+        total -= min(speed, 0.0)
     return total / PHASES
 
 
-def continuous_rebound(damping: float) -> float:
-    """Return the restitution of a damped spring that only pushes, for infinitely short steps."""
-    from math import atan2, exp
-
-    root = sqrt(1.0 - damping**2)
-    return exp(-damping / root * atan2(2.0 * damping * root, 2.0 * damping**2 - 1.0))
+def is_frictionless(scene: Scene) -> bool:
+    """Return whether rigid bodies touch, and no contact between them has friction."""
+    frictions = [contact.friction for contact in _rigid_contacts(scene)]
+    return bool(frictions) and not any(frictions)
 
 
-def unsupported_contacts(scene: Scene) -> Iterator[str]:
+def unsupported_contacts(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
     """Yield one sentence for each kind of contact between rigid bodies that Genesis cannot take."""
     contacts = list(_rigid_contacts(scene))
+    is_smooth = is_frictionless(scene) and settings.friction_cone == "elliptic"
     for contact in contacts:
-        if not MIN_FRICTION <= contact.friction <= MAX_FRICTION:
+        if not (is_smooth or MIN_FRICTION <= contact.friction <= MAX_FRICTION):
             yield (
                 f"{contact.first[0]!r} and {contact.second[0]!r} touch with a friction of {contact.friction:.6g}: "
-                f"Genesis raises the friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}"
+                f"Genesis raises the friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}. "
+                "This backend builds scenes in which no contact has friction, with the elliptic cone"
             )
             break
     for contact in contacts:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import io
 import logging
 import os
 import sys
@@ -30,8 +29,10 @@ PATIENCE_S = 5.0
 def engine() -> Any:
     """Return the module `genesis`. Its import takes 4 s; it neither prints nor replaces the hook of exceptions."""
     hook = sys.excepthook
+    # Otherwise the compiler prints a line about any stdout but that of the process.
+    os.environ.setdefault("QD_ENABLE_PYBUF", "0")
     try:
-        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             import genesis
     finally:

@@ -171,7 +171,11 @@ def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, parts: Sequ
 
 def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
     gs = engine()
+    collides = bool(layers_of_bodies(scene, settings)) or bool(scene.deformables)
     return gs.options.RigidOptions(
+        # Scenes without contact then advance in fewer kernels.
+        enable_collision=collides,
+        disable_constraint=not collides,
         integrator=getattr(gs.integrator, settings.integrator),
         constraint_solver=getattr(gs.constraint_solver, settings.constraint_solver),
         iterations=settings.iterations,

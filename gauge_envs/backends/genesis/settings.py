@@ -1,4 +1,4 @@
-"""Numerical settings of the Genesis backend."""
+"""Numerical settings of the Genesis backend, and the presets of rigid scenes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from gauge_envs.backends.settings import SteppedSettings
 
-__all__ = ["SettingsGenesis"]
+__all__ = ["PRESETS", "SettingsGenesis"]
 
 
 class SettingsGenesis(SteppedSettings):
@@ -26,7 +26,8 @@ class SettingsGenesis(SteppedSettings):
         friction_cone: `elliptic`, the exact cone, or `pyramidal`.
         contact_resolution: `signorini` bounds friction by the normal force; `convex` lets sliding raise that force.
             The pyramidal cone needs `convex`.
-        impratio: Ratio of frictional to normal constraint impedance.
+        impratio: Ratio of frictional to normal constraint impedance. Scenes whose contacts all lack friction have 1e-9:
+            Genesis has no contact without friction, and friction is then too soft to act.
         pruning_tolerance: Share of a contact patch by which points may be left out; None keeps all points.
         multi_contact: Find several contact points of a pair of convex shapes.
         box_box_detection: Use Genesis's own detection of contacts between boxes.
@@ -56,10 +57,10 @@ class SettingsGenesis(SteppedSettings):
     multi_contact: bool = True
     box_box_detection: bool = False
     gjk: bool = False
-    sustained_timeconst_s: float = Field(default=0.01, gt=0.0)
+    sustained_timeconst_s: float = Field(default=0.002, gt=0.0)
     sustained_dampratio: float = Field(default=1.0, gt=0.0)
     sustained_impedance: tuple[float, float, float] = (0.95, 0.95, 0.001)
-    impact_steps: int | None = Field(default=20, ge=6)
+    impact_steps: int | None = Field(default=40, ge=6)
     impact_impedance: float = Field(default=0.9999, ge=1e-4, le=0.9999)
     kinematic_mass_kg: float = Field(default=1e3, gt=0.0)
     tether_rate: float = Field(default=0.5, gt=0.0, le=1.0)
@@ -73,3 +74,32 @@ class SettingsGenesis(SteppedSettings):
         if self.constraint_solver == "CG" and self.contact_resolution == "signorini":
             raise ValueError("contact_resolution must be 'convex' with constraint_solver 'CG'")
         return self
+
+
+OUT_OF_BOX = SettingsGenesis(
+    preset="out_of_box",
+    timestep_s=1 / 180,
+    precision=32,
+    iterations=25,
+    tolerance=1e-5,
+    friction_cone="pyramidal",
+    contact_resolution="convex",
+    impratio=1.0,
+    pruning_tolerance=0.02,
+    # Twice the step: Genesis raises its default of 0.01 s to it.
+    sustained_timeconst_s=2 / 180,
+    sustained_impedance=(0.9, 0.95, 0.001),
+    impact_steps=None,
+)
+
+PRESETS: dict[str, SettingsGenesis] = {
+    "default": SettingsGenesis(preset="default", timestep_s=1 / 9000),
+    # Impacts alone: half the step and longer springs, so that a rebound depends less on the moment of its start.
+    "impact": SettingsGenesis(preset="impact", timestep_s=1 / 18000, impact_steps=60),
+    "contact_free": SettingsGenesis(preset="contact_free", timestep_s=1 / 1800),
+    "stack": SettingsGenesis(preset="stack", timestep_s=1 / 900, sustained_timeconst_s=0.005),
+    # Genesis's defaults at the rate of the paper's rigid runs; only masses, shapes and friction come from the scene.
+    "out_of_box": OUT_OF_BOX,
+    # The paper states 180 Hz, and that all settings but the physical parameters are defaults.
+    "paper": OUT_OF_BOX.model_copy(update={"preset": "paper"}),
+}

@@ -39,5 +39,5 @@ def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[st
             motion = scene.body(joint.body).motion.value
             yield f"{joint.body!r} hangs on a {type(joint).__name__} and is {motion}: only dynamic bodies have joints"
             break
-    yield from unsupported_contacts(scene)
+    yield from unsupported_contacts(scene, settings)
     yield from unsupported_deformables(scene, settings)

@@ -1,0 +1,359 @@
+"""The Genesis backend against closed forms, its repeatability, and what it declines."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gauge_envs import load_experiment
+from gauge_envs.errors import BackendError, ParameterError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Box,
+    Contact,
+    ContactMode,
+    Cylinder,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+    Tether,
+)
+
+pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
+
+from gauge_envs.backends import backend
+from gauge_envs.backends.genesis.contacts import CONTACT_LIMIT, damping_ratio
+from gauge_envs.backends.genesis.model import forget_models
+from gauge_envs.backends.genesis.presets import settings_for
+from gauge_envs.backends.genesis.settings import PRESETS
+
+GENESIS = backend("genesis")
+G = GRAVITY_M_PER_S2
+FRICTION = 0.273673
+SLOPE = Rotation.from_euler("y", 30, degrees=True)
+SLIDE_M_PER_S2 = G * (np.sin(np.pi / 6) - FRICTION * np.cos(np.pi / 6))
+FAST = {"timestep_s": 1 / 1800}
+
+
+def solid(name: str, shape: object, position_m: tuple = (0.0, 0.0, 0.0), **changes) -> RigidBody:
+    values = {"motion": Motion.DYNAMIC, "pose": Pose(position_m=position_m), "mass_kg": 0.1} | changes
+    return RigidBody(name=name, shape=shape, **values)
+
+
+GROUND = solid("ground", Plane(), motion=Motion.FIXED, mass_kg=0.0)
+
+
+def touching(first: str, second: str, friction: float = 0.3, **changes) -> Contact:
+    return Contact(**{"first": (first,), "second": (second,), "friction": friction, "restitution": 0.0} | changes)
+
+
+def sliding_scene() -> Scene:
+    def on_slope(position_m: tuple) -> Pose:
+        return Pose.from_rotation(tuple(SLOPE.apply(position_m).tolist()), SLOPE)
+
+    board = solid("board", Box(size_m=(2.0, 0.3, 0.02)), motion=Motion.FIXED, pose=on_slope((0, 0, -0.01)))
+    cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), pose=on_slope((0, 0, 0.025)))
+    return Scene(bodies=(board, cube), contacts=(touching("cube", "board", FRICTION),), duration_s=1.0)
+
+
+def slide(**settings) -> tuple[float, float]:
+    """Acceleration over Coulomb's, and highest rise of a cube over its board [m], in 0.3 s."""
+    simulation = GENESIS.build(sliding_scene(), FAST | settings)
+    places = []
+    for _ in range(55):
+        places.append(SLOPE.inv().apply(simulation.body_states(["cube"])[0, :3]))
+        simulation.advance(1 / 180)
+    simulation.close()
+    along = np.array(places)
+    acceleration = 2.0 * np.polyfit(np.arange(55) / 180, along[:, 0], 2)[0]
+    return acceleration / SLIDE_M_PER_S2, float(along[:, 2].max() - 0.025)
+
+
+# --- friction --------------------------------------------------------------------------------------------------------
+
+
+def test_signorini_contacts_slide_by_coulombs_law() -> None:
+    ratio, rise_m = slide()
+    assert ratio == pytest.approx(1.0, abs=1e-4)
+    assert rise_m < 1e-6
+
+
+def test_convex_contacts_lift_a_sliding_box() -> None:
+    ratio, rise_m = slide(contact_resolution="convex")
+    assert 1e-3 < ratio - 1.0 < 1e-2
+    assert rise_m > 1e-4
+
+
+def test_pairs_of_one_body_have_their_own_friction() -> None:
+    frictions = {"rough": 0.4, "smooth": 0.1}
+    bodies = tuple(
+        solid(
+            name,
+            Box(size_m=(0.05, 0.05, 0.05)),
+            (0.2 * index, 0.0, 0.025),
+            linear_velocity_m_per_s=(0.0, 1.0, 0.0),
+        )
+        for index, name in enumerate(frictions)
+    )
+    contacts = tuple(touching(name, "ground", value) for name, value in frictions.items())
+    simulation = GENESIS.build(Scene(bodies=(GROUND, *bodies), contacts=contacts, duration_s=1.0), FAST)
+    simulation.advance(9 / 180)
+    before = simulation.body_states(list(frictions))[:, 8]
+    simulation.advance(9 / 180)
+    slowed = (before - simulation.body_states(list(frictions))[:, 8]) / 0.05
+    simulation.close()
+    assert slowed == pytest.approx([value * G for value in frictions.values()], rel=2e-3)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.0099, 5.1])
+def test_friction_that_genesis_would_change_is_declined(friction: float) -> None:
+    scene = replace(sliding_scene(), contacts=(touching("cube", "board", friction),))
+    (reason,) = GENESIS.supports(scene).missing
+    assert "raises the friction of each contact to 0.01" in reason
+    with pytest.raises(UnsupportedSceneError, match="'cube' and 'board'"):
+        GENESIS.build(scene)
+
+
+# --- impacts ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
+def test_the_damping_ratio_is_that_of_a_spring_that_only_pushes(restitution: float) -> None:
+    # Continuous time: exp(-z / sqrt(1 - z^2) * (angle at which the force vanishes)).
+    ratio = damping_ratio(restitution, 2000)
+    root = np.sqrt(1.0 - ratio**2)
+    ending = np.arctan2(2.0 * ratio * root, 2.0 * ratio**2 - 1.0)
+    assert np.exp(-ratio / root * ending) == pytest.approx(restitution, abs=2e-3)
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
+def test_a_ball_rebounds_with_its_restitution(restitution: float) -> None:
+    ball = solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.13), linear_velocity_m_per_s=(0.0, 0.0, -2.0))
+    contact = touching("ball", "ground", 0.5, restitution=restitution, mode=ContactMode.IMPACT)
+    scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.2, gravity_m_per_s2=1e-9)
+    simulation = GENESIS.build(scene)
+    for _ in range(18):
+        simulation.advance(1 / 180)
+    outgoing = simulation.body_states(["ball"])[0, 9]
+    simulation.close()
+    assert outgoing / 2.0 == pytest.approx(restitution, abs=0.01)
+
+
+def test_impacts_without_the_recipe_have_no_restitution() -> None:
+    ball = solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.13), linear_velocity_m_per_s=(0.0, 0.0, -2.0))
+    contact = touching("ball", "ground", 0.5, restitution=0.9, mode=ContactMode.IMPACT)
+    scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.2)
+    simulation = GENESIS.build(scene, {"impact_steps": None})
+    simulation.advance(18 / 180)
+    outgoing = simulation.body_states(["ball"])[0, 9]
+    simulation.close()
+    assert outgoing < 0.3
+
+
+# --- driven bodies and joints ----------------------------------------------------------------------------------------
+
+
+def test_a_driven_plate_carries_a_cube() -> None:
+    plate = solid("plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC)
+    cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.535))
+    scene = Scene(bodies=(plate, cube), contacts=(touching("cube", "plate", 0.4),), duration_s=1.0)
+    simulation = GENESIS.build(scene, FAST)
+    pose, velocity = plate.pose, np.zeros(6)
+    for _ in range(45):
+        simulation.drive("plate", pose, velocity, np.array([2.0, 0, 0, 0, 0, 0]))
+        simulation.advance(1 / 180)
+        state = simulation.body_states(["plate", "cube"])
+        pose, velocity = Pose(position_m=tuple(state[0, :3])), state[0, 7:]
+    simulation.close()
+    assert state[0, 0] == pytest.approx(0.0625, abs=1e-12)
+    assert abs(state[1, 0] - state[0, 0]) < 5e-5
+
+
+def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval() -> None:
+    plate = solid("plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC)
+    simulation = GENESIS.build(Scene(bodies=(plate,), duration_s=1.0), FAST)
+    velocity, acceleration = np.array([0.1, 0, 0, 0, 0, 1.0]), np.array([2.0, 0, -1.0, 0, 0, 3.0])
+    simulation.drive("plate", plate.pose, velocity, acceleration)
+    simulation.advance(1 / 180)
+    place = simulation._model.places["plate"]
+    coordinates = simulation._model.solver.get_qpos().numpy()[0]
+    end = simulation.body_states(["plate"])[0]
+    simulation.close()
+    assert coordinates[place.coordinates : place.coordinates + 7] == pytest.approx(end[:7], abs=1e-9)
+    assert end[0] == pytest.approx(0.1 / 180 + 1 / 180**2)
+
+
+def test_a_tether_only_pulls() -> None:
+    ball = solid("ball", Sphere(radius_m=0.03), (0.4, 0.0, 1.0))
+    scene = Scene(bodies=(ball,), joints=(Tether(body="ball", anchor_m=(0.0, 0.0, 1.0), length_m=0.5),), duration_s=1.0)
+    simulation = GENESIS.build(scene)
+    distances = []
+    for step in range(60):
+        simulation.advance(1 / 180)
+        position = simulation.body_states(["ball"])[0, :3]
+        distances.append(np.linalg.norm(position - [0.0, 0.0, 1.0]))
+        if step == 20:
+            assert position[2] == pytest.approx(1.0 - 0.5 * G * (21 / 180) ** 2, abs=1e-3)
+    simulation.close()
+    assert 0.4999 < max(distances) < 0.5005
+
+
+# --- repeatability ---------------------------------------------------------------------------------------------------
+
+
+def rollout(simulation, seconds: float = 0.1) -> np.ndarray:
+    states = []
+    for _ in range(round(seconds * 180)):
+        simulation.advance(1 / 180)
+        states.append(simulation.body_states(["cube"])[0])
+    return np.array(states)
+
+
+def test_a_model_that_is_used_again_gives_the_same_bits_as_a_new_one() -> None:
+    scene = sliding_scene()
+    moved = replace(scene, bodies=(scene.bodies[0], replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose))))
+    forget_models()
+    first = GENESIS.build(moved, FAST)
+    new = rollout(first)
+    built = first._model.scene
+    first.close()
+    other = GENESIS.build(scene, FAST)
+    rollout(other)
+    other.close()
+    again = GENESIS.build(moved, FAST)
+    assert again._model.scene is built
+    assert (rollout(again) == new).all()
+    again.reset(0)
+    assert (rollout(again) == new).all()
+    again.close()
+    forget_models()
+
+
+def lifted(pose: Pose) -> Pose:
+    return replace(pose, position_m=(pose.position_m[0], pose.position_m[1], pose.position_m[2] + 0.003))
+
+
+def test_a_state_continues_bit_for_bit_after_pickling_and_in_another_simulation() -> None:
+    one, other = GENESIS.build(sliding_scene(), FAST), GENESIS.build(sliding_scene(), FAST)
+    rollout(one, 0.05)
+    kept = pickle.dumps(one.state())
+    expected = rollout(one)
+    other.restore(pickle.loads(kept))
+    assert (rollout(other) == expected).all()
+    one.restore(pickle.loads(kept))
+    assert (rollout(one) == expected).all()
+    one.close()
+    other.close()
+
+
+def test_another_process_gives_the_same_bits() -> None:
+    code = (
+        "import sys, json; sys.path.insert(0, 'tests/backends/genesis')\n"
+        "from test_genesis import GENESIS, FAST, sliding_scene, rollout\n"
+        "print(json.dumps(rollout(GENESIS.build(sliding_scene(), FAST)).tolist()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    simulation = GENESIS.build(sliding_scene(), FAST)
+    assert json.loads(done.stdout) == rollout(simulation).tolist()
+    simulation.close()
+
+
+def test_environments_of_one_genesis_scene_have_their_own_starts() -> None:
+    scene = sliding_scene()
+    moved = replace(scene, bodies=(scene.bodies[0], replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose))))
+    worlds = GENESIS.build_worlds([scene, moved], FAST)
+    assert type(worlds).__name__ == "WorldsGenesis"
+    for _ in range(18):
+        worlds.advance(1 / 180)
+    states = [world.body_states(["cube"])[0] for world in worlds.worlds]
+    worlds.close()
+    for one, state in zip((scene, moved), states, strict=True):
+        simulation = GENESIS.build(one, FAST)
+        assert rollout(simulation)[-1] == pytest.approx(state, abs=1e-9)
+        simulation.close()
+
+
+def test_a_closed_simulation_is_an_error() -> None:
+    simulation = GENESIS.build(sliding_scene(), FAST)
+    simulation.close()
+    simulation.close()
+    with pytest.raises(BackendError, match="closed"):
+        simulation.advance(1 / 180)
+
+
+def test_genesis_writes_nothing_to_stdout() -> None:
+    code = (
+        "import sys; hook = sys.excepthook\n"
+        "from gauge_envs import load_experiment\n"
+        "from gauge_envs.backends import backend\n"
+        "backend('genesis').build(load_experiment('SlopeSlider-2-wood').scene).advance(1 / 180)\n"
+        "assert sys.excepthook is hook"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    assert all("Genesis" in line for line in done.stderr.splitlines())
+
+
+# --- settings and support --------------------------------------------------------------------------------------------
+
+
+def test_settings_are_checked_and_recorded() -> None:
+    scene = sliding_scene()
+    simulation = GENESIS.build(scene, FAST)
+    assert simulation.settings["contact_resolution"] == "signorini"
+    assert set(simulation.settings) == set(type(PRESETS["default"]).model_fields)
+    simulation.close()
+    for wrong in (
+        {"timestep_s": 0.004},
+        {"friction_cone": "pyramidal"},
+        {"constraint_solver": "CG"},
+        {"noslip_iterations": 5},
+        {"substeps": 2},
+    ):
+        with pytest.raises(ParameterError):
+            GENESIS.build(scene, wrong)
+    with pytest.raises(UnknownNameError):
+        GENESIS.build(scene, {"preset": "fast"})
+
+
+def test_the_other_precision_is_an_error_while_a_simulation_lives() -> None:
+    simulation = GENESIS.build(sliding_scene(), FAST)
+    with pytest.raises(BackendError, match="one precision per process"):
+        GENESIS.build(sliding_scene(), FAST | {"precision": 32})
+    simulation.close()
+
+
+def test_a_scene_gets_its_preset_by_its_contents() -> None:
+    expected = {
+        "SlopeSlider-2-wood": "default",
+        "BouncingBall-rubber": "impact",
+        "Pendulum-metal": "contact_free",
+        "WallBreaking-wood": "stack",
+    }
+    assert {name: settings_for(load_experiment(name).scene).preset for name in expected} == expected
+
+
+def test_what_genesis_lacks_is_declined() -> None:
+    cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)))
+    hinge = Hinge(body="cube", anchor_m=(0.0, 0.0, 0.1), axis=(0.0, 1.0, 0.0))
+    (reason,) = GENESIS.supports(Scene(bodies=(cube,), joints=(hinge, hinge), duration_s=1.0)).missing
+    assert "2 hinges" in reason
+    names = [f"can-{number}" for number in range(CONTACT_LIMIT + 1)]
+    cans = tuple(solid(name, Cylinder(radius_m=0.03, length_m=0.1)) for name in names)
+    contacts = tuple(touching(name, "ground") for name in names)
+    (reason,) = GENESIS.supports(Scene(bodies=(GROUND, *cans), contacts=contacts, duration_s=1.0)).missing
+    assert str(CONTACT_LIMIT) in reason
+    bouncy = touching("cube", "ground", restitution=1.1, mode=ContactMode.IMPACT)
+    (reason,) = GENESIS.supports(Scene(bodies=(GROUND, cube), contacts=(bouncy,), duration_s=1.0)).missing
+    assert "1.1" in reason
