@@ -17,47 +17,24 @@ from typing import Any, ClassVar
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.genesis.document import COUPLED_BIT
+from gauge_envs.backends.genesis.coupling import couple_only_marked_geoms, coupled_geoms, driven_places, touching_bodies
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.parts import DeformablePart, Motions
 from gauge_envs.backends.genesis.pbd_settings import CLOTH_CELL_M, SettingsPBD, cloth_cell_m, spring_stiffnesses
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Motion, Scene
 from gauge_envs.scene.fabrics import Fabric, genesis_pbd
 
-__all__ = ["ClothPart", "couple_only_marked_geoms", "driven_places"]
+__all__ = ["ClothPart"]
 
 ROOM_M = 20.0
 """Distance from the cloth to the walls of the domain, which every Genesis particle has [m]."""
 
 HASH_CELLS = 16
 """Cells of the hash grid along each axis. The grid repeats itself, and its clearing would dominate the cost."""
-
-
-def couple_only_marked_geoms(scene: Any) -> None:
-    """Let particles collide with the geoms that the document has for them, and with no others."""
-    for geom in scene.sim.rigid_solver.geoms:
-        geom._needs_coup = geom.conaffinity == COUPLED_BIT
-
-
-def driven_places(motion: DrivenMotion, places_m: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[Any]:
-    """Return the world positions of places on a driven body at several times [m], shape [time_count, place_count, 3].
-
-    Args:
-        motion: The body's motion.
-        places_m: Places in the body frame [m], shape [place_count, 3].
-        times_s: Times since the start of the interval [s], shape [time_count].
-    """
-    times = times_s[:, None]
-    travel = (motion.velocity + 0.5 * motion.acceleration * times) * times
-    turned = (Rotation.from_rotvec(travel[:, 3:]) * motion.start.rotation).as_matrix()
-    origins = np.asarray(motion.start.position_m) + travel[:, :3]
-    return np.asarray(np.einsum("tij,pj->tpi", turned, places_m) + origins[:, None])
 
 
 class _Sheet:
@@ -251,14 +228,7 @@ class ClothPart(DeformablePart):
 
     def touches(self) -> Mapping[str, float]:
         """Return the friction of the rigid bodies that collide with cloth, by name."""
-        rigid = {body.name for body in self._scene.bodies}
-        found: dict[str, float] = {}
-        for contact in self._scene.contacts:
-            for first, second in self._scene.colliding_pairs(contact):
-                for name, other in ((first, second), (second, first)):
-                    if name in rigid and other in self.names:
-                        found[name] = contact.friction
-        return found
+        return touching_bodies(self._scene, self.names)
 
     def add(self, scene: Any) -> None:
         """Add the entities."""
@@ -293,11 +263,10 @@ class ClothPart(DeformablePart):
 
     def _add_friction(self, scene: Any) -> None:
         """Apply friction after the kernel that moves particles out of rigid bodies."""
-        kernels, rigid, coupler = self._kernels, scene.sim.rigid_solver, scene.sim.coupler
-        friction = np.zeros(rigid.n_geoms)
-        for geom in rigid.geoms:
-            if geom.needs_coup:
-                friction[geom.idx] = geom.friction
+        kernels, coupler, touches = self._kernels, scene.sim.coupler, self.touches()
+        friction = np.zeros(scene.sim.rigid_solver.n_geoms)
+        for name, geoms in coupled_geoms(scene, self._scene, touches).items():
+            friction[geoms] = touches[name]
         kernels.set_friction(friction)
         collide = coupler.kernel_pbd_rigid_collide
 
