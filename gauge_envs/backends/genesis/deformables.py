@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from gauge_envs.backends.genesis.foam_settings import SettingsFEM, soft_presets
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.pbd_settings import SettingsPBD, pbd_presets
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.attachments import attachment_problems
+from gauge_envs.backends.shared.attachments import attachment_problems, attachments_by_body, bonded_soft_bodies
+from gauge_envs.backends.shared.soft_rows import SoftRow
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 
 __all__ = ["deformable_parts", "deformable_presets", "unsupported_deformables"]
@@ -17,6 +20,8 @@ def deformable_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene with deformable bodies, by name; one of them is `default`."""
     if any(isinstance(body, Cloth) for body in scene.deformables):
         return pbd_presets(scene)
+    if any(isinstance(body, SoftBody) for body in scene.deformables):
+        return soft_presets(scene)
     return {"default": SettingsGenesis(preset="default", timestep_s=1 / 1800)}
 
 
@@ -25,11 +30,9 @@ def unsupported_deformables(scene: Scene, settings: SettingsGenesis) -> Iterator
     lines = [body.name for body in scene.deformables if isinstance(body, Rope | Rod)]
     if lines:
         yield f"{_first_of(lines)} is a line: Genesis has no solver of ropes and rods"
-    solids = [body.name for body in scene.deformables if isinstance(body, SoftBody)]
-    if solids:
-        yield f"{_first_of(solids)} is a soft body"
     yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
     yield from _unsupported_cloth(scene)
+    yield from _unsupported_solids(scene)
 
 
 def _unsupported_cloth(scene: Scene) -> Iterator[str]:
@@ -53,12 +56,33 @@ def _unsupported_cloth(scene: Scene) -> Iterator[str]:
         )
 
 
+def _unsupported_solids(scene: Scene) -> Iterator[str]:
+    solids = {body.name for body in scene.deformables if isinstance(body, SoftBody)}
+    cloths = [body.name for body in scene.deformables if isinstance(body, Cloth)]
+    if solids and cloths:
+        yield f"{min(solids)!r} is beside cloth {cloths[0]!r}: this backend builds one of both kinds in a scene"
+    for bodies in bonded_soft_bodies(scene):
+        try:
+            SoftRow.of(bodies, attachments_by_body(scene, bodies))
+        except UnsupportedSceneError as error:
+            yield str(error)
+    for contact in scene.contacts:
+        for first, second in scene.colliding_pairs(contact):
+            if {first, second} <= solids:
+                yield f"{first!r} may touch {second!r}: Genesis's finite elements do not collide with each other"
+                return
+
+
 def deformable_parts(scene: Scene, settings: SettingsGenesis) -> list[DeformablePart]:
     """Return the parts of the deformable bodies of a scene; none for a rigid scene."""
     if isinstance(settings, SettingsPBD):
         from gauge_envs.backends.genesis.cloth import ClothPart
 
         return [ClothPart(scene, settings)]
+    if isinstance(settings, SettingsFEM):
+        from gauge_envs.backends.genesis.foam_fem import FEMPart
+
+        return [FEMPart(scene, settings)]
     return []
 
 
