@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from gauge_envs.backends.genesis.foam_settings import SettingsFEM, soft_presets
+from gauge_envs.backends.genesis.foam_settings import SettingsFEM, SettingsMPM, soft_presets
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.pbd_settings import SettingsPBD, pbd_presets
 from gauge_envs.backends.genesis.settings import SettingsGenesis
@@ -83,6 +83,10 @@ def deformable_parts(scene: Scene, settings: SettingsGenesis) -> list[Deformable
         from gauge_envs.backends.genesis.foam_fem import FEMPart
 
         return [FEMPart(scene, settings)]
+    if isinstance(settings, SettingsMPM):
+        from gauge_envs.backends.genesis.foam_mpm import MPMPart
+
+        return [MPMPart(scene, settings)]
     return []
 
 

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import ceil, sqrt
 from typing import Literal
 
 from pydantic import Field
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.cells import CellSize
-from gauge_envs.scene import Scene
+from gauge_envs.backends.shared.tetrahedra import lame_constants
+from gauge_envs.scene import Scene, SoftBody
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-__all__ = ["SOFT_CELL_M", "SettingsFEM", "SettingsMPM", "soft_presets"]
+__all__ = ["SOFT_CELL_M", "VOXEL_M", "SettingsFEM", "SettingsMPM", "longest_mpm_timestep_s", "soft_presets"]
 
 SOFT_CELL_M = 0.0125
 """Largest edge of a cell of five tetrahedra [m]: a quarter of the width of the benchmark's foam."""
+
+
+VOXEL_M = 0.0125
+"""Edge of a voxel of the material point method [m]."""
+
+COURANT_LIMIT = 0.4
+"""Longest step of the material point method, over the time of sound through a voxel."""
 
 
 class SettingsFEM(SettingsGenesis):
@@ -62,4 +72,20 @@ class SettingsMPM(SettingsGenesis):
 
 def soft_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene with soft bodies, by name."""
-    return {"default": SettingsFEM(preset="default", timestep_s=1 / 900)}
+    bodies = [body for body in scene.deformables if isinstance(body, SoftBody)]
+    steps = ceil(DRIVE_INTERVAL_S / min(longest_mpm_timestep_s(body, VOXEL_M) for body in bodies) - 1e-9)
+    # Genesis's grid of 64 voxels per metre. The paper states 900 Hz, and that all other settings are defaults.
+    paper = SettingsMPM(preset="paper", timestep_s=1 / 900, precision=32, cell_m=1 / 64)
+    return {
+        "default": SettingsFEM(preset="default", timestep_s=1 / 900),
+        "mpm": SettingsMPM(preset="mpm", timestep_s=DRIVE_INTERVAL_S / steps),
+        "paper": paper,
+        "out_of_box": paper.model_copy(update={"preset": "out_of_box"}),
+    }
+
+
+def longest_mpm_timestep_s(body: SoftBody, voxel_m: float) -> float:
+    """Return the longest time step [s] of the explicit method: a share of the time of sound through a voxel."""
+    mu, lame = lame_constants(body)
+    density = body.mass_kg / body.shape.volume_m3
+    return COURANT_LIMIT * voxel_m * sqrt(density / (lame + 2.0 * mu))

@@ -21,6 +21,9 @@ __all__ = ["CLOTH_CELL_M", "SettingsPBD", "cloth_cell_m", "longest_timestep_s", 
 CLOTH_CELL_M = 0.025
 """Edge of the cells of a cloth [m]."""
 
+CELL_PER_RADIUS = 1.4
+"""Largest edge of the cells over the radius of a round body that touches the cloth: slightly below the root of 2."""
+
 FINEST_CELL_M = 0.005
 """Smallest edge of the cells that the contacts of a cloth ask for [m]."""
 
@@ -106,9 +109,9 @@ def pbd_presets(scene: Scene) -> Mapping[str, SettingsPBD]:
 
 
 def cloth_cell_m(scene: Scene) -> float:
-    """Return the default edge of the cells [m]: 25 mm, or the radius of the narrowest round body that touches cloth.
+    """Return the default edge of the cells [m]: 25 mm, or less where narrow round bodies touch the cloth.
 
-    Only particles collide, so a body narrower than the cells would pass between them.
+    Only particles collide. With cells of 1.4 times the radius of a body, a particle is within that radius of any place.
     """
     cloths = {body.name for body in scene.deformables}
     rigid = {body.name: body for body in scene.bodies}
@@ -120,7 +123,7 @@ def cloth_cell_m(scene: Scene) -> float:
     }
     shapes = [rigid[name].shape for name in touching]
     radii = [shape.radius_m for shape in shapes if isinstance(shape, Cylinder | Sphere)]
-    return max(FINEST_CELL_M, min([CLOTH_CELL_M, *radii]))
+    return max(FINEST_CELL_M, min([CLOTH_CELL_M, *(CELL_PER_RADIUS * radius for radius in radii)]))
 
 
 def spring_stiffnesses(cloth: Cloth) -> tuple[float, float]:
