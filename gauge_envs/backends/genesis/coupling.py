@@ -60,7 +60,7 @@ def coupled_geoms(built: Any, scene: Scene, touches: Mapping[str, float]) -> dic
             continue
         count = len(getattr(body.shape, "pieces_m", (None,)))
         if body.motion is Motion.FIXED:
-            own = [geom for geom, _ in zip(fixed, range(count), strict=False)]
+            own = [geom for _, geom in zip(range(count), fixed, strict=False)]
         else:
             own = [geom for geom in geoms if geom.link.name == body_label(index)]
         found[body.name] = [geom.idx for geom in own]

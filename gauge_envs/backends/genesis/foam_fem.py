@@ -142,6 +142,10 @@ class FEMPart(DeformablePart):
         """Return the friction of the rigid bodies that collide with soft bodies, by name."""
         return touching_bodies(self._scene, self.names)
 
+    def touch_margin_m(self) -> float:
+        """Return by how much the geoms that touch the nodes exceed their bodies [m]."""
+        return self._settings.contact_margin_m
+
     def add(self, scene: Any) -> None:
         """Add the entities, and set how rigid bodies act on their nodes."""
         couple_only_marked_geoms(scene)

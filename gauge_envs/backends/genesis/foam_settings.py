@@ -39,6 +39,8 @@ class SettingsFEM(SettingsGenesis):
         pcg_residual_n2: Squared norm of the residual forces at which a linear solve changes no more [N^2].
         damping_alpha_per_s: Rayleigh's damping by mass.
         damping_beta_s: Rayleigh's damping by stiffness.
+        contact_margin_m: Distance from a box, sphere or cylinder at which contact starts. A cube as wide as the foam
+            pushes the nodes at its edges sideways without it.
         contact_softness_m: Distance over which a rigid body's velocity decays in front of it.
     """
 
@@ -49,7 +51,8 @@ class SettingsFEM(SettingsGenesis):
     pcg_residual_n2: float = Field(default=1e-20, gt=0.0)
     damping_alpha_per_s: float = Field(default=0.0, ge=0.0)
     damping_beta_s: float = Field(default=0.0, ge=0.0)
-    contact_softness_m: float = Field(default=1e-4, gt=0.0)
+    contact_margin_m: float = Field(default=1e-3, ge=0.0)
+    contact_softness_m: float = Field(default=5e-4, gt=0.0)
 
 
 class SettingsMPM(SettingsGenesis):
