@@ -16,7 +16,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 	tests/experiments/test_scene_source.py tests/experiments/test_task_files.py tests/experiments/test_task_rigid.py \
 	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene
 
-.PHONY: demo test check lint slow test-engines test-matrix bench docs clean
+.PHONY: demo test check lint slow test-engines test-genesis test-matrix bench docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -47,6 +47,11 @@ test-engines: $(VENV)/.installed
 	$(BIN)/python -m pytest -n 2 tests/backends/drake
 	$(BIN)/python -m pytest -n 2 -m slow tests/backends
 
+# Genesis, in an environment of its own: PyTorch is large. Its kernels take minutes to compile and stay in this folder.
+test-genesis: $(VENV)-genesis/.installed
+	QD_OFFLINE_CACHE_FILE_PATH=$(CURDIR)/$(VENV)-genesis/kernels \
+		$(VENV)-genesis/bin/python -m pytest tests/backends/genesis
+
 # The built wheel on other versions of Python, and the guides' commands as a reader installs and runs them.
 test-matrix: $(VENV)/.installed
 	$(BIN)/python scripts/test_matrix.py $(MATRIX) --tests $(MATRIX_TESTS)
@@ -72,5 +77,12 @@ $(VENV)/.installed: $(VENV)/.runs
 	$(BIN)/pip install --quiet -e ".[dev]"
 	touch $@
 
+# A requirement of PyTorch without a version may install gigabytes for graphics cards.
+$(VENV)-genesis/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-genesis
+	$(VENV)-genesis/bin/pip install --quiet torch==2.13.0
+	$(VENV)-genesis/bin/pip install --quiet -e ".[genesis]" "pytest>=8.0"
+	touch $@
+
 clean:
-	rm -rf $(VENV) results plots
+	rm -rf $(VENV) $(VENV)-genesis results plots

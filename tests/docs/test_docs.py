@@ -207,8 +207,8 @@ FACADES = [
     package.name
     for package in pkgutil.walk_packages(gauge_envs.__path__, "gauge_envs.")
     if package.ispkg
-    and package.name not in ("gauge_envs.cli", "gauge_envs.backends.newton", "gauge_envs.backends.rapier")
-    and package.name not in ("gauge_envs.cli", "gauge_envs.backends.newton", "gauge_envs.backends.drake")
+    and package.name not in ("gauge_envs.cli", "gauge_envs.backends.newton")
+    and package.name not in ("gauge_envs.backends.rapier", "gauge_envs.backends.drake")
 ]
 """Packages, whose `__all__` is what users import. The command is on its own page, and Newton's settings are on its."""
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
-from gauge_envs.scene import ContactMode, Cylinder, RigidBody, Scene, Sphere
+from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.scene import ContactMode, Cylinder, Scene, Sphere
 
 __all__ = ["PRESETS", "SettingsDrake", "impact_speed_m_per_s", "settings_for"]
 
@@ -103,9 +103,6 @@ PRESETS: dict[str, SettingsDrake] = {
 LARGE_STACK = 20
 """Number of dynamic bodies from which a scene gets the cheaper preset `stack`."""
 
-SLOWEST_IMPACT_M_PER_S = 0.01
-"""Smallest speed at which impacts have the scene's restitution [m/s]."""
-
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsDrake:
     """Return the settings of a scene: its preset with a user's changes.
@@ -131,20 +128,3 @@ def _preset_name(scene: Scene) -> str:
             return "impact_chain"
         return "impact" if any(contact.mode is ContactMode.IMPACT for contact in scene.contacts) else "default"
     return "rolling" if any(isinstance(shape, Cylinder) for shape in shapes) else "default"
-
-
-def impact_speed_m_per_s(scene: Scene) -> float:
-    """Return the speed at which a scene's impacts have its restitution, at least 0.01 m/s.
-
-    It is the largest of the speeds after a fall from the start to the floor, and of the drivers' speeds.
-    """
-    falls = [_fall_speed_m_per_s(scene, body) for body in scene.dynamic_bodies]
-    driven = [driver.speed_limit_m_per_s(scene.body(driver.body)) for driver in scene.drivers]
-    return max([*falls, *driven, SLOWEST_IMPACT_M_PER_S])
-
-
-def _fall_speed_m_per_s(scene: Scene, body: RigidBody) -> float:
-    lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
-    fall_m = max(lowest - scene.floor_height_m, 0.0)
-    speed = float(np.linalg.norm(body.linear_velocity_m_per_s))
-    return float(np.sqrt(speed**2 + 2.0 * scene.gravity_m_per_s2 * fall_m))

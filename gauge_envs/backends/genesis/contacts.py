@@ -14,6 +14,7 @@ from math import pi
 from scipy.optimize import brentq
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
+from gauge_envs.backends.shared.impact_speed import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import Contact, ContactMode, Scene
 
 __all__ = [
@@ -21,8 +22,10 @@ __all__ = [
     "MIN_FRICTION",
     "Constants",
     "Layer",
+    "damping_ratio",
     "is_frictionless",
     "layers_of_bodies",
+    "rebound",
     "unsupported_contacts",
 ]
 
@@ -40,6 +43,9 @@ IMPEDANCE_SHAPE = (0.5, 2.0)
 
 PHASES = 16
 """Number of moments within a step at which an impact may start, over which its restitution is averaged."""
+
+LONGEST = 10
+"""Half periods after which a body that is still in contact rests."""
 
 MAX_STEP_DAMPING = 0.9
 """Largest share of its speed that an impact loses in a step. Genesis raises time constants that mean more than 1."""
@@ -73,7 +79,7 @@ def layers_of_bodies(scene: Scene, settings: SettingsGenesis) -> dict[str, dict[
     bodies = {body.name for body in scene.bodies}
     found: dict[str, dict[Constants, Layer]] = {}
     for number, contact in enumerate(_rigid_contacts(scene)):
-        constants, bit = _constants(contact, settings), 1 << number
+        constants, bit = _constants(scene, contact, settings), 1 << number
         for name in bodies & set(contact.first):
             found.setdefault(name, {}).setdefault(constants, Layer()).offers |= bit
         for name in bodies & set(contact.second):
@@ -89,9 +95,11 @@ def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
             yield contact
 
 
-def _constants(contact: Contact, settings: SettingsGenesis) -> Constants:
+def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Constants:
     if contact.mode is ContactMode.IMPACT and settings.impact_steps is not None:
-        damping = damping_ratio(contact.restitution, settings.impact_steps)
+        speed = settings.impact_speed_m_per_s or SLOWEST_IMPACT_M_PER_S
+        weight = scene.gravity_m_per_s2 * settings.timestep_s / speed
+        damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
         impedance = settings.impact_impedance
         return Constants(
@@ -105,37 +113,48 @@ def _constants(contact: Contact, settings: SettingsGenesis) -> Constants:
 
 
 @cache
-def damping_ratio(restitution: float, steps: int) -> float:
+def damping_ratio(restitution: float, steps: int, weight: float = 0.0) -> float:
     """Return the damping ratio with which a damped spring that only pushes has a restitution.
 
-    Genesis's contact force accelerates a body by -2 z w v - w^2 x at the depth x and the speed v, and only pushes. With
-    the angular frequency w = pi / (steps h), half a period without damping lasts `steps` steps.
+    A body in contact has the acceleration -2 z w v - w^2 x at the depth x and the speed v, gravity included, unless it
+    would have to be pulled. With the angular frequency w = pi / (steps h), half a period without damping lasts `steps`
+    steps.
 
     Args:
         restitution: Ratio of outgoing to incoming speed, at least 0.
         steps: Steps of half a period.
+        weight: Speed that gravity adds in a step, over the speed of the impact.
     """
     least, greatest = 1e-6, MAX_STEP_DAMPING * steps / (2.0 * pi)
-    if _rebound(least, steps) <= restitution:
+    if _mean_rebound(least, steps, weight) <= restitution:
         return least
-    if _rebound(greatest, steps) >= restitution:
+    if _mean_rebound(greatest, steps, weight) >= restitution:
         return greatest
-    return float(brentq(lambda damping: _rebound(damping, steps) - restitution, least, greatest, xtol=1e-10))
+    return float(brentq(lambda ratio: _mean_rebound(ratio, steps, weight) - restitution, least, greatest, xtol=1e-10))
 
 
-def _rebound(damping: float, steps: int) -> float:
-    """Return the restitution of the spring in steps, the mean over the moments at which an impact may start."""
-    frequency, total = pi / steps, 0.0
-    for phase in range(PHASES):
-        speed, depth = 1.0, (phase + 0.5) / PHASES
-        while depth > 0.0:
-            push = 2.0 * damping * frequency * speed + frequency**2 * depth
-            if push <= 0.0:
-                break
-            speed -= push
-            depth += speed
-        total -= min(speed, 0.0)
-    return total / PHASES
+def _mean_rebound(damping: float, steps: int, weight: float) -> float:
+    phases = [rebound(damping, steps, (index + 0.5) / PHASES, weight) for index in range(PHASES)]
+    return sum(phases) / PHASES
+
+
+def rebound(damping: float, steps: int, phase: float, weight: float) -> float:
+    """Return the restitution of the spring in steps.
+
+    Args:
+        damping: Damping ratio.
+        steps: Steps of half a period without damping.
+        phase: Depth at the first step in contact, over the way of the body in a step.
+        weight: Speed that gravity adds in a step, over the speed of the impact.
+    """
+    frequency, speed, depth = pi / steps, 1.0, phase
+    for _ in range(LONGEST * steps):
+        # Without a pull, the body falls freely.
+        speed -= max(2.0 * damping * frequency * speed + frequency**2 * depth, -weight)
+        depth += speed
+        if depth <= 0.0:
+            return max(-speed, 0.0)
+    return 0.0
 
 
 def is_frictionless(scene: Scene) -> bool:

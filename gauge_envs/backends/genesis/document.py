@@ -97,6 +97,7 @@ def _add_body(
             type="hinge",
             pos=_text(pose.to_body(np.asarray(hinge.anchor_m))),
             axis=_text(pose.rotation.inv().apply(hinge.axis)),
+            armature=repr(settings.hinge_armature_kg_m2),
         )
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)

@@ -99,7 +99,7 @@ def patient(work: str) -> Iterator[None]:
     """
 
     def say() -> None:
-        folder = os.environ.get("QD_OFFLINE_CACHE_FILE_PATH", "its cache folder")
+        folder = os.environ.get("QD_OFFLINE_CACHE_FILE_PATH", "~/.cache/quadrants")
         LOGGER.warning(
             "Genesis is %s: it compiles kernels, which takes up to two minutes the first time. It keeps them in %s.",
             work,

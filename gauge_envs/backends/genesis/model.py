@@ -21,17 +21,14 @@ from gauge_envs.scene import Hinge, Motion, Scene
 
 __all__ = ["Model", "Place", "borrow_model", "forget_models", "model_key", "return_model"]
 
-POINTS_PER_PAIR = 8
-"""Largest number of contact points of a pair of convex shapes, with room to spare."""
-
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
 
 DISTANCE_CELL_M = 5e-4
 """Edge of the cells of a body's distance field [m], of which Genesis makes at most 128 along an edge."""
 
-NEIGHBOURS = 24
-"""Pairs that each geom of a scene with many bodies may form at a time."""
+NEIGHBOURS = 8
+"""Pairs that each convex piece of a scene with many bodies may form at a time. Genesis raises an error beyond it."""
 
 
 @dataclass(frozen=True)
@@ -201,11 +198,10 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
 
 
 def _pair_count(scene: Scene, settings: SettingsGenesis) -> int:
-    """Return how many pairs of geoms may touch at a time."""
+    """Return how many pairs of pieces may touch at a time."""
     pieces = {body.name: len(getattr(body.shape, "pieces_m", (None,))) for body in scene.bodies}
-    layers = layers_of_bodies(scene, settings)
-    geoms = sum(pieces[name] * len(copies) for name, copies in layers.items())
-    return max(PAIR_LIMIT, min(comb(geoms, 2), NEIGHBOURS * geoms))
+    count = sum(pieces[name] for name in layers_of_bodies(scene, settings))
+    return max(PAIR_LIMIT, min(comb(count, 2), NEIGHBOURS * count))
 
 
 def _places(scene: Scene, entity: Any) -> dict[str, Place]:

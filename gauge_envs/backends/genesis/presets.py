@@ -12,6 +12,7 @@ from gauge_envs.backends.genesis.contacts import is_frictionless
 from gauge_envs.backends.genesis.deformables import deformable_presets
 from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis
 from gauge_envs.backends.settings import resolve_settings
+from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
 from gauge_envs.scene import ContactMode, Scene
 
 __all__ = ["presets_for", "settings_for"]
@@ -36,6 +37,8 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
         ParameterError: A setting does not exist or has an invalid value.
     """
     settings = resolve_settings("Genesis", presets_for(scene), preset=_preset_name(scene), changes=changes)
+    if settings.impact_speed_m_per_s is None:
+        settings = settings.model_copy(update={"impact_speed_m_per_s": float(f"{impact_speed_m_per_s(scene):.2g}")})
     if "impratio" not in (changes or {}) and settings.friction_cone == "elliptic" and is_frictionless(scene):
         return settings.model_copy(update={"impratio": FRICTIONLESS_IMPRATIO})
     return settings
@@ -48,4 +51,6 @@ def _preset_name(scene: Scene) -> str:
         return "contact_free"
     if len(scene.dynamic_bodies) >= STACK_BODIES:
         return "stack"
+    if scene.has_impact_chain:
+        return "impact_chain"
     return "impact" if all(contact.mode is ContactMode.IMPACT for contact in scene.contacts) else "default"

@@ -9,7 +9,8 @@ from itertools import combinations
 from typing import Any
 
 from gauge_envs.checks.sanity.alternatives import Alternative, alternatives, preset_label
-from gauge_envs.checks.sanity.language import Language, assignment
+from gauge_envs.checks.sanity.languages import Language
+from gauge_envs.checks.sanity.languages.toml import Toml
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon
@@ -60,7 +61,7 @@ def find_cause(
     nothing_to_explain = configured.verdict in (Verdict.INSIDE, Verdict.DECLINED) or configured.engine_died
     if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
-    search = _Search(measurements, phenomenon, settings, configured, default, language or Language())
+    search = _Search(measurements, phenomenon, settings, configured, default, language or Toml())
     cause = search.put_back_one()
     if cause is not None:
         return cause
@@ -223,11 +224,16 @@ class _Search:
         return f"{measured.value:.3g}{unit}"
 
     def _assignment(self, name: str) -> str:
-        return assignment(self._language, name, self._best[name].value)
+        return self._language.assignment(name, self._best[name].value)
+
+    def _replacement(self, one: Alternative) -> str:
+        return f"{self._assignment(one.name)} instead of {self._language.value_text(one.name, one.was)}"
 
     def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
         chosen = [self._best[name] for name in names]
-        subject = " and ".join(f"{self._assignment(one.name)} instead of {_was(self._language, one)}" for one in chosen)
+        subject = " and ".join(
+            f"{self._assignment(one.name)} instead of {self._language.value_text(one.name, one.was)}" for one in chosen
+        )
         together = " together" if len(names) > 1 and not also else ""
         sources = " and ".join(dict.fromkeys(one.source for one in chosen))
         verb = "brings" if len(names) == 1 else "bring"
@@ -242,8 +248,3 @@ def _is_seen(before: Measured, after: Measured) -> bool:
     if before.value is None or after.value is None:
         return before.value is not after.value
     return abs(after.deviation - before.deviation) > SEEN_DEVIATION
-
-
-def _was(language: Language, one: Alternative) -> str:
-    """Return the value in the configuration, written as in the target."""
-    return assignment(language, one.name, one.was).partition("=")[2].strip().strip('"')

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from gauge_envs.checks.rollout import DeclinedError
 from gauge_envs.checks.sanity.alternatives import Alternative, alternatives
-from gauge_envs.checks.sanity.language import Language, paste_text
+from gauge_envs.checks.sanity.languages import Language
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import Cure, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.subject import Subject, worst_of
@@ -181,7 +181,7 @@ def _line(
     parts = []
     for number, step in enumerate(steps):
         geoms = _geoms_that_change(configuration, step.changes)
-        text = paste_text(replace(language, geoms=geoms), step.changes)
+        text = language.paste_text(step.changes, geoms=geoms)
         whole = step.source == "this package's recommendation"
         if not number:
             count = f"{step.mended} of {flags} flags go" if flags > 1 else "the one flag goes"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gauge_envs.checks.sanity.language import Language, gravity_text
+from gauge_envs.checks.sanity.languages import Language
 from gauge_envs.checks.sanity.model import (
     INSIDE_WITHIN,
     VISIBLE_WITHIN,
@@ -56,7 +56,7 @@ def gravity_row(configuration: TrainingConfiguration, language: Language) -> Phe
         return _row(size, Verdict.INSIDE)
     verdict = Verdict.VISIBLE if deviation <= VISIBLE_WITHIN else Verdict.WRONG
     was = " ".join(f"{component:g}" for component in gravity)
-    line = f"{gravity_text(language, upright_gravity(configuration))} instead of {was}"
+    line = f"{language.gravity_text(upright_gravity(configuration))} instead of {was}"
     remark = f"tilted by {tilt:.2g} degrees" if tilt > LEAST_TILT_DEG else ""
     return _row(size, verdict, remark=remark, cause=Cause(settings=(GRAVITY_ID,), line=line))
 

@@ -108,7 +108,8 @@ class TrainingConfiguration:
         inapplicable: Needs of phenomena that the target does not meet, with the reason.
         gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when the target states none.
         up: Unit vector away from the ground, shape [3].
-        is_model: Whether it was read from a MuJoCo model, so that changes are written in MJCF.
+        is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
+        language: Name of the language in which changes are written; see `gauge_envs.checks.sanity.languages`.
     """
 
     name: str
@@ -123,6 +124,7 @@ class TrainingConfiguration:
     gravity_m_per_s2: tuple[float, float, float] | None = None
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     is_model: bool = False
+    language: str = "toml"
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

@@ -85,6 +85,7 @@ def mujoco_configuration(
         gravity_m_per_s2=(float(model.opt.gravity[0]), float(model.opt.gravity[1]), float(model.opt.gravity[2])),
         up=_up(model),
         is_model=True,
+        language="mjcf",
     )
 
 

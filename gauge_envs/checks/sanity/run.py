@@ -14,7 +14,7 @@ from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.cure import find_cure
 from gauge_envs.checks.sanity.engine import Engine, simulation_limit_s
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, gravity_row, upright_gravity
-from gauge_envs.checks.sanity.language import Language, gravity_text
+from gauge_envs.checks.sanity.languages import language
 from gauge_envs.checks.sanity.measure import Measured, Measurements, TimeLimitError
 from gauge_envs.checks.sanity.model import (
     Cause,
@@ -115,7 +115,7 @@ class _Run:
         self._measurements = measurements
         self._configuration = configuration
         self._subjects: list[Subject] = []
-        self.language = Language(is_mjcf=configuration.is_model)
+        self.language = language(configuration.language)
         self.is_cut_short = False
 
     def rows(
@@ -149,7 +149,7 @@ class _Run:
         if GRAVITY_ID not in flags:
             return cure
         upright = upright_gravity(self._configuration)
-        text, total = gravity_text(self.language, upright), len(flags)
+        text, total = self.language.gravity_text(upright), len(flags)
         changes = {GRAVITY_ID: upright}
         if cure is None:
             line = f"{text}: {f'1 of {total} flags goes' if total > 1 else 'the one flag goes'}"

@@ -79,6 +79,9 @@ def _states_impact(measurements: Measurements, phenomenon: Phenomenon, settings:
         return True
     if force.get("newton_material"):
         return False
+    if "impact_steps" in force:
+        # Genesis: without a recipe for impacts, all contacts have the damping of lasting ones.
+        return force["impact_steps"] is not None or bool(force["sustained_dampratio"] < 1.0)
     solref = force.get("contact_solref")
     if solref is None:
         return True

@@ -118,11 +118,27 @@ def test_pairs_of_one_body_have_their_own_friction() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.0099, 5.1])
 def test_friction_that_genesis_would_change_is_declined(friction: float) -> None:
-    scene = replace(sliding_scene(), contacts=(touching("cube", "board", friction),))
+    bodies = (*sliding_scene().bodies, GROUND)
+    contacts = (touching("cube", "board", friction), touching("cube", "ground", 0.3))
+    scene = replace(sliding_scene(), bodies=bodies, contacts=contacts)
     (reason,) = GENESIS.supports(scene).missing
     assert "raises the friction of each contact to 0.01" in reason
     with pytest.raises(UnsupportedSceneError, match="'cube' and 'board'"):
         GENESIS.build(scene)
+
+
+def test_a_scene_whose_contacts_all_lack_friction_has_none() -> None:
+    scene = replace(sliding_scene(), contacts=(touching("cube", "board", 0.0),))
+    simulation = GENESIS.build(scene, FAST)
+    assert simulation.settings["impratio"] == 1e-9
+    start = simulation.body_states(["cube"])[0, :3]
+    simulation.advance(0.2)
+    travelled = np.linalg.norm(simulation.body_states(["cube"])[0, :3] - start)
+    simulation.close()
+    assert 2.0 * travelled / 0.2**2 == pytest.approx(G / 2.0, rel=5e-3)
+    assert not GENESIS.supports(scene).missing
+    with pytest.raises(UnsupportedSceneError):
+        GENESIS.build(scene, {"preset": "out_of_box"})
 
 
 # --- impacts ---------------------------------------------------------------------------------------------------------

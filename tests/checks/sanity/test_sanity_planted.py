@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from gauge_envs.backends import backend
 from gauge_envs.checks.sanity import run
 from gauge_envs.checks.sanity.cure import RECOMMENDED_MUJOCO
-from gauge_envs.checks.sanity.language import Language, paste_text
+from gauge_envs.checks.sanity.languages import language
 from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import Report, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
@@ -190,10 +190,10 @@ def test_gravity_is_judged_against_the_ground(
 
 def test_changes_are_written_in_the_language_of_the_target() -> None:
     changes = {"cone": "elliptic", "refsafe": True, "contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "timestep_s": 0.005}
-    assert paste_text(Language(is_mjcf=True), changes) == (
+    assert language("mjcf").paste_text(changes) == (
         '<option cone="elliptic" timestep="0.005"><flag refsafe="enable"/></option> and '
         '<default><geom solimp="0.9 0.95 0.001 0.5 2"/></default>'
     )
-    assert paste_text(Language(), changes) == (
+    assert language("toml").paste_text(changes) == (
         'cone = "elliptic", refsafe = true, contact_solimp = [0.9, 0.95, 0.001, 0.5, 2], timestep_s = 0.005'
     )

@@ -483,7 +483,7 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> N
 
 
 def test_a_model_that_takes_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.checks.sanity.target.MODEL_CPU_S", 2)
+    monkeypatch.setattr("gauge_envs.checks.sanity.readers.mujoco_model.MODEL_CPU_S", 2)
     bomb = '<replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate>'
     (tmp_path / "bomb.xml").write_text(f"<mujoco><worldbody>{bomb}</worldbody></mujoco>")
     with pytest.raises(TargetError, match=r"loading it (takes more than 2 s|needs more than 1000 MB)"):

@@ -6,15 +6,19 @@ The package needs a MuJoCo of its own version. Its XML files do not, so they are
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+from gauge_envs.checks.sanity.model import TrainingConfiguration
+from gauge_envs.checks.sanity.readers.mujoco_model import read_model_file
+from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, read_regular
 
-__all__ = ["PREFIX", "SuiteTask", "suite_task"]
+__all__ = ["DM_CONTROL", "SuiteTask", "suite_task"]
 
 PREFIX = "dm_control:"
 """Start of the name of a task."""
@@ -97,3 +101,20 @@ def _tasks(code: ast.Module) -> list[str]:
 def _registers(decorator: ast.expr) -> bool:
     call = decorator.func if isinstance(decorator, ast.Call) else decorator
     return ast.unparse(call) == "SUITE.add"
+
+
+def _read(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
+    name = str(target)
+    task = suite_task(name)
+    read = read_model_file(task.model, pair)
+    return replace(read, name=name, source=task.source, notes=(*task.notes, *read.notes))
+
+
+DM_CONTROL = Reader(
+    name="dm_control",
+    accepts="a task of dm_control's suite (dm_control:walker/walk)",
+    matches=lambda target: isinstance(target, str | Path) and str(target).startswith(PREFIX),
+    read=_read,
+    has_geoms=True,
+)
+"""Reader of tasks of dm_control's suite."""

@@ -1,0 +1,22 @@
+"""Languages in which targets state their settings, one file each; a new one is a class in `LANGUAGES`."""
+
+from __future__ import annotations
+
+from gauge_envs.checks.sanity.languages.base import Language
+from gauge_envs.checks.sanity.languages.genesis import GenesisPython
+from gauge_envs.checks.sanity.languages.mjcf import Mjcf
+from gauge_envs.checks.sanity.languages.toml import Toml
+
+__all__ = ["LANGUAGES", "Language", "language"]
+
+LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf(), GenesisPython())}
+"""All languages by name."""
+
+
+def language(name: str) -> Language:
+    """Return a language by the name that a `TrainingConfiguration` states.
+
+    Raises:
+        KeyError: There is no such language.
+    """
+    return LANGUAGES[name]
