@@ -14,7 +14,7 @@ from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Scene
 
-__all__ = ["couple_only_marked_geoms", "coupled_geoms", "driven_places", "touching_bodies"]
+__all__ = ["couple_only_marked_geoms", "coupled_geoms", "driven_places", "set_coupling", "touching_bodies"]
 
 
 def touching_bodies(scene: Scene, names: Iterable[str]) -> dict[str, float]:
@@ -69,7 +69,22 @@ def coupled_geoms(built: Any, scene: Scene, touches: Mapping[str, float]) -> dic
     return found
 
 
-def driven_places(motion: DrivenMotion, places_m: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[Any]:
+def set_coupling(built: Any, scene: Scene, touches: Mapping[str, float], softness_m: float) -> None:
+    """Set how rigid bodies act on the velocities of nodes and of a grid; they have no restitution.
+
+    Args:
+        built: The `gs.Scene`, not built yet.
+        scene: The scene.
+        touches: Friction of the bodies that touch soft bodies, by name.
+        softness_m: Distance over which a body's velocity decays in front of it [m].
+    """
+    for name, indices in coupled_geoms(built, scene, touches).items():
+        for index in indices:
+            geom = built.sim.rigid_solver.geoms[index]
+            geom._coup_friction, geom._coup_restitution, geom._coup_softness = touches[name], 0.0, softness_m
+
+
+def driven_places(motion: DrivenMotion, places_m: NDArray[np.float64], times_s: NDArray[Any]) -> NDArray[Any]:
     """Return the world positions of places on a driven body at several times [m], shape [time_count, place_count, 3].
 
     Args:

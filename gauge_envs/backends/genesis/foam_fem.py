@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.coupling import (
     couple_only_marked_geoms,
-    coupled_geoms,
     driven_places,
+    set_coupling,
     touching_bodies,
 )
 from gauge_envs.backends.genesis.engine import engine
@@ -149,12 +149,7 @@ class FEMPart(DeformablePart):
     def add(self, scene: Any) -> None:
         """Add the entities, and set how rigid bodies act on their nodes."""
         couple_only_marked_geoms(scene)
-        touches = self.touches()
-        for name, geoms in coupled_geoms(scene, self._scene, touches).items():
-            for index in geoms:
-                geom = scene.sim.rigid_solver.geoms[index]
-                geom._coup_friction, geom._coup_restitution = touches[name], 0.0
-                geom._coup_softness = self._settings.contact_softness_m
+        set_coupling(scene, self._scene, self.touches(), self._settings.contact_softness_m)
         with tempfile.TemporaryDirectory() as folder:
             for row in self._unique:
                 row.add(scene, Path(folder))

@@ -1,8 +1,8 @@
 """Soft bodies by Genesis's explicit material point method (MPM).
 
 Points in a grip weigh a million times the others and are placed before each step, so that the grid near them has the
-velocity of the grip. The voxel is chosen so that a grid plane lies at each face of a grip. The points begin half a voxel
-behind that plane, so that it is the last one that they move.
+velocity of the grip. The voxel is chosen so that a grid plane lies at each face of a grip. The points begin half a
+voxel behind that plane, so that it is the last one that they move.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.spatial import cKDTree
 
 from gauge_envs.backends.genesis.coupling import (
     couple_only_marked_geoms,
-    coupled_geoms,
     driven_places,
+    set_coupling,
     touching_bodies,
 )
 from gauge_envs.backends.genesis.engine import engine
@@ -26,6 +25,7 @@ from gauge_envs.backends.genesis.foam_settings import VOXEL_M, SettingsMPM
 from gauge_envs.backends.genesis.parts import DeformablePart, Motions
 from gauge_envs.backends.shared.attachments import RigidAttachment, attachments_by_body, bonded_soft_bodies
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.point_weights import linear_weights
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.backends.shared.tetrahedra import grid_lines_m, grid_points_m, lame_constants
 from gauge_envs.scene import Motion, Scene, SoftBody
@@ -40,9 +40,6 @@ GRIP_LAYERS = (0.501, 1.0, 1.5)
 
 VOXEL_RANGE = (0.85, 1.15)
 """Voxel sizes that `fitted_voxel_m` tries, as multiples of the desired size."""
-
-NEIGHBOURS = 24
-"""Number of material points from which a tracked point is interpolated."""
 
 ROOM_M = 0.15
 """Distance from the soft bodies to the walls of the grid [m]."""
@@ -117,7 +114,7 @@ class _Row:
     def weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
         """Return the weights of the row's points at some places [m], shape [place_count, count]."""
         nearest, weights = linear_weights(self._sources_m, points_m)
-        rows = np.repeat(np.arange(len(points_m)), NEIGHBOURS)
+        rows = np.repeat(np.arange(len(points_m)), weights.shape[1])
         return csr_matrix((weights.ravel(), (rows, nearest.ravel())), shape=(len(points_m), len(self._sources_m)))
 
     def _grip_m(self, side: str, voxel_m: float, spacing_m: float) -> NDArray[np.float64]:
@@ -206,12 +203,7 @@ class MPMPart(DeformablePart):
     def add(self, scene: Any) -> None:
         """Add one entity for each block and one for each grip, and set how rigid bodies act on the grid."""
         couple_only_marked_geoms(scene)
-        touches = self.touches()
-        for name, geoms in coupled_geoms(scene, self._scene, touches).items():
-            for index in geoms:
-                geom = scene.sim.rigid_solver.geoms[index]
-                geom._coup_friction, geom._coup_restitution = touches[name], 0.0
-                geom._coup_softness = self._settings.contact_softness_m
+        set_coupling(scene, self._scene, self.touches(), self._settings.contact_softness_m)
         for row in self._unique:
             for index, block in enumerate(row.soft_row.blocks):
                 chosen = row.blocks == index
@@ -316,22 +308,3 @@ class MPMPart(DeformablePart):
         """Restore the points; the next interval prescribes the gripped ones anew."""
         self._kernels.write(*state)
         self._planned = []
-
-
-def linear_weights(
-    sources_m: NDArray[np.float64], points_m: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the nearest sources of each point and moving-least-squares weights that reproduce linear functions.
-
-    Returns:
-        Indices of the sources and their weights, both of shape [point_count, NEIGHBOURS].
-    """
-    distance, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
-    # The weight falls to 2 % at the farthest neighbour.
-    near = np.exp(-4.0 * np.square(distance / distance[:, -1:]))
-    offsets = sources_m[nearest] - points_m[:, None]
-    basis = np.concatenate([np.ones_like(offsets[..., :1]), offsets / distance[:, -1:, None]], axis=-1)
-    moments = np.einsum("pk,pki,pkj->pij", near, basis, basis)
-    # The value at the point itself is the first coefficient.
-    first = np.linalg.solve(moments, np.broadcast_to(np.eye(4)[:, :1], (len(points_m), 4, 1)))[..., 0]
-    return nearest, near * np.einsum("pki,pi->pk", basis, first)

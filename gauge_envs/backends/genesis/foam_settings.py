@@ -1,4 +1,4 @@
-"""Settings and presets of Genesis's solvers of soft bodies: finite elements (FEM) and the material point method (MPM)."""
+"""Settings and presets of Genesis's finite elements (FEM) and of its material point method (MPM)."""
 
 from __future__ import annotations
 

@@ -39,8 +39,8 @@ class SettingsPBD(SettingsGenesis):
 
     Attributes:
         solver: Genesis's name of the solver.
-        mesh: `grid`, a regular mesh with springs along both diagonals of each cell, or `remeshed`, the mesh that Genesis
-            makes of the cloth's two triangles, with a spring on each edge.
+        mesh: `grid`, a regular mesh with springs along both diagonals of each cell, or `remeshed`, the mesh that
+            Genesis makes of it, with a spring on each edge.
         cell_m: Desired edge of the cells; None gives 25 mm, less where narrow bodies touch the cloth.
         stiffness: `nominal`, the paper's mapping, compliances 1 / K_s and 1 / K_theta, or `effective`, compliances with
             which the sheet has K_s, K_sh and K_theta after one iteration.

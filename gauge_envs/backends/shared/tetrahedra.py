@@ -1,9 +1,9 @@
 """Linear tetrahedra of soft rows, for every engine.
 
 Each cell of a regular grid is divided into five tetrahedra, one in the middle and four at corners, mirrored from cell
-to cell. Of the usual divisions this is the least stiff for its number of elements. Linear tetrahedra lock in bending and
-torsion: with cells of a quarter of the width, a clamped bar is 1 % too stiff in tension, 13 to 15 % in shear and 28 % in
-torsion. These errors fall with the square of the cell size.
+to cell. Of the usual divisions this is the least stiff for its number of elements. Linear tetrahedra lock in bending
+and torsion: with cells of a quarter of the width, a clamped bar is 1 % too stiff in tension, 13 to 15 % in shear and
+28 % in torsion. These errors fall with the square of the cell size.
 """
 
 from __future__ import annotations
