@@ -16,6 +16,9 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 	tests/experiments/test_scene_source.py tests/experiments/test_task_files.py tests/experiments/test_task_rigid.py \
 	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene
 
+# Those of rigid scenes, which also pass with the oldest MuJoCo.
+RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/checks/sanity/test_sanity_probe.py
+
 .PHONY: demo test check lint slow test-engines test-genesis test-matrix bench docs clean
 
 demo: $(VENV)/.runs
@@ -54,7 +57,7 @@ test-genesis: $(VENV)-genesis/.installed
 
 # The built wheel on other versions of Python, and the guides' commands as a reader installs and runs them.
 test-matrix: $(VENV)/.installed
-	$(BIN)/python scripts/test_matrix.py $(MATRIX) --tests $(MATRIX_TESTS)
+	$(BIN)/python scripts/test_matrix.py $(MATRIX) --tests $(MATRIX_TESTS) --rigid-tests $(RIGID_TESTS)
 	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "(README or getting_started or scripts) and not point_engine"
 
 bench: $(VENV)/.installed

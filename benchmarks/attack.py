@@ -29,6 +29,9 @@ from pxr import Sdf
 
 from gauge_envs import load_experiment
 from gauge_envs.analysis.comparison import compare
+from gauge_envs.checks.sanity.readers.isaac_gym import isaac_gym_configuration
+from gauge_envs.checks.sanity.readers.isaac_lab import isaac_lab_configuration
+from gauge_envs.checks.sanity.readers.yaml_document import read_yaml
 from gauge_envs.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.dataset.trial import TrialError, parse_trial
 from gauge_envs.errors import GaugeError
@@ -51,8 +54,20 @@ MOST_MEMORY_MB = 1000.0
 
 NAME = "SlopeSlider-2-wood"
 
+EXAMPLES = Path(__file__).parents[1] / "examples" / "sanity"
+
 TOKENS = (
     *(b"nan", b"-inf", b"1e999", b"-1", b"0", b"1e-320", b"0x" + b"f" * 9000, b"9" * 10_000, b"1000000000", b"null"),
+    *(
+        b"!!python/object/apply:os.abort []",
+        b"!!python/tuple ",
+        b"&a [*a]",
+        b"*p",
+        b"<<: *p",
+        b"${sim.dt}",
+        b"\t",
+        b": ",
+    ),
     *(b"true", b'"', b"'", b"{", b"}", b"[", b"]", b"[" * 5000, b'{"a":' * 3000, b"a." * 3000, b"\x00", b"\xff\xfe"),
     *(
         b"\x1b[2J",
@@ -66,6 +81,17 @@ TOKENS = (
         b"\r",
     ),
 )
+
+
+GYM = """
+sim: {dt: 0.005, substeps: 2, gravity: [0, 0, -9.81], physx: &p {solver_type: 1, num_position_iterations: 4,
+  num_velocity_iterations: 0, contact_offset: 0.01, bounce_threshold_velocity: 0.5}}
+other: *p
+plane: {static_friction: 1.0, dynamic_friction: "${ground.friction}", restitution: 0.0}
+ground: {friction: 1.0}
+domain_rand: {randomize_friction: true, friction_range: !!python/tuple [0.5, 1.25]}
+"""
+"""A configuration in the style of IsaacGym, with aliases, tags and a reference."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +191,18 @@ def targets(folder: Path) -> dict[str, Target]:
         "usda": Target(".usda", [layer.read_bytes()], lambda file: from_usd(file, duration_s=1.0), 0.5),
         "usdc": Target(
             ".usdc", [(folder / "scene.usdc").read_bytes()], lambda file: from_usd(file, duration_s=1.0), 0.01
+        ),
+        "isaac_lab": Target(
+            ".yaml",
+            [file.read_bytes() for file in sorted(EXAMPLES.glob("g1_*.yaml"))],
+            lambda file: isaac_lab_configuration(read_yaml(file), name=file.name, source=file.name),
+            0.2,
+        ),
+        "isaac_gym": Target(
+            ".yaml",
+            [GYM.encode()],
+            lambda file: isaac_gym_configuration(read_yaml(file), name=file.name, source=file.name),
+            0.2,
         ),
         "mjcf": Target(
             ".xml",

@@ -29,6 +29,7 @@ __all__ = [
     "TrajectoryFileError",
     "UnknownNameError",
     "UnsupportedSceneError",
+    "VideoError",
     "first_fault",
 ]
 
@@ -131,6 +132,10 @@ class ResultFileError(GaugeError, OSError):
 
 class TrajectoryFileError(GaugeError, ValueError):
     """A user's trajectory file cannot be scored; the message names file, place and what is expected."""
+
+
+class VideoError(GaugeError, ValueError):
+    """A video or a track cannot be scored; the message names the file and what is expected."""
 
 
 class UnknownNameError(GaugeError, LookupError):

@@ -1,10 +1,12 @@
 """Test the built wheel on several Python versions, one of them with the lowest dependencies that the project allows.
 
-    python scripts/test_matrix.py 3.12:lowest 3.13:newest --tests tests/cli tests/evaluation
+    python scripts/test_matrix.py 3.12:lowest 3.13:newest --tests tests/cli tests/scene --rigid-tests tests/scene
 
-Each entry makes a fresh environment, installs the wheel with the `plot` extra and without any engine but MuJoCo, and
-runs the tests from a copy that holds no sources of the package. A version without an interpreter is skipped with a
-message; PYTHON3_12=/path/to/python names an interpreter that is not on the PATH.
+Each entry makes a fresh environment, installs the wheel with the `plot` extra and without any engine but MuJoCo, runs
+the conformance checks of MuJoCo, and runs the tests from a copy that holds no sources of the package. The lowest MuJoCo
+has no deformable bodies, so an entry with the lowest dependencies runs `--rigid-tests` with it, and the other tests
+with the lowest MuJoCo that has them. A version without an interpreter is skipped with a message;
+PYTHON3_12=/path/to/python names an interpreter that is not on the PATH.
 """
 
 from __future__ import annotations
@@ -27,6 +29,9 @@ EXTRAS = ("plot",)
 TEST_TOOLS = ("hypothesis", "pytest", "pytest-xdist")
 COPIED = ("benchmarks", "docs", "examples", "scoring", "scripts", "tests", "README.md", "pyproject.toml")
 RESOLUTIONS = ("newest", "lowest")
+LOWEST_WITH_DEFORMABLES = "mujoco==4.0.0"
+CONFORMANCE_LIMIT_S = 300.0
+"""Time limit of the conformance checks of MuJoCo [s]; they take 8 s."""
 
 
 @dataclass(frozen=True)
@@ -98,17 +103,18 @@ def make_environment(folder: Path, *, python: Path, wheel: Path, extras: Sequenc
     return folder / "bin"
 
 
-def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+def _run(command: list[str], limit_s: float | None = None) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=limit_s)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")
 
 
-def _test(entry: Entry, python: Path, wheel: Path, tests: Sequence[str], folder: Path) -> int:
+def _test(
+    entry: Entry, python: Path, wheel: Path, tests: Sequence[str], rigid_tests: Sequence[str], folder: Path
+) -> int:
     start = time.perf_counter()
-    commands = make_environment(
-        folder / "venv", python=python, wheel=wheel, extras=EXTRAS, lowest=entry.resolution == "lowest"
-    )
+    is_lowest = entry.resolution == "lowest"
+    commands = make_environment(folder / "venv", python=python, wheel=wheel, extras=EXTRAS, lowest=is_lowest)
     _run([str(commands / "python"), "-m", "pip", "install", "--quiet", *TEST_TOOLS])
     checkout = folder / "checkout"
     checkout.mkdir()
@@ -118,13 +124,21 @@ def _test(entry: Entry, python: Path, wheel: Path, tests: Sequence[str], folder:
         copy(source, checkout / name)
     installed_s = time.perf_counter() - start
     print(f"{entry}: installed in {installed_s:.0f} s; {_versions(commands / 'python')}", flush=True)
+    _run([str(commands / "gauge"), "backend", "check", "mujoco"], CONFORMANCE_LIMIT_S)
+    print(f"{entry}: MuJoCo conforms after {time.perf_counter() - start - installed_s:.0f} s", flush=True)
+    code = 0
+    if is_lowest:
+        code = _pytest(commands, rigid_tests, checkout)
+        _run([str(commands / "python"), "-m", "pip", "install", "--quiet", LOWEST_WITH_DEFORMABLES])
+        print(f"{entry}: goes on with {_versions(commands / 'python')}", flush=True)
+    code = _pytest(commands, tests, checkout) or code
+    print(f"{entry}: pytest exits with {code} after {time.perf_counter() - start - installed_s:.0f} s", flush=True)
+    return code
+
+
+def _pytest(commands: Path, tests: Sequence[str], checkout: Path) -> int:
     # The command `pytest`, unlike `python -m pytest`, leaves the working directory out of the path.
-    done = subprocess.run([str(commands / "pytest"), "-n", "2", *tests], cwd=checkout, check=False)
-    print(
-        f"{entry}: pytest exits with {done.returncode} after {time.perf_counter() - start - installed_s:.0f} s",
-        flush=True,
-    )
-    return done.returncode
+    return subprocess.run([str(commands / "pytest"), "-n", "2", *tests], cwd=checkout, check=False).returncode
 
 
 def _versions(python: Path) -> str:
@@ -142,6 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Test the built wheel on several Python versions.")
     parser.add_argument("entries", nargs="+", type=Entry.parse, metavar="VERSION:RESOLUTION")
     parser.add_argument("--tests", nargs="+", required=True, help="test files and folders")
+    parser.add_argument("--rigid-tests", nargs="+", required=True, help="those that pass with the lowest MuJoCo")
     options = parser.parse_args(arguments)
     failed, skipped = [], []
     with tempfile.TemporaryDirectory(prefix="gauge-test-matrix-") as temporary:
@@ -157,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 continue
             folder = Path(temporary) / str(number)
             folder.mkdir()
-            if _test(entry, python, wheel, options.tests, folder):
+            if _test(entry, python, wheel, options.tests, options.rigid_tests, folder):
                 failed.append(entry)
     done = [entry for entry in options.entries if entry not in failed and entry not in skipped]
     for word, those in (("passed", done), ("failed", failed), ("skipped", skipped)):

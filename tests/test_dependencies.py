@@ -15,7 +15,13 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
-DISTRIBUTION = {"genesis": "genesis-world", "pydrake": "drake", "pxr": "usd-core", "warp": "warp-lang"}
+DISTRIBUTION = {
+    "genesis": "genesis-world",
+    "pydrake": "drake",
+    "pxr": "usd-core",
+    "warp": "warp-lang",
+    "yaml": "pyyaml",
+}
 """Distributions whose module has another name."""
 
 INDIRECT = {

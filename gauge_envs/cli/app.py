@@ -21,7 +21,10 @@ from gauge_envs.cli.interrupts import (
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
+from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
+from gauge_envs.cli.sanity_probe import sanity_probe
 from gauge_envs.cli.streams import reserved_stdout
+from gauge_envs.cli.video import video_app
 from gauge_envs.errors import GaugeError
 
 __all__ = ["app", "main"]
@@ -47,7 +50,14 @@ class _Command(typer.core.TyperCommand):
 
 
 class _Group(typer.core.TyperGroup):
-    """Group that prints errors of gauge-envs without a traceback; no other place catches them."""
+    """Group that prints errors of gauge-envs without a traceback; no other place catches them.
+
+    The name of a command may have two words, as `sanity probe` beside `sanity TARGET`.
+    """
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        words = " ".join(args[:2])
+        return super().resolve_command(ctx, [words, *args[2:]] if words in self.commands else args)
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -87,10 +97,14 @@ app = typer.Typer(
 app.command("list")(list_)
 for command in (show, run, score, plot, compare, diagnose, sanity, materials):
     app.command()(command)
+app.command("sanity probe")(sanity_probe)
+app.command("sanity export")(sanity_export)
+app.command("sanity judge")(sanity_judge)
 app.add_typer(backend_app, name="backend")
 app.add_typer(assets_app, name="assets")
 app.add_typer(data_app, name="data")
-for group in (app, backend_app, assets_app, data_app):
+app.add_typer(video_app, name="video")
+for group in (app, backend_app, assets_app, data_app, video_app):
     for registered in group.registered_commands:
         registered.cls = _Command
 

@@ -32,7 +32,22 @@ if TYPE_CHECKING:
     from gauge_envs.checks.sanity import PhenomenonResult, Report, Verdict
 
 
-__all__ = ["FailOn", "backend_app", "backend_check", "backend_list", "sanity"]
+__all__ = [
+    "FailOn",
+    "OtherEngine",
+    "backend_app",
+    "backend_check",
+    "backend_list",
+    "has_failed",
+    "print_report",
+    "sanity",
+]
+
+
+class OtherEngine(StrEnum):
+    """Engine on which flagged rows are run again."""
+
+    MUJOCO_WARP = "mujoco_warp"
 
 
 class FailOn(StrEnum):
@@ -48,8 +63,9 @@ def sanity(
         str | None,
         typer.Argument(
             help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
-            "dm_control's suite (dm_control:walker/walk), a model file (robot.xml), a settings file (.toml, .json), or "
-            "a backend and a preset (mujoco:out_of_box, newton)."
+            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
+            "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
+            "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
     ] = None,
     pair: Annotated[
@@ -81,6 +97,10 @@ def sanity(
         float | None,
         typer.Option("--time-limit-s", min=0.0, help="Start no simulation after this time; other rows are declined."),
     ] = None,
+    on_engine: Annotated[
+        OtherEngine | None,
+        typer.Option(help="Run flagged rows of a MuJoCo model again on mujoco_warp: a minute more, longer at first."),
+    ] = None,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="File for an HTML page with pictures.")] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
     json_lines: Json = False,
@@ -95,6 +115,7 @@ def sanity(
     from gauge_envs.checks.sanity import check, configuration
     from gauge_envs.checks.sanity.baseline import read_baseline
     from gauge_envs.checks.sanity.selection import selection
+    from gauge_envs.checks.sanity.target import compiled_model
     from gauge_envs.report.sanity import phenomena_rows, phenomena_table
     from gauge_envs.report.sanity_page import check_can_draw, save_sanity_page
 
@@ -122,14 +143,20 @@ def sanity(
             progress.update(bar, advance=1, description=row.phenomenon)
 
         report = check(checked, only=patterns, include_deformables=every, time_limit_s=time_limit_s, notify=notify)
-    _print_report(report, json_lines, markdown, wide)
+        if on_engine is not None:
+            from gauge_envs.checks.sanity.mujoco_warp_run import with_mujoco_warp
+
+            progress.update(bar, description=on_engine.value)
+            report = with_mujoco_warp(report, model=compiled_model(target))
+    print_report(report, json_lines, markdown, wide)
     if html is not None:
         stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
-    if _has_failed(report, fail_on, before):
+    if has_failed(report, fail_on, before):
         raise typer.Exit(EXIT_FAILED)
 
 
-def _print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+def print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
+    """Print a sanity check as JSON lines, as Markdown, or for a terminal."""
     from gauge_envs.report.sanity import sanity_markdown, sanity_rows, sanity_view
 
     if json_lines:
@@ -167,7 +194,7 @@ def _compare(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
+def has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
     """Return whether a sanity check ends with an error, and print regressions from a baseline."""
     from gauge_envs.checks.sanity import Verdict
     from gauge_envs.checks.sanity.baseline import regressions

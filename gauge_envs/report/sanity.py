@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
+from gauge_envs.checks.sanity.capacity import CAPACITY_ID, CAPACITY_REALITY, CAPACITY_TITLE
+from gauge_envs.checks.sanity.foot import FootGeometry
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.checks.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
@@ -20,6 +23,7 @@ __all__ = [
     "ADVISORY_NOTE",
     "VERDICT_NOTES",
     "effect_text",
+    "foot_text",
     "measured_text",
     "phenomena_rows",
     "phenomena_table",
@@ -71,7 +75,7 @@ def sanity_view(report: Report, *, wide: bool = False) -> Group:
         Facts(_facts(checked)),
         *([as_rich(_contact_table(checked), wide=wide)] if len(checked.contact_groups) > 1 else []),
         *(Text(f"note: {note}", style="yellow") for note in checked.notes),
-        as_rich(_phenomenon_table(report), wide=wide),
+        as_rich(_phenomenon_table(report, is_short=not wide), wide=wide),
         Text(""),
         Text(tally_text(report), style="bold"),
         Text(LEGEND, style="dim"),
@@ -86,7 +90,10 @@ def top_line(report: Report) -> str:
     if report.cure is not None:
         return f"Mends most: {report.cure.line}"
     if flags:
-        return f"{flags} {'flags' if flags > 1 else 'flag'}; no change that was tried mends one"
+        text = f"{flags} {'flags' if flags > 1 else 'flag'}"
+        if any(row.cause is not None for row in report.rows):
+            return f"{text}; no change that was tried mends one"
+        return f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
     measured = any(row.verdict is not Verdict.DECLINED for row in report.rows)
     return "No flags: nothing to change" if measured else "Nothing was measured"
 
@@ -119,6 +126,7 @@ def phenomena_rows(*, include_deformables: bool = False, only: Sequence[str] = (
     """
     chosen = selection(only, include_deformables=include_deformables)
     known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
+    known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
     known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return [
         {
@@ -146,11 +154,20 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
+    if checked.foot is not None:
+        facts["foot on ground"] = checked.foot.text
+    if checked.foot_geometry is not None:
+        facts["foot"] = foot_text(checked.foot_geometry)
     for origin, settings in settings_by_origin(checked).items():
         facts[origin] = ", ".join(f"{name} = {setting_text(value)}" for name, value in settings.items())
     if not checked.settings:
         facts["settings"] = "this package's presets"
     return facts
+
+
+def foot_text(foot: FootGeometry) -> str:
+    """Return what the rows on the foot of a robot are about."""
+    return f"{foot.description}, in the {foot.pose}; {foot.assumption}"
 
 
 def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, Any]]:
@@ -189,7 +206,8 @@ def _contact_table(checked: TrainingConfiguration) -> Table:
     )
 
 
-def _phenomenon_table(report: Report) -> Table:
+def _phenomenon_table(report: Report, *, is_short: bool = False) -> Table:
+    repeated = _repeated_causes(report) if is_short else {}
     return Table(
         title="Phenomena",
         columns=(
@@ -200,10 +218,31 @@ def _phenomenon_table(report: Report) -> Table:
             Column("", "preset", lambda row: measured_text(row.default), is_number=True, style=_default_style),
             Column("", "this", lambda row: measured_text(row.configured), is_number=True, style=_style),
             Column("", "verdict", verdict_text, style=_style),
-            Column("", "responsible", responsible_text, place=Place.BELOW),
+            Column(
+                "", "responsible", lambda row: repeated.get(row.phenomenon) or responsible_text(row), place=Place.BELOW
+            ),
         ),
         rows=report.rows,
     )
+
+
+CAUSE_VERB = re.compile(r" brings? ")
+"""Verb of a cause, between the settings and what they do."""
+
+
+def _repeated_causes(report: Report) -> dict[str, str]:
+    """Return shorter texts for rows whose cause is that of an earlier row, by phenomenon."""
+    first: dict[str, str] = {}
+    repeated = {}
+    for row in report.rows:
+        if row.cause is None or not CAUSE_VERB.search(row.cause.line):
+            continue
+        change, effect = CAUSE_VERB.split(row.cause.line, maxsplit=1)
+        if first.setdefault(change, row.phenomenon) != row.phenomenon:
+            # Other settings that would do, and the source, stand in the wide table.
+            known = replace(row.cause, line=f"as for {first[change]}: {re.split(r' [(]|; ', effect)[0]}")
+            repeated[row.phenomenon] = responsible_text(replace(row, cause=known))
+    return repeated
 
 
 def _style(row: PhenomenonResult) -> str:

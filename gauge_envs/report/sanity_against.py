@@ -16,6 +16,9 @@ __all__ = ["against_line", "against_markdown", "against_rows", "against_view"]
 
 STYLES = {Change.NONE: "green", Change.VISIBLE: "yellow", Change.LARGE: "bold red", Change.UNKNOWN: "dim"}
 
+MOST_NAMED = 2
+"""Largest number of changes that the first line names."""
+
 LEGEND = (
     "same: no real trial could resolve the difference, or it is within the tolerance of the law; visible: up to 2.5 "
     "times as much; large: more; unknown: one of the two was not measured."
@@ -49,15 +52,18 @@ def against_markdown(comparison: Comparison) -> str:
 
 
 def against_line(comparison: Comparison) -> str:
-    """Return the largest change in one line."""
-    largest = comparison.largest
-    if largest is None:
+    """Return the largest changes in one line."""
+    changed = comparison.changed
+    if not changed:
         unknown = sum(row.change is Change.UNKNOWN for row in comparison.rows)
         return "Nothing changes" + (f"; {unknown} rows are unknown" if unknown else "")
-    count = sum(row.change in (Change.VISIBLE, Change.LARGE) for row in comparison.rows)
-    unit = "" if largest.unit == "1" else f" {largest.unit}"
-    values = f"{measured_text(largest.trained)} to {measured_text(largest.deployed)}{unit}"
-    return f"{count} of {len(comparison.rows)} rows change; most of all {largest.title}: from {values}"
+    named = "; then ".join(map(_change_text, changed[:MOST_NAMED]))
+    return f"{len(changed)} of {len(comparison.rows)} rows change; most of all {named}"
+
+
+def _change_text(row: ChangeRow) -> str:
+    unit = "" if row.unit == "1" else f" {row.unit}"
+    return f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}{unit}"
 
 
 def _table(comparison: Comparison) -> Table:

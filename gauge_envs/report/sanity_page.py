@@ -21,6 +21,7 @@ from gauge_envs.errors import MissingExtraError, ResultFileError
 from gauge_envs.report.sanity import (
     ADVISORY_NOTE,
     VERDICT_NOTES,
+    foot_text,
     measured_text,
     reality_text,
     responsible_text,
@@ -39,34 +40,58 @@ REALITY_COLOR, DEFAULT_COLOR, CONFIGURED_COLOR = "#303030", "#0072b2", "#d55e00"
 MARKS = {Verdict.INSIDE: "&#10003;", Verdict.VISIBLE: "&#9651;", Verdict.WRONG: "&#10007;", Verdict.DECLINED: "&ndash;"}
 """Signs beside the words, so that a verdict is visible without its colour."""
 
-FIGURE_SIZE_IN = (5.2, 2.5)
+FIGURE_SIZE_IN = (3.3, 2.6)
+"""Size of a figure. At its own size it fits on a phone, where the text of `FONT_PT` is as large as the page's."""
+
+FONT_PT = 10.5
+"""Size of the text in figures: 14 pixels."""
 
 STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: #1c1c1c; background: #fff;
-  max-width: 76rem; margin: 2rem auto; padding: 0 1.2rem; }
-h1 { font-size: 1.6rem; margin: 0; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
-h3 { font-size: 1rem; margin: 0 0 .3rem; }
-.lead { color: #555; margin: .2rem 0 1.2rem; }
+:root { color-scheme: light dark; --text: #1c1c1c; --back: #fff; --quiet: #555; --line: #ddd; --head: #bbb;
+  --blue: #e3f1fa; --amber: #fdf3d4; --red: #fbe3d6; --grey: #f1f1f1; }
+@media (prefers-color-scheme: dark) { :root { --text: #e8e8e8; --back: #161616; --quiet: #b0b0b0; --line: #3a3a3a;
+  --head: #666; --blue: #12324a; --amber: #4a3a08; --red: #56240c; --grey: #2c2c2c; } }
+* { box-sizing: border-box; }
+body { font: 16px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: var(--text);
+  background: var(--back); max-width: 72rem; margin: 1.5rem auto; padding: 0 1rem; overflow-wrap: anywhere; }
+h1 { font-size: 1.5rem; line-height: 1.25; margin: 0 0 .8rem; } h2 { font-size: 1.2rem; margin: 2rem 0 .5rem; }
+a { color: inherit; text-decoration-color: var(--quiet); }
 table { border-collapse: collapse; width: 100%; }
-th { text-align: left; font-weight: 600; color: #555; border-bottom: 2px solid #ccc; padding: .3rem .6rem; }
-td { border-bottom: 1px solid #e4e4e4; padding: .35rem .6rem; vertical-align: top; }
-.phenomena td:first-child { min-width: 13rem; } .phenomena td:last-child { min-width: 19rem; }
-.scroll { overflow-x: auto; }
-a { color: inherit; text-decoration-color: #aaa; }
-td.n, th.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
-code { font: 13px/1.45 ui-monospace, Menlo, Consolas, "DejaVu Sans Mono", monospace; }
-.badge { display: inline-block; border-radius: .25rem; padding: .05rem .5rem; white-space: nowrap; border: 1px solid; }
-.inside { background: #e3f1fa; border-color: #0072b2; } .visible { background: #fdf3d4; border-color: #c78a00; }
-.wrong { background: #fbe3d6; border-color: #d55e00; font-weight: 600; }
-.declined { background: #f1f1f1; border-color: #999; color: #555; }
-.cure { border-left: 3px solid #0072b2; padding: .3rem .7rem; background: #f2f8fc; font-weight: 600; }
-.note { border-left: 3px solid #c78a00; padding: .1rem .7rem; margin: .4rem 0; background: #fffaf0; }
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(26rem, 100%), 1fr)); gap: 1.2rem; }
-.card { border: 1px solid #ddd; border-radius: .4rem; padding: .8rem 1rem; break-inside: avoid; }
-.card svg { width: 100%; max-width: 34rem; height: auto; } .small { color: #555; font-size: .87rem; margin: .3rem 0; }
-details { font-size: .87rem; } summary { cursor: pointer; color: #555; }
-details td, details th { padding: .12rem .5rem; } details { overflow-x: auto; }
+th { text-align: left; font-weight: 600; color: var(--quiet); border-bottom: 2px solid var(--head);
+  padding: .3rem .5rem; overflow-wrap: normal; }
+td { border-top: 1px solid var(--line); padding: .35rem .5rem; vertical-align: top; }
+td:empty { padding: 0; }
+tr.more td { border-top: 0; padding-top: 0; color: var(--quiet); }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+@media (min-width: 761px) { td.n, th.n, td .badge { white-space: nowrap; }
+  .phenomena td:first-child { width: 45%; } }
+.badge { display: inline-block; border-radius: .25rem; padding: .05rem .5rem; border: 1px solid; }
+.inside { background: var(--blue); border-color: #0072b2; }
+.visible { background: var(--amber); border-color: #c78a00; }
+.wrong { background: var(--red); border-color: #d55e00; font-weight: 600; }
+.declined { background: var(--grey); border-color: #999; }
+.cure { border-left: 4px solid #0072b2; padding: .4rem .7rem; background: var(--blue); font-weight: 600; margin: 0; }
+.note { border-left: 4px solid #c78a00; padding: .1rem .7rem; margin: .4rem 0; background: var(--amber); }
+.lead, .small { color: var(--quiet); } .small { font-size: .9rem; margin: .4rem 0; }
+.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(24rem, 100%), 1fr)); gap: 1rem;
+  align-items: start; }
+.card { border: 1px solid var(--line); border-radius: .4rem; padding: .6rem .9rem; min-width: 0;
+  content-visibility: auto; contain-intrinsic-size: auto 24rem; }
+.card:not([open]) { contain-intrinsic-size: auto 3rem; }
+.card > summary { font-weight: 600; color: var(--text); }
+.card svg { display: block; width: 100%; max-width: 26rem; height: auto; background: #fff; border-radius: .3rem; }
+details { font-size: 1rem; } details details, details table { font-size: .9rem; }
+summary { cursor: pointer; color: var(--quiet); }
+.wide td { padding: .15rem .4rem; } .wide th { padding: .15rem .4rem; }
+@media (max-width: 760px) {
+  .stack thead { display: none; }
+  .stack tr, .stack td { display: block; }
+  .stack tr { border-top: 1px solid var(--line); padding: .5rem 0; }
+  .stack td { border: 0; padding: .05rem 0; text-align: left; }
+  .stack td[data-label]:not(:empty)::before { content: attr(data-label) ": "; color: var(--quiet); }
+  .stack td.n { display: inline-block; margin-right: 1rem; }
+  .stack tr.more { border-top: 0; padding-top: 0; }
+}
 """
 
 
@@ -108,32 +133,43 @@ def sanity_page(report: Report) -> str:
     title = f"Sanity check of {checked.name}"
     parts = [
         f"<h1>{escape(title)}</h1>",
+        f'<p class="cure">{escape(top_line(report))}</p>',
         f'<p class="lead">What the numerical settings of this configuration do to the physics of measured objects: '
         f"{escape(tally_text(report))}.</p>",
-        f'<p class="cure">{escape(top_line(report))}</p>',
-        "<h2>Phenomena</h2>",
         _phenomena(report.rows),
         "".join(f'<p class="small">{_badge(verdict)} {escape(note)}</p>' for verdict, note in VERDICT_NOTES.items()),
         f'<p class="small">advisory: {escape(ADVISORY_NOTE)}</p>' if any(row.advisory for row in report.rows) else "",
+        "<h2>One by one</h2>",
+        f'<div class="cards">{"".join(map(_card, sorted(report.rows, key=lambda row: not row.is_flag)))}</div>',
         "<h2>What was read</h2>",
         _configuration(checked),
-        "<h2>One by one</h2>",
-        f'<div class="cards">{"".join(map(_card, report.rows))}</div>',
         "<h2>Versions</h2>",
         _table(("package", "version"), sorted(report.versions.items())),
     ]
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head>\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head>\n'
         f"<body>{chr(10).join(parts)}</body></html>\n"
     )
 
 
-def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a plain table of text."""
+def _table(titles: Sequence[str], rows: Iterable[Sequence[str]], *, stacks: bool = False) -> str:
+    """Return a plain table of text.
+
+    Args:
+        titles: Titles of the columns.
+        rows: Texts of the cells.
+        stacks: Whether the cells of a row stand below each other on a narrow screen, each with its title.
+    """
     head = "".join(f"<th>{escape(title)}</th>" for title in titles)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
+    body = "".join(f"<tr>{''.join(map(_cell, titles, row))}</tr>" for row in rows)
+    kind = ' class="stack wide"' if stacks else ""
+    return f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _cell(title: str, text: str) -> str:
+    label = f' data-label="{escape(title)}"' if title else ""
+    return f"<td{label}>{escape(text)}</td>"
 
 
 def _badge(verdict: Verdict, text: str | None = None) -> str:
@@ -141,27 +177,32 @@ def _badge(verdict: Verdict, text: str | None = None) -> str:
 
 
 def _row_badge(row: PhenomenonResult) -> str:
-    """Return the badge of a row; an advisory one is grey."""
-    return _badge(Verdict.DECLINED if row.advisory else row.verdict, verdict_text(row))
+    """Return the badge of a row; it is grey where the row is off and does not count."""
+    counts = row.is_flag or row.verdict is Verdict.INSIDE
+    return _badge(row.verdict if counts else Verdict.DECLINED, verdict_text(row))
 
 
 def _phenomena(rows: Sequence[PhenomenonResult]) -> str:
     head = (
-        '<tr><th>phenomenon</th><th class="n">reality</th><th class="n">this package\'s preset</th>'
-        '<th class="n">this configuration</th><th>verdict</th><th>responsible</th></tr>'
+        '<tr><th>phenomenon</th><th class="n">reality</th><th class="n">preset</th>'
+        '<th class="n">this configuration</th><th>verdict</th></tr>'
     )
-    return f'<div class="scroll"><table class="phenomena">{head}{"".join(map(_phenomenon, rows))}</table></div>'
+    body = "".join(map(_phenomenon, rows))
+    return f'<table class="stack phenomena"><thead>{head}</thead><tbody>{body}</tbody></table>'
 
 
 def _phenomenon(row: PhenomenonResult) -> str:
     default = escape(measured_text(row.default))
     if row.default_verdict is not Verdict.INSIDE:
-        default += f" <small>({row.default_verdict.value})</small>"
+        default += f" ({row.default_verdict.value})"
+    text = responsible_text(row)
+    more = f'<tr class="more"><td colspan="5">{escape(text)}</td></tr>' if text else ""
     return (
         f'<tr><td><a href="#{escape(row.phenomenon)}">{escape(row.title)}</a></td>'
-        f'<td class="n">{escape(reality_text(row.reality, row.unit))}</td><td class="n">{default}</td>'
-        f'<td class="n">{escape(measured_text(row.configured))}</td><td>{_row_badge(row)}</td>'
-        f"<td>{escape(responsible_text(row))}</td></tr>"
+        f'<td class="n" data-label="reality">{escape(reality_text(row.reality, row.unit))}</td>'
+        f'<td class="n" data-label="preset">{default}</td>'
+        f'<td class="n" data-label="this configuration">{escape(measured_text(row.configured))}</td>'
+        f"<td>{_row_badge(row)}</td></tr>{more}"
     )
 
 
@@ -172,6 +213,10 @@ def _configuration(checked: TrainingConfiguration) -> str:
     facts = [("read from", checked.source), ("backend", checked.backend)]
     if checked.frame_skip is not None:
         facts.append(("one action", f"{checked.frame_skip} steps"))
+    if checked.foot is not None:
+        facts.append(("foot on ground", checked.foot.text))
+    if checked.foot_geometry is not None:
+        facts.append(("foot", foot_text(checked.foot_geometry)))
     parts = [_table(("what", "value"), facts)]
     parts += [f'<p class="note">{escape(note)}</p>' for note in checked.notes]
     rows = [
@@ -179,20 +224,21 @@ def _configuration(checked: TrainingConfiguration) -> str:
         for origin, settings in settings_by_origin(checked).items()
         for name, value in settings.items()
     ]
-    settings = _table(("setting", "value", "from"), rows) if rows else "<p>No settings: this package's presets.</p>"
+    titles = ("setting", "value", "from")
+    settings = _table(titles, rows, stacks=True) if rows else "<p>No settings: this package's presets.</p>"
     parts.append(f"<details open><summary>{len(rows)} settings</summary>{settings}</details>")
     if checked.contact_groups:
         names = list(checked.contact_groups[0].constants)
         groups = [
             (
-                "used" if group.is_used else "",
                 group.geoms,
+                "used" if group.is_used else "",
                 str(group.pair_count),
                 *(setting_text(group.constants[name]) for name in names),
             )
             for group in checked.contact_groups
         ]
-        table = _table(("", "geoms", "pairs", *names), groups)
+        table = _table(("geoms", "", "pairs", *names), groups, stacks=True)
         parts.append(f"<details open><summary>contacts of the model</summary>{table}</details>")
     return "".join(parts)
 
@@ -201,16 +247,19 @@ def _configuration(checked: TrainingConfiguration) -> str:
 
 
 def _card(row: PhenomenonResult) -> str:
+    """Return the details of a row, which are open where it is visible or wrong."""
     text = responsible_text(row)
     figure = "" if row.curve is None else _figure(row.curve)
     return (
-        f'<div class="card" id="{escape(row.phenomenon)}"><h3>{escape(row.title)}</h3>'
+        f'<details class="card" id="{escape(row.phenomenon)}"{" open" if row.is_flag else ""}>'
+        f"<summary>{escape(row.title)}</summary>"
         f"<p>{_row_badge(row)} {escape(_sentence(row))}</p>{figure}"
         f"{f'<p>{escape(text)}</p>' if text else ''}"
         f"{_tried(row.cause, row.unit) if row.cause is not None and row.cause.tried else ''}"
         f"{_groups(row.groups)}"
         f'<p class="small">Reality ({row.reality.kind.value}): {escape(row.reality.source)}. Interval: '
-        f"{escape(row.reality.rationale)}.{f' Scene: {escape(row.experiment)}.' if row.experiment else ''}</p></div>"
+        f"{escape(row.reality.rationale)}.{f' Scene: {escape(row.experiment)}.' if row.experiment else ''}</p>"
+        "</details>"
     )
 
 
@@ -249,10 +298,13 @@ def _figure(curve: Curve) -> str:
     from matplotlib.figure import Figure
 
     # Text stays text: a page of many figures is five times smaller than with glyphs as paths.
-    with mpl.rc_context({"svg.fonttype": "none", "font.family": "sans-serif", "font.size": 9.0}):
+    with mpl.rc_context({"svg.fonttype": "none", "font.family": "sans-serif", "font.size": FONT_PT}):
         figure = Figure(figsize=FIGURE_SIZE_IN, layout="constrained")
         axes = figure.add_subplot()
         _draw(axes, curve)
+        figure.legend(
+            loc="outside upper center", ncols=2, frameon=False, handlelength=1.4, columnspacing=1.0, borderpad=0.0
+        )
         stream = StringIO()
         figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()
@@ -273,5 +325,5 @@ def _draw(axes: Any, curve: Curve) -> None:
         )
     axes.set_xlabel("time [s]")
     axes.set_ylabel(curve.label)
+    axes.locator_params(nbins=5)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8, loc="best")

@@ -16,7 +16,20 @@ from gauge_envs.scene.bodies import (
     SoftBody,
     Tether,
 )
-from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Plane, Pose, Shape, Sphere, Vector
+from gauge_envs.scene.geometry import (
+    Box,
+    Capsule,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Part,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+    Vector,
+)
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 
@@ -24,15 +37,19 @@ __all__ = [
     "GRAVITY_M_PER_S2",
     "Attachment",
     "Box",
+    "Capsule",
     "Cloth",
+    "Compound",
     "Contact",
     "ContactMode",
     "ConvexUnion",
     "Cylinder",
     "Deformable",
+    "Ellipsoid",
     "Hinge",
     "Markers",
     "Motion",
+    "Part",
     "Plane",
     "Pose",
     "Region",

@@ -14,9 +14,13 @@ from scipy.spatial.transform import Rotation
 
 __all__ = [
     "Box",
+    "Capsule",
+    "Compound",
     "ConvexUnion",
     "Cylinder",
+    "Ellipsoid",
     "NonNegative",
+    "Part",
     "Plane",
     "Pose",
     "Positive",
@@ -169,7 +173,77 @@ class ConvexUnion:
         return np.concatenate([np.asarray(piece) for piece in self.pieces_m])
 
 
-Shape = Box | Sphere | Cylinder | Plane | ConvexUnion
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """Cylinder with a hemisphere at each end, centred on the origin, axis along z; only a part of a `Compound`.
+
+    Attributes:
+        radius_m: Radius [m].
+        length_m: Length of the cylinder, without the hemispheres [m].
+    """
+
+    radius_m: Positive
+    length_m: Positive
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume [m^3]."""
+        return np.pi * self.radius_m**2 * (self.length_m + 4.0 / 3.0 * self.radius_m)
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """Corners of the bounding box in the frame of the capsule [m], shape [8, 3]."""
+        width = 2.0 * self.radius_m
+        return Box(size_m=(width, width, self.length_m + width)).corners_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipsoid:
+    """Ellipsoid centred on the origin, half-axes [m] along x, y, z; only a part of a `Compound`."""
+
+    radii_m: tuple[Positive, Positive, Positive]
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume [m^3]."""
+        return 4.0 / 3.0 * np.pi * float(np.prod(self.radii_m))
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """Corners of the bounding box in the frame of the ellipsoid [m], shape [8, 3]."""
+        x, y, z = self.radii_m
+        return Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)).corners_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One solid of a `Compound`, with its pose in the body frame."""
+
+    shape: Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+    pose: Pose
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compound:
+    """Rigid assembly of solids that share one density; parts may be apart.
+
+    It describes feet of robots, which are capsules and spheres in several places. No task file has this shape.
+    """
+
+    parts: tuple[Part, ...]
+
+    @cached_property
+    def volume_m3(self) -> float:
+        """Volume of all parts [m^3]; overlaps count twice."""
+        return float(sum(part.shape.volume_m3 for part in self.parts))
+
+    @property
+    def corners_m(self) -> NDArray[np.float64]:
+        """Corners of all parts in the body frame [m], shape [corner_count, 3]."""
+        return np.concatenate([part.pose.to_world(part.shape.corners_m) for part in self.parts])
+
+
+Shape = Box | Sphere | Cylinder | Plane | ConvexUnion | Compound
 
 
 def pose_distance(one: Pose, other: Pose) -> float:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gauge_envs.scene.bodies import Region
-from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Shape, Sphere
+from gauge_envs.scene.geometry import Box, Capsule, Compound, ConvexUnion, Cylinder, Ellipsoid, Part, Shape, Sphere
 
 __all__ = ["TOUCHING_M", "grid", "hull_faces", "mass_properties", "nodes_in", "prism", "tetrahedra"]
 
@@ -120,4 +120,43 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], 
             steiner = piece.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
             inertia += density * (piece.moment_inertia + steiner)
         return centre, inertia
+    if isinstance(shape, Compound):
+        return _compound_properties(shape, mass_kg)
     return np.zeros(3), np.zeros((3, 3))
+
+
+def _compound_properties(shape: Compound, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    density = mass_kg / shape.volume_m3
+    parts = [_part_properties(part, density) for part in shape.parts]
+    centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / mass_kg
+    inertia = np.zeros((3, 3))
+    for mass, place, own in parts:
+        arm = place - centre
+        inertia += own + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return centre, inertia
+
+
+def _part_properties(part: Part, density_kg_per_m3: float) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Return mass, centre of mass and inertia about it of a part, in the axes of its body."""
+    shape = part.shape
+    mass = density_kg_per_m3 * shape.volume_m3
+    if isinstance(shape, Capsule):
+        centre, inertia = np.zeros(3), _capsule_inertia(shape, density_kg_per_m3)
+    elif isinstance(shape, Ellipsoid):
+        x, y, z = np.square(shape.radii_m)
+        centre, inertia = np.zeros(3), mass / 5.0 * np.diag([y + z, x + z, x + y])
+    else:
+        centre, inertia = mass_properties(shape, mass)
+    turn = part.pose.rotation.as_matrix()
+    return mass, part.pose.to_world(centre), turn @ inertia @ turn.T
+
+
+def _capsule_inertia(shape: Capsule, density_kg_per_m3: float) -> NDArray[np.float64]:
+    radius, length = shape.radius_m, shape.length_m
+    tube = density_kg_per_m3 * np.pi * radius**2 * length
+    ball = density_kg_per_m3 * 4.0 / 3.0 * np.pi * radius**3
+    along = 0.5 * tube * radius**2 + 0.4 * ball * radius**2
+    # The centre of a hemisphere lies 3/8 of the radius beyond the end of the cylinder.
+    across = tube * (3.0 * radius**2 + length**2) / 12.0
+    across += ball * (0.4 * radius**2 + 0.25 * length**2 + 0.375 * radius * length)
+    return np.diag([across, across, along])

@@ -57,6 +57,7 @@ def collision_parts(shape: Shape) -> list[Part]:
         return [Part(pose=here, shape=geometry.Cylinder(shape.radius_m, shape.length_m))]
     if isinstance(shape, Plane):
         return [Part(pose=here, shape=geometry.HalfSpace())]
+    assert isinstance(shape, ConvexUnion), "compounds are declined by unsupported_features"
     parts = []
     for number, piece in enumerate(shape.pieces_m):
         points = np.asarray(piece)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gauge_envs.scene import Scene
+from gauge_envs.scene import Compound, Scene
 
 __all__ = ["unsupported_features"]
 
@@ -19,6 +19,9 @@ REASONS = {
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each kind of feature of a scene that this backend does not build."""
+    compound = next((body.name for body in scene.bodies if isinstance(body.shape, Compound)), None)
+    if compound is not None:
+        yield f"{compound!r} is a compound of solids, and this backend builds one solid or convex pieces for each body"
     subjects: dict[str, list[str]] = {}
     for body in scene.deformables:
         subjects.setdefault(REASONS[type(body).__name__], []).append(body.name)

@@ -41,7 +41,7 @@ class SettingsGenesis(SteppedSettings):
             gives the fastest fall, start or driver of the scene, to two digits.
         impact_impedance: Impedance of impacts, constant in depth; Genesis takes 0.0001 to 0.9999.
         kinematic_mass_kg: Mass of a driven body, so large that contacts do not slow it between two drives.
-        hinge_armature_kg_m2: Rotor inertia of each hinge, on top of the body's; 0.1 where a model of Genesis states none.
+        hinge_armature_kg_m2: Rotor inertia of each hinge; Genesis gives 0.1 to hinges that state none.
         tether_rate: Natural frequency of a taut string times the step; a string is a spring with critical damping.
     """
 

@@ -14,14 +14,15 @@ from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.errors import ParameterError
+from gauge_envs.backends.mujoco.versions import without_absent, without_deformables
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendMuJoCo"]
 
 
 class BackendMuJoCo(Backend):
-    """MuJoCo 4 on the CPU: rigid bodies, hinges, tethers, driven bodies, cloth, soft bodies, ropes and rods."""
+    """MuJoCo on the CPU: rigid bodies, hinges, tethers, driven bodies; with MuJoCo 4, deformable bodies too."""
 
     name = "mujoco"
     file_suffixes = (".xml",)
@@ -31,13 +32,16 @@ class BackendMuJoCo(Backend):
         return {"mujoco": mujoco.__version__}
 
     def supports(self, scene: Scene) -> Support:
-        """Return the unsupported features, such as cloth or a soft body that is attached to a dynamic body."""
-        return Support(tuple(unsupported_features(scene)))
+        """Return the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""
+        return Support((*without_deformables(scene), *unsupported_features(scene)))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
+        for reason in without_deformables(scene):
+            raise UnsupportedSceneError(reason)
         chosen = settings_for(scene, settings)
-        return SimulationMuJoCo(scene, chosen.model_dump(mode="json"), *build_model(scene, chosen))
+        in_force = without_absent(chosen.model_dump(mode="json"))
+        return SimulationMuJoCo(scene, in_force, *build_model(scene, chosen))
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
         """Read an MJCF file; see `gauge_envs.backends.mujoco.mjcf_reader`."""

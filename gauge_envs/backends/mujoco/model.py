@@ -13,8 +13,24 @@ from gauge_envs.backends.mujoco.contacts import contact_constants
 from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
+from gauge_envs.backends.mujoco.versions import constants_of
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Box, Contact, ConvexUnion, Cylinder, Hinge, Motion, RigidBody, Scene, Shape, Sphere, Tether
+from gauge_envs.scene import (
+    Box,
+    Capsule,
+    Compound,
+    Contact,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Hinge,
+    Motion,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+    Tether,
+)
 from gauge_envs.scene.meshes import prism
 
 __all__ = [
@@ -38,13 +54,16 @@ START_KEY = "start"
 EXPLICIT_PAIR_LIMIT = 1000
 """Largest number of explicit geom pairs of a contact; contacts with more use MuJoCo's broad phase."""
 
-INTEGRATORS = {
-    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
-    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
-    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
-    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
-}
+INTEGRATORS = constants_of(
+    "mjtIntegrator",
+    {
+        "Euler": "mjINT_EULER",
+        "RK4": "mjINT_RK4",
+        "implicit": "mjINT_IMPLICIT",
+        "implicitfast": "mjINT_IMPLICITFAST",
+        "discrete": "mjINT_DISCRETE",
+    },
+)
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 SOLVERS = {
     "PGS": mujoco.mjtSolver.mjSOL_PGS,
@@ -60,11 +79,10 @@ DISABLE_FLAGS = {
     "island": mujoco.mjtDisableBit.mjDSBL_ISLAND,
 }
 """MuJoCo's disable bit of each setting that is on by default."""
-ENABLE_FLAGS = {
-    "diagexact": mujoco.mjtEnableBit.mjENBL_DIAGEXACT,
-    "sleep": mujoco.mjtEnableBit.mjENBL_SLEEP,
-    "speculative": mujoco.mjtEnableBit.mjENBL_SPECULATIVE,
-}
+ENABLE_FLAGS = constants_of(
+    "mjtEnableBit",
+    {"diagexact": "mjENBL_DIAGEXACT", "sleep": "mjENBL_SLEEP", "speculative": "mjENBL_SPECULATIVE"},
+)
 """MuJoCo's enable bit of each setting that is off by default."""
 SAME_NAME_OPTIONS = (
     "impratio",
@@ -81,8 +99,12 @@ SAME_NAME_OPTIONS = (
 """Settings that have the name of their MuJoCo option."""
 
 
-def add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape) -> list[mujoco.MjsGeom]:
+def add_geoms(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape | Capsule | Ellipsoid
+) -> list[mujoco.MjsGeom]:
     """Add a shape to a body as geoms without contacts; a concave solid becomes one mesh per convex piece."""
+    if isinstance(shape, Compound):
+        return _add_parts(spec, body, name, shape)
     if isinstance(shape, ConvexUnion):
         geoms = []
         for index, piece in enumerate(shape.pieces_m):
@@ -98,12 +120,25 @@ def add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape
             kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius_m, 0.0, 0.0]
         elif isinstance(shape, Cylinder):
             kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+        elif isinstance(shape, Capsule):
+            kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+        elif isinstance(shape, Ellipsoid):
+            kind, size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii_m)
         else:
             kind, size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.05]
         geoms = [body.add_geom(type=kind, size=size, name=name)]
     for geom in geoms:
         geom.contype = 0
         geom.conaffinity = 0
+    return geoms
+
+
+def _add_parts(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, compound: Compound) -> list[mujoco.MjsGeom]:
+    geoms = []
+    for number, part in enumerate(compound.parts):
+        for geom in add_geoms(spec, body, f"{name}/{number}", part.shape):
+            geom.pos, geom.quat = part.pose.position_m, part.pose.quaternion
+            geoms.append(geom)
     return geoms
 
 
@@ -145,6 +180,9 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
         model = spec.compile()
     for part in dict.fromkeys(parts.values()):
         part.complete(model)
+    if settings.inverse_weight_scale != 1.0:
+        dynamic = [model.body(body.name).id for body in scene.dynamic_bodies]
+        model.body_invweight0[dynamic] *= settings.inverse_weight_scale
     return spec, model, parts
 
 
@@ -225,13 +263,24 @@ def _add_body(
         frame.ipos = [0.0, 0.0, 0.0]
         frame.inertia = [settings.kinematic_mass_kg] * 3
         return geoms
-    if isinstance(body.shape, ConvexUnion):
-        volumes = [ConvexUnion(pieces_m=(piece,)).volume_m3 for piece in body.shape.pieces_m]
+    if isinstance(body.shape, ConvexUnion | Compound):
+        volumes = _volumes_m3(body.shape)
         for geom, volume in zip(geoms, volumes, strict=True):
             geom.mass = body.mass_kg * volume / sum(volumes)
     else:
         geoms[0].mass = body.mass_kg
     return geoms
+
+
+def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
+    """Return the volume of each geom of a shape [m^3]."""
+    if isinstance(shape, ConvexUnion):
+        return [ConvexUnion(pieces_m=(piece,)).volume_m3 for piece in shape.pieces_m]
+    return [
+        volume
+        for part in shape.parts
+        for volume in (_volumes_m3(part.shape) if isinstance(part.shape, ConvexUnion) else [part.shape.volume_m3])
+    ]
 
 
 def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -> None:

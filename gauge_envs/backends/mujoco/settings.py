@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
+from gauge_envs.backends.mujoco.versions import check_installed
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
@@ -74,6 +75,8 @@ class SettingsMuJoCo(SteppedSettings):
             friction. None stands for 3.
         torsional_friction_m: Torsional friction coefficient, used if `condim` is at least 4.
         rolling_friction_m: Rolling friction coefficient, used if `condim` is 6.
+        inverse_weight_scale: Factor on the inverse weight of dynamic bodies, by which MuJoCo softens their contacts
+            unless `diagexact` is on. A foot counts with the inertia of its link, not with the load of the robot.
         friction_scale: Factor on the scene's coefficients of friction.
         o_friction: Friction of every contact, which replaces the scene's as MuJoCo's `override` does: tangential (2),
             torsional [m], rolling (2) [m].
@@ -130,6 +133,7 @@ class SettingsMuJoCo(SteppedSettings):
     condim: Literal[1, 3, 4, 6] | None = None
     torsional_friction_m: float = Field(default=0.0, ge=0.0)
     rolling_friction_m: float = Field(default=0.0, ge=0.0)
+    inverse_weight_scale: float = Field(default=1.0, gt=0.0)
     friction_scale: float = Field(default=1.0, ge=0.0)
     o_friction: Friction | None = None
     sustained_solref: tuple[float, float] = (0.002, 1.0)
@@ -265,9 +269,11 @@ def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> Se
 
     Raises:
         UnknownNameError: The preset does not exist.
-        ParameterError: A setting does not exist or has an invalid value, or cells of that size do not fit a body.
+        ParameterError: A setting does not exist or has an invalid value, the installed version of MuJoCo lacks it, or
+            cells of that size do not fit a body.
     """
     settings = resolve_settings("MuJoCo", PRESETS, preset=_preset_name(scene), changes=overrides)
+    check_installed(settings.model_dump(), overrides or {})
     if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:
         check_cells("MuJoCo", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=2)
     return settings if settings.cell_m is not None else settings.model_copy(update={"cell_m": _default_cell_m(scene)})

@@ -14,8 +14,20 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.newton.stepper import warp_transform
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, RigidBody, Scene, Sphere
-from gauge_envs.scene.geometry import Shape
+from gauge_envs.scene import (
+    Box,
+    Capsule,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Hinge,
+    Motion,
+    Plane,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 from gauge_envs.scene.meshes import mass_properties, prism
 
 __all__ = ["RigidIndex", "Solids", "add_bodies", "keep_apart"]
@@ -25,6 +37,8 @@ WORLD = -1
 
 Solids = Literal["exact", "prisms", "meshes"]
 """Shapes of the model: the scene's own; prisms for cylinders that do not move freely; convex meshes for all solids."""
+
+_Solid = Box | Sphere | Cylinder | Plane | ConvexUnion | Capsule | Ellipsoid
 
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that is the mesh of a sphere: 642 vertices on the sphere."""
@@ -123,27 +137,59 @@ def _add_shapes(
     *,
     solids: Solids,
 ) -> list[int]:
+    rolls = body.motion is Motion.DYNAMIC
+    if not isinstance(body.shape, Compound):
+        return _add_solid(builder, place, frame, body.name, body.shape, config, solids=solids, rolls=rolls)
+    return [
+        index
+        for number, part in enumerate(body.shape.parts)
+        for index in _add_solid(
+            builder,
+            place,
+            frame * warp_transform(part.pose),
+            f"{body.name}/{number}",
+            part.shape,
+            config,
+            solids=solids,
+            rolls=rolls,
+        )
+    ]
+
+
+def _add_solid(
+    builder: newton.ModelBuilder,
+    place: int,
+    frame: wp.transform,
+    label: str,
+    shape: _Solid,
+    config: newton.ModelBuilder.ShapeConfig,
+    *,
+    solids: Solids,
+    rolls: bool,
+) -> list[int]:
     given = {"body": place, "xform": frame, "cfg": config}
-    shape = body.shape
     if isinstance(shape, Plane):
-        return [builder.add_shape_plane(width=0.0, length=0.0, label=body.name, **given)]
-    pieces = _pieces_m(shape, solids, rolls=body.motion is Motion.DYNAMIC)
+        return [builder.add_shape_plane(width=0.0, length=0.0, label=label, **given)]
+    pieces = _pieces_m(shape, solids, rolls=rolls)
     if pieces:
         return [
-            builder.add_shape_convex_hull(mesh=_hull(np.asarray(piece)), label=f"{body.name}/{number}", **given)
+            builder.add_shape_convex_hull(mesh=_hull(np.asarray(piece)), label=f"{label}/{number}", **given)
             for number, piece in enumerate(pieces)
         ]
     if isinstance(shape, Box):
         x, y, z = (0.5 * edge for edge in shape.size_m)
-        return [builder.add_shape_box(hx=x, hy=y, hz=z, label=body.name, **given)]
+        return [builder.add_shape_box(hx=x, hy=y, hz=z, label=label, **given)]
     if isinstance(shape, Sphere):
-        return [builder.add_shape_sphere(radius=shape.radius_m, label=body.name, **given)]
-    assert isinstance(shape, Cylinder)
-    radius, half = shape.radius_m, 0.5 * shape.length_m
-    return [builder.add_shape_cylinder(radius=radius, half_height=half, label=body.name, **given)]
+        return [builder.add_shape_sphere(radius=shape.radius_m, label=label, **given)]
+    if isinstance(shape, Ellipsoid):
+        x, y, z = shape.radii_m
+        return [builder.add_shape_ellipsoid(rx=x, ry=y, rz=z, label=label, **given)]
+    assert isinstance(shape, Cylinder | Capsule)
+    add = builder.add_shape_cylinder if isinstance(shape, Cylinder) else builder.add_shape_capsule
+    return [add(radius=shape.radius_m, half_height=0.5 * shape.length_m, label=label, **given)]
 
 
-def _pieces_m(shape: Shape, solids: Solids, *, rolls: bool) -> Sequence[ArrayLike]:
+def _pieces_m(shape: _Solid, solids: Solids, *, rolls: bool) -> Sequence[ArrayLike]:
     """Return the vertices of the convex pieces of a solid [m], each [vertex_count, 3]; none for a primitive shape."""
     if isinstance(shape, ConvexUnion):
         return shape.pieces_m

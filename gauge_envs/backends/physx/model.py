@@ -16,8 +16,11 @@ from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     Box,
+    Capsule,
+    Compound,
     ConvexUnion,
     Cylinder,
+    Ellipsoid,
     Hinge,
     Motion,
     Plane,
@@ -116,7 +119,7 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         if body.motion is not Motion.FIXED:
             _set_mass(component, body, centre_m, inertia)
             _set_limits(component, settings)
-        _add(world, component, body.pose if body.shape.kind != "plane" else _turned(body.pose))
+        _add(world, component, _turned(body.pose) if isinstance(body.shape, Plane) else body.pose)
         if isinstance(component, physx.PhysxArticulationLinkComponent):
             _finish_link(component, settings)
         elif hinge is not None:
@@ -184,8 +187,12 @@ def _shapes(
             yield copy
 
 
-def _solids(shape: Shape, material: physx.PhysxMaterial) -> Iterator[physx.PhysxCollisionShape]:
-    if isinstance(shape, Box):
+def _solids(shape: Shape | Capsule, material: physx.PhysxMaterial) -> Iterator[physx.PhysxCollisionShape]:
+    if isinstance(shape, Compound):
+        yield from _parts(shape, material)
+    elif isinstance(shape, Capsule):
+        yield _capsule(shape.radius_m, 0.5 * shape.length_m, material)
+    elif isinstance(shape, Box):
         yield physx.PhysxCollisionShapeBox(half_size=0.5 * np.asarray(shape.size_m), material=material)
     elif isinstance(shape, Sphere):
         yield physx.PhysxCollisionShapeSphere(radius=shape.radius_m, material=material)
@@ -196,6 +203,21 @@ def _solids(shape: Shape, material: physx.PhysxMaterial) -> Iterator[physx.Physx
             yield _hull(piece, material)
     elif isinstance(shape, Cylinder):
         yield from _cylinder(shape, material)
+
+
+def _parts(compound: Compound, material: physx.PhysxMaterial) -> Iterator[physx.PhysxCollisionShape]:
+    for part in compound.parts:
+        assert not isinstance(part.shape, Ellipsoid), "declined by unsupported_features"
+        for solid in _solids(part.shape, material):
+            solid.local_pose = physx_pose(part.pose) * solid.local_pose
+            yield solid
+
+
+def _capsule(radius_m: float, half_m: float, material: physx.PhysxMaterial) -> physx.PhysxCollisionShape:
+    """Return a capsule along z."""
+    capsule = physx.PhysxCollisionShapeCapsule(radius=radius_m, half_length=half_m, material=material)
+    capsule.local_pose = pysapien.Pose(q=AXIS_Z)
+    return capsule
 
 
 def _hull(points_m: ArrayLike, material: physx.PhysxMaterial) -> physx.PhysxCollisionShape:
@@ -232,9 +254,7 @@ def _cylinder(shape: Cylinder, material: physx.PhysxMaterial) -> Iterator[physx.
     narrow = Cylinder(radius_m=PRISM_SHARE * shape.radius_m, length_m=shape.length_m)
     yield _hull(prism(narrow).pieces_m[0], material)
     if straight_m > ROUNDING_M:
-        capsule = physx.PhysxCollisionShapeCapsule(radius=shape.radius_m, half_length=straight_m, material=material)
-        capsule.local_pose = pysapien.Pose(q=AXIS_Z)
-        yield capsule
+        yield _capsule(shape.radius_m, straight_m, material)
     else:
         yield physx.PhysxCollisionShapeSphere(radius=shape.radius_m, material=material)
 
@@ -258,7 +278,8 @@ def _set_mass(
 
 
 def _set_limits(component: physx.PhysxRigidBodyComponent, settings: SettingsPhysX) -> None:
-    component.linear_damping = settings.linear_damping_per_s
+    is_link = isinstance(component, physx.PhysxArticulationLinkComponent)
+    component.linear_damping = settings.linear_damping_per_s + is_link * settings.link_linear_damping_per_s
     component.angular_damping = settings.angular_damping_per_s
     component.max_linear_velocity = settings.max_linear_velocity_m_per_s
     component.max_angular_velocity = settings.max_angular_velocity_rad_per_s

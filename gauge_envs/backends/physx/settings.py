@@ -37,6 +37,8 @@ class SettingsPhysX(SteppedSettings):
         min_patch_radius_m: Smallest radius of that patch.
         linear_damping_per_s: Rate at which linear velocity decays.
         angular_damping_per_s: Rate at which angular velocity decays.
+        link_linear_damping_per_s: Rate that is added for links of articulations. SAPIEN starts links with 0.05, and
+            other bodies with 0.
         max_linear_velocity_m_per_s: Largest linear speed; faster bodies are slowed down.
         max_angular_velocity_rad_per_s: Largest angular speed; faster bodies are slowed down.
         max_depenetration_velocity_m_per_s: Largest speed with which overlapping bodies are pushed apart.
@@ -63,6 +65,7 @@ class SettingsPhysX(SteppedSettings):
     min_patch_radius_m: float = Field(default=0.0, ge=0.0, le=1.0)
     linear_damping_per_s: float = Field(default=0.0, ge=0.0)
     angular_damping_per_s: float = Field(default=0.0, ge=0.0)
+    link_linear_damping_per_s: float = Field(default=0.0, ge=0.0)
     max_linear_velocity_m_per_s: float = Field(default=1e16, gt=0.0, le=1e16)
     max_angular_velocity_rad_per_s: float = Field(default=1e6, gt=0.0, le=1e16)
     max_depenetration_velocity_m_per_s: float = Field(default=1e32, gt=0.0, le=1e32)
@@ -134,6 +137,7 @@ PRESETS: dict[str, SettingsPhysX] = {
         timestep_s=1 / 180,
         bounce_threshold_m_per_s=2.0,
         angular_damping_per_s=0.05,
+        link_linear_damping_per_s=0.05,
         max_angular_velocity_rad_per_s=100.0,
         sleep_threshold_m2_per_s2=0.005,
         hinges="joint",

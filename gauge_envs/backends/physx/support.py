@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from gauge_envs.backends.physx.contacts import unsupported_contacts
-from gauge_envs.scene import ConvexUnion, Hinge, Motion, Scene
+from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene, Shape, Vector
 
 __all__ = ["unsupported_features"]
 
@@ -35,14 +35,17 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
         if scene.body(name).motion is not Motion.DYNAMIC:
             yield f"{name!r} hangs on a hinge and is {scene.body(name).motion.value}: only dynamic bodies have hinges"
             break
+    for body in scene.bodies:
+        parts = body.shape.parts if isinstance(body.shape, Compound) else ()
+        if any(isinstance(part.shape, Ellipsoid) for part in parts):
+            yield f"{body.name!r} contains an ellipsoid, and PhysX has no ellipsoids"
     yield from _unsupported_hulls(scene)
     yield from unsupported_contacts(scene)
 
 
 def _unsupported_hulls(scene: Scene) -> Iterator[str]:
     for body in scene.bodies:
-        pieces = body.shape.pieces_m if isinstance(body.shape, ConvexUnion) else ()
-        for number, piece in enumerate(pieces):
+        for number, piece in enumerate(_pieces_m(body.shape)):
             vertices = len(ConvexHull(np.asarray(piece)).vertices) if len(piece) > HULL_LIMIT else 0
             if vertices > HULL_LIMIT:
                 yield (
@@ -50,3 +53,9 @@ def _unsupported_hulls(scene: Scene) -> Iterator[str]:
                     f"{HULL_LIMIT}; divide it"
                 )
                 return
+
+
+def _pieces_m(shape: Shape) -> list[tuple[Vector, ...]]:
+    """Return the vertices of all convex pieces of a shape [m]."""
+    solids = [part.shape for part in shape.parts] if isinstance(shape, Compound) else [shape]
+    return [piece for solid in solids if isinstance(solid, ConvexUnion) for piece in solid.pieces_m]

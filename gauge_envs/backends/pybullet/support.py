@@ -8,7 +8,7 @@ from gauge_envs.backends.pybullet.contacts import surfaces
 from gauge_envs.backends.shared.attachments import attachment_problems, rigid_attachments
 from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody, Tether
+from gauge_envs.scene import Cloth, Compound, Motion, Rod, Rope, Scene, SoftBody, Tether
 
 __all__ = ["unsupported_features"]
 
@@ -23,6 +23,9 @@ UNSUPPORTED = {
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of a scene that this backend does not support."""
+    compound = next((body.name for body in scene.bodies if isinstance(body.shape, Compound)), None)
+    if compound is not None:
+        yield f"{compound!r} is a compound of solids, and this backend builds one solid or convex pieces for each body"
     for kind, reason in UNSUPPORTED.items():
         names = [body.name for body in scene.deformables if isinstance(body, kind)]
         if names:

@@ -15,7 +15,7 @@ from gauge_envs.backends.pybullet.frames import Frame, Handle
 from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Box, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["DRIVEN_MASS_KG", "BulletWorld"]
@@ -88,6 +88,7 @@ class BulletWorld:
         if isinstance(shape, Cylinder):
             radius, length = scale * shape.radius_m, scale * shape.length_m
             return int(self.call("createCollisionShape", pybullet.GEOM_CYLINDER, radius=radius, height=length, **place))
+        assert isinstance(shape, ConvexUnion), "compounds are declined by unsupported_features"
         pieces = [(scale * np.asarray(piece)) for piece in shape.pieces_m]
         if len(pieces) == 1:
             vertices = pieces[0].tolist()

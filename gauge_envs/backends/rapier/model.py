@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Box, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["MASS_UNIT_KG", "BodyLayout", "build_world", "isometry"]
@@ -169,7 +169,7 @@ def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
     elif isinstance(shape, Cylinder):
         turned = tuple(UP_TO_Y.as_rotvec())
         yield rapier.Collider.cylinder(0.5 * shape.length_m, shape.radius_m).rotation(turned)
-    else:
+    elif isinstance(shape, ConvexUnion):
         for piece in shape.pieces_m:
             yield rapier.Collider.convex_hull(np.asarray(piece, dtype=np.float32))
 

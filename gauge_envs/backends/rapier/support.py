@@ -6,13 +6,16 @@ from collections import Counter
 from collections.abc import Iterator
 
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
-from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
+from gauge_envs.scene import Cloth, Compound, Hinge, Rod, Rope, Scene
 
 __all__ = ["unsupported_features"]
 
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of a scene that this backend does not support."""
+    compound = next((body.name for body in scene.bodies if isinstance(body.shape, Compound)), None)
+    if compound is not None:
+        yield f"{compound!r} is a compound of solids, and this backend builds one solid or convex pieces for each body"
     kinds: dict[str, list[str]] = {}
     for body in scene.deformables:
         kind = "cloth" if isinstance(body, Cloth) else "a line" if isinstance(body, Rope | Rod) else "soft"

@@ -7,6 +7,7 @@ Example:
     ['inside']
 """
 
+from gauge_envs.checks.sanity.foot import FootGeometry
 from gauge_envs.checks.sanity.model import (
     Cause,
     ContactGroup,
@@ -30,6 +31,7 @@ __all__ = [
     "ContactGroup",
     "Cure",
     "Curve",
+    "FootGeometry",
     "GroupOutcome",
     "Need",
     "PhenomenonResult",

@@ -42,6 +42,10 @@ FRICTION_SLIDES = {"slide-wood": "straight", "slide-turned": "turned by 45 degre
 """Slides that show the friction that a foot meets, and their direction."""
 
 
+REBOUND = "rebound-slow"
+"""Rebound that shows the restitution that a foot meets: feet land at 2 m/s at most."""
+
+
 class Change(StrEnum):
     """Size of the difference between two configurations."""
 
@@ -60,7 +64,7 @@ class ChangeRow:
     """One quantity in both configurations.
 
     Attributes:
-        id: Id of the phenomenon, or `step`, `gravity`, `foot-friction-...`.
+        id: Id of the phenomenon, or `step`, `gravity`, `foot-straight`, `foot-turned`, `foot-rebound`.
         title: Title.
         unit: Unit of both values; `1` for a pure number.
         trained: Value where the policy was trained; None when unknown.
@@ -99,10 +103,15 @@ class Comparison:
     wall_s: float
 
     @property
+    def changed(self) -> tuple[ChangeRow, ...]:
+        """The rows that change: a large change first, then by half-widths of the interval, to two digits."""
+        changed = (row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE))
+        return tuple(sorted(changed, key=lambda row: (row.change is not Change.LARGE, -float(f"{_size(row):.2g}"))))
+
+    @property
     def largest(self) -> ChangeRow | None:
-        """The row that changes most: a large change first, then by half-widths of the interval; None for no change."""
-        changed = [row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE)]
-        return max(changed, key=lambda row: (row.change is Change.LARGE, _size(row)), default=None)
+        """The row that changes most; None for no change."""
+        return next(iter(self.changed), None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
@@ -148,11 +157,12 @@ def compare(
         if GRAVITY_ID in chosen:
             rows.append(_gravity_row(one.configuration, other.configuration))
         measured = [_row(p, one, other) for p in phenomena(include_deformables=True) if p.id in chosen]
+        known_rows = {row.id: row for row in measured}
     found = {name: version for engine in engines.values() for name, version in engine.versions.items()}
     return Comparison(
         trained=one.configuration,
         deployed=other.configuration,
-        rows=(*rows, *_foot_rows(one, other, {row.id: row for row in measured}), *measured),
+        rows=(*rows, *_foot_rows(one, other, known_rows), *_rebound_rows(one, other, known_rows), *measured),
         versions={**found, **versions()},
         wall_s=time.perf_counter() - started,
     )
@@ -187,14 +197,29 @@ class _Side:
         return None if step is None else float(step)
 
     def stated_friction(self) -> float | None:
-        """Return the sliding friction of the first contacts on the ground; None when the target states none."""
+        """Return the sliding friction of a foot on the ground; None when the target states none."""
+        if self.configuration.foot is not None:
+            return self.configuration.foot.mean_friction
         used = [group.constants for group in self.configuration.contact_groups if group.is_used]
         return float(used[0]["friction"][0]) if used else None
+
+    def foot_remark(self) -> str:
+        """Return the materials that a foot meets; empty when the target states none."""
+        return "" if self.configuration.foot is None else self.configuration.foot.text
+
+    def restitution(self, row: ChangeRow, value: float | None) -> float | None:
+        """Return the restitution that a foot meets, from the rebound of a ball; None when unknown."""
+        foot = self.configuration.foot
+        if foot is None:
+            return None
+        if not any(foot.restitution):
+            return 0.0
+        (phenomenon,) = phenomena([row.id])
+        return None if value is None else foot.mean_restitution * value / phenomenon.reality.value
 
 
 def _row(phenomenon: Phenomenon, one: _Side, other: _Side) -> ChangeRow:
     (trained, first), (deployed, second) = one.value(phenomenon), other.value(phenomenon)
-    remarks = [f"trained: {first}"] * bool(first) + [f"deployed: {second}"] * bool(second)
     tolerance = phenomenon.reality.tolerance
     return ChangeRow(
         id=phenomenon.id,
@@ -204,8 +229,13 @@ def _row(phenomenon: Phenomenon, one: _Side, other: _Side) -> ChangeRow:
         deployed=deployed,
         tolerance=tolerance,
         change=_change(trained, deployed, tolerance),
-        remark="; ".join(remarks),
+        remark=_both(first, second),
     )
+
+
+def _both(first: str, second: str) -> str:
+    """Return the remarks of both sides in one line."""
+    return "; ".join([f"trained: {first}"] * bool(first) + [f"deployed: {second}"] * bool(second))
 
 
 def _change(trained: float | None, deployed: float | None, tolerance: float) -> Change:
@@ -268,7 +298,7 @@ def _gravity(configuration: TrainingConfiguration) -> tuple[float, np.ndarray]:
 
 def _foot_rows(one: _Side, other: _Side, rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
     """Return the friction that a foot meets: the stated coefficient times what a cube meets of its own."""
-    found = []
+    found: list[ChangeRow] = []
     for name, direction in FRICTION_SLIDES.items():
         if name not in rows:
             continue
@@ -293,9 +323,32 @@ def _foot_rows(one: _Side, other: _Side, rows: Mapping[str, ChangeRow]) -> list[
                 deployed=deployed,
                 tolerance=tolerance,
                 change=_change(trained, deployed, tolerance),
+                remark=_both(one.foot_remark(), other.foot_remark()) if has_both and not found else "",
             )
         )
     return found
+
+
+def _rebound_rows(one: _Side, other: _Side, rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+    """Return the restitution that a foot meets: the stated one times what a ball keeps of its own."""
+    row = rows.get(REBOUND)
+    if row is None:
+        return []
+    trained, deployed = one.restitution(row, row.trained), other.restitution(row, row.deployed)
+    if trained is None or deployed is None:
+        return []
+    (phenomenon,) = phenomena([REBOUND])
+    return [
+        ChangeRow(
+            id="foot-rebound",
+            title="restitution that a foot meets",
+            unit="1",
+            trained=trained,
+            deployed=deployed,
+            tolerance=phenomenon.reality.tolerance,
+            change=_change(trained, deployed, phenomenon.reality.tolerance),
+        )
+    ]
 
 
 def _friction(acceleration_m_per_s2: float) -> float:

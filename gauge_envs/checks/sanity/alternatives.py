@@ -20,8 +20,8 @@ DOCUMENTED = "the engine's documented default"
 GENERAL = Scenario(name="hold-wood", variant="SlopeSlider-1-wood", seconds=1.0)
 """Scene whose preset is tried in all scenes: a cube on a board."""
 
-NOT_NUMERICAL = ("preset", "drive_interval_s", "device")
-"""Settings that stand for other settings, follow from them, or choose a processor."""
+NOT_NUMERICAL = ("preset", "drive_interval_s", "device", "inverse_weight_scale")
+"""Settings that stand for other settings, follow from them, choose a processor, or belong to the robot."""
 
 STEP_SHARES = {0.5: "half the step", 0.25: "a quarter of the step"}
 """Steps that are tried instead of the short ones of presets, which no training affords."""

@@ -224,16 +224,15 @@ class _Search:
         return f"{measured.value:.3g}{unit}"
 
     def _assignment(self, name: str) -> str:
-        return self._language.assignment(name, self._best[name].value)
+        text = self._language.assignment(name, self._best[name].value)
+        return text if self._language.writes(name) else f"{text} (which the target has no key for)"
 
     def _replacement(self, one: Alternative) -> str:
         return f"{self._assignment(one.name)} instead of {self._language.value_text(one.name, one.was)}"
 
     def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
         chosen = [self._best[name] for name in names]
-        subject = " and ".join(
-            f"{self._assignment(one.name)} instead of {self._language.value_text(one.name, one.was)}" for one in chosen
-        )
+        subject = " and ".join(map(self._replacement, chosen))
         together = " together" if len(names) > 1 and not also else ""
         sources = " and ".join(dict.fromkeys(one.source for one in chosen))
         verb = "brings" if len(names) == 1 else "bring"

@@ -74,7 +74,7 @@ def find_cure(
     """
     if not flagged:
         return None
-    steps = list(_greedy(measurements, flagged, others, named))
+    steps = list(_greedy(measurements, flagged, others, language, named))
     changes = {name: value for step in steps for name, value in step.changes.items()}
     mended = steps[-1].mended if steps else 0
     if mended < len(flagged) and configuration.is_model:
@@ -98,13 +98,17 @@ def find_cure(
 
 
 def _greedy(
-    measurements: Measurements, flagged: Sequence[Subject], others: Sequence[Subject], named: Collection[str]
+    measurements: Measurements,
+    flagged: Sequence[Subject],
+    others: Sequence[Subject],
+    language: Language,
+    named: Collection[str],
 ) -> Iterator[_Step]:
     """Yield the single change that mends most, then further ones beside it; each must mend a further flag.
 
     Of the changes that mend most, the one with the fewest new flags is taken.
     """
-    candidates = _candidates(measurements, flagged)
+    candidates = [one for one in _candidates(measurements, flagged) if language.writes(one.name)]
     changes: dict[str, Any] = {}
     left, mended = list(flagged), 0
     while left and candidates and len(changes) < MOST_CHANGES:

@@ -9,7 +9,6 @@ from typing import Any, Self, TypeVar, cast
 from gauge_envs.backends import Backend, backend, backend_names
 from gauge_envs.backends.registry import is_bundled, versions_of
 from gauge_envs.checks.rollout import DeclinedError, DivergedError, Rollout
-from gauge_envs.checks.sanity.phenomena import phenomena
 from gauge_envs.checks.sanity.scenario import Scenario, run_scenario, settings_in_force
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
@@ -94,7 +93,7 @@ class Engine:
         if self._backend is not None:
             return function(self._backend, scenario, settings)
         try:
-            value, missing, divergence = self._worker.call(_there, function, self.name, scenario.name, settings)
+            value, missing, divergence = self._worker.call(_there, function, self.name, scenario, settings)
         except GaugeError as error:
             raise EngineDiedError(str(error)) from None
         if missing is not None:
@@ -105,11 +104,9 @@ class Engine:
 
 
 def _there(
-    function: _Run[Value], name: str, scenario_name: str, settings: Mapping[str, Any]
+    function: _Run[Value], name: str, scenario: Scenario, settings: Mapping[str, Any]
 ) -> tuple[Value | None, tuple[str, ...] | None, str | None]:
     """Return the value of a function of a backend and a scenario, or why it declined or diverged."""
-    every = phenomena(include_deformables=True)
-    scenario = next(one.scenario for one in every if one.scenario.name == scenario_name)
     try:
         return function(backend(name), scenario, settings), None, None
     except DeclinedError as error:

@@ -18,7 +18,7 @@ from gauge_envs.checks.sanity.scenario import Scenario
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 
-__all__ = ["Measured", "Measurements", "TimeLimitError"]
+__all__ = ["Measured", "Measurements", "TimeLimitError", "judged"]
 
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
@@ -95,7 +95,7 @@ class Measurements:
             )
         if isinstance(rollout, DivergedError):
             return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=f"diverged: {rollout}")
-        return _judged(phenomenon.read(rollout), phenomenon.reality, rollout)
+        return judged(phenomenon.read(rollout), phenomenon.reality, rollout)
 
     def _rollout(self, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
         key = _key(scenario, settings)
@@ -115,7 +115,8 @@ def _key(scenario: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
     return scenario.name, json.dumps(json_ready(settings), sort_keys=True)
 
 
-def _judged(measured: PhenomenonValue, reality: Reality, rollout: Rollout) -> Measured:
+def judged(measured: PhenomenonValue, reality: Reality, rollout: Rollout) -> Measured:
+    """Return the outcome of a phenomenon whose value was measured in a rollout."""
     if not math.isfinite(measured.value):
         remark = measured.failure or "it does not happen"
         return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=remark, rollout=rollout)

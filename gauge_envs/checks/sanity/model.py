@@ -9,6 +9,9 @@ from typing import Any
 
 from scipy.stats import t as student
 
+from gauge_envs.checks.sanity.contact_capacity import ContactCapacity
+from gauge_envs.checks.sanity.foot import FootGeometry
+from gauge_envs.checks.sanity.foot_contact import FootContact
 from gauge_envs.files import json_ready
 
 __all__ = [
@@ -71,6 +74,7 @@ class Need(StrEnum):
     GRAVITY = "gravity"
     CONTACT = "contact"
     FRICTION = "friction"
+    FOOT = "foot"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +113,10 @@ class TrainingConfiguration:
         gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when the target states none.
         up: Unit vector away from the ground, shape [3].
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
+        foot_geometry: Foot of the robot; None when the target has none, or does not state it.
         language: Name of the language in which changes are written; see `gauge_envs.checks.sanity.languages`.
+        foot: Friction and restitution that a foot meets, as the target's materials state them; None when unknown.
+        capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
     """
 
     name: str
@@ -124,7 +131,10 @@ class TrainingConfiguration:
     gravity_m_per_s2: tuple[float, float, float] | None = None
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     is_model: bool = False
+    foot_geometry: FootGeometry | None = None
     language: str = "toml"
+    foot: FootContact | None = None
+    capacity: ContactCapacity | None = None
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

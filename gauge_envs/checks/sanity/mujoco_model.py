@@ -21,7 +21,9 @@ from gauge_envs.backends.mujoco.model_settings import (
     option_settings,
     overrides_contacts,
 )
+from gauge_envs.checks.sanity.foot import FootGeometry
 from gauge_envs.checks.sanity.model import ContactGroup, Need, TrainingConfiguration
+from gauge_envs.checks.sanity.mujoco_feet import NoFootError, read_foot
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
@@ -72,6 +74,7 @@ def mujoco_configuration(
     origin = next((group.geoms for group in groups if group.is_used), "MuJoCo's defaults: nothing collides")
     if overrides_contacts(model):
         origin = "option, flag override"
+    foot, no_foot = _foot(model, pairs, groups)
     return TrainingConfiguration(
         name=name,
         source=source,
@@ -81,10 +84,11 @@ def mujoco_configuration(
         frame_skip=frame_skip,
         contact_groups=groups,
         notes=(*_contact_notes(groups), *_option_notes(model)),
-        inapplicable=_inapplicable(model, groups),
+        inapplicable=_inapplicable(model, groups) | no_foot,
         gravity_m_per_s2=(float(model.opt.gravity[0]), float(model.opt.gravity[1]), float(model.opt.gravity[2])),
         up=_up(model),
         is_model=True,
+        foot_geometry=foot,
         language="mjcf",
     )
 
@@ -99,6 +103,16 @@ def _inapplicable(model: mujoco.MjModel, groups: tuple[ContactGroup, ...]) -> di
     elif model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
         reasons[Need.CONTACT] = "the model switches contacts off"
     return reasons
+
+
+def _foot(
+    model: mujoco.MjModel, pairs: ContactPairs, groups: tuple[ContactGroup, ...]
+) -> tuple[FootGeometry | None, dict[Need, str]]:
+    """Return the foot of a model; without one, the reason."""
+    try:
+        return read_foot(model, pairs, groups, _up(model)), {}
+    except NoFootError as error:
+        return None, {Need.FOOT: str(error)}
 
 
 def _up(model: mujoco.MjModel) -> tuple[float, float, float]:

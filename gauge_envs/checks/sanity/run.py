@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gauge_envs.checks.sanity.capacity import CAPACITY_ID, capacity_changes, capacity_row
 from gauge_envs.checks.sanity.cause import find_cause
 from gauge_envs.checks.sanity.cure import find_cure
 from gauge_envs.checks.sanity.engine import Engine, simulation_limit_s
@@ -33,7 +34,7 @@ from gauge_envs.checks.sanity.subject import Subject, subject_of, worst_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import versions
 
-__all__ = ["check"]
+__all__ = ["check", "curve_of"]
 
 CURVE_SAMPLES = 200
 """Largest number of samples of a curve; a figure shows fewer."""
@@ -75,11 +76,11 @@ def check(
         measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
         run = _Run(measurements, configuration)
         rows = run.rows([one for one in phenomena(include_deformables=True) if one.id in chosen], notify=notify)
-        if GRAVITY_ID in chosen:
-            gravity = gravity_row(configuration, run.language)
-            rows = [gravity, *rows]
+        stated = run.stated_rows(chosen)
+        rows = [*stated, *rows]
+        for row in stated:
             if notify is not None:
-                notify(gravity)
+                notify(row)
         simulated = [row for row in rows if row.experiment and row.applies]
         refused = simulated and all(row.verdict is Verdict.DECLINED for row in simulated) and not run.is_cut_short
         if refused and any(row.default is not None for row in simulated):
@@ -146,21 +147,27 @@ class _Run:
         named = {name for row in rows if row.cause is not None for name in row.cause.settings}
         search = (self._measurements, self._configuration, flagged, others, self.language)
         cure = self._in_time(lambda: find_cure(*search, named=named))
-        if GRAVITY_ID not in flags:
-            return cure
+        for name, (text, changes) in self._stated_fixes().items():
+            if name in flags:
+                cure = _with_fix(cure, name, text, changes, flag_count=len(flags))
+        return cure
+
+    def stated_rows(self, chosen: Sequence[str]) -> list[PhenomenonResult]:
+        """Return the rows on what the target states, which need no rollout."""
+        rows = [gravity_row(self._configuration, self.language)] if GRAVITY_ID in chosen else []
+        capacity = capacity_row(self._configuration, self.language) if CAPACITY_ID in chosen else None
+        return rows if capacity is None else [*rows, capacity]
+
+    def _stated_fixes(self) -> dict[str, tuple[str, dict[str, Any]]]:
+        """Return the change that mends each row on what the target states, as text to paste and as settings."""
         upright = upright_gravity(self._configuration)
-        text, total = self.language.gravity_text(upright), len(flags)
-        changes = {GRAVITY_ID: upright}
-        if cure is None:
-            line = f"{text}: {f'1 of {total} flags goes' if total > 1 else 'the one flag goes'}"
-            return Cure(changes=changes, line=line, flag_count=total, mended_count=1)
-        return Cure(
-            changes={**cure.changes, **changes},
-            line=f"{cure.line}; and {text} for the row gravity",
-            flag_count=total,
-            mended_count=cure.mended_count + 1,
-            new_flags=cure.new_flags,
-        )
+        fixes: dict[str, tuple[str, dict[str, Any]]] = {
+            GRAVITY_ID: (self.language.gravity_text(upright), {GRAVITY_ID: upright})
+        }
+        if self._configuration.capacity is not None:
+            limits = capacity_changes(self._configuration.capacity)
+            fixes[CAPACITY_ID] = (self.language.paste_text(limits), limits)
+        return fixes
 
     def _in_time(self, work: Callable[[], Any]) -> Any:
         """Return the result of work; None when the time limit is reached."""
@@ -211,7 +218,7 @@ class _Run:
             default_verdict=Verdict.DECLINED if default is None else default.verdict,
             cause=cause,
             remark=configured.remark,
-            curve=_curve(phenomenon, configured, default),
+            curve=curve_of(phenomenon, configured, default),
             advisory=advisory,
             geoms=geoms if is_judged_by_group else "",
             groups=tuple(several) if is_judged_by_group else (),
@@ -222,12 +229,27 @@ class _Run:
         return find_cause(*search, language=self.language)
 
 
-def _curve(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
+def _with_fix(cure: Cure | None, name: str, text: str, changes: dict[str, Any], *, flag_count: int) -> Cure:
+    """Return a cure with a further change that mends one row on what the target states."""
+    if cure is None:
+        line = f"{text}: {f'1 of {flag_count} flags goes' if flag_count > 1 else 'the one flag goes'}"
+        return Cure(changes=changes, line=line, flag_count=flag_count, mended_count=1)
+    return Cure(
+        changes={**cure.changes, **changes},
+        line=f"{cure.line}; and {text} for the row {name}",
+        flag_count=flag_count,
+        mended_count=cure.mended_count + 1,
+        new_flags=cure.new_flags,
+    )
+
+
+def curve_of(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
+    """Return the curves of a phenomenon that has one; reality is at the times of the default, if there is a default."""
     trace = phenomenon.trace
     if trace is None:
         return None
     times, values = _thinned(phenomenon, configured)
-    default_times, default_values = ((), ()) if default is None else _thinned(phenomenon, default)
+    default_times, default_values = (times, ()) if default is None else _thinned(phenomenon, default)
     centre, tolerance = _real_curve(phenomenon, np.asarray(default_times))
     return Curve(
         label=trace.label,

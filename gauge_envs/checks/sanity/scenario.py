@@ -36,6 +36,7 @@ class Scenario:
         interval_s: Longest time between samples, unless a step is longer [s].
         change: Function that changes the scene, for example removes a body.
         nodes_of: Deformable bodies whose nodes are recorded.
+        engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Scenario:
     interval_s: float = 0.002
     change: Callable[[Scene], Scene] = field(default=_unchanged)
     nodes_of: tuple[str, ...] = ()
+    engine_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -104,8 +106,9 @@ def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) ->
     support = backend.supports(scenario.scene)
     if not support:
         raise DeclinedError(support.missing)
+    own = scenario.engine_settings.get(backend.name, {})
     try:
-        return backend.build(scenario.scene, _with_interval(settings, scenario.interval_s))
+        return backend.build(scenario.scene, {**own, **_with_interval(settings, scenario.interval_s)})
     except ParameterError as error:
         raise DeclinedError((str(error),)) from error
     # Engines refuse combinations of settings by exceptions of any kind; another scene may accept them.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
+from gauge_envs.checks.sanity.capacity import CAPACITY_ID
 from gauge_envs.checks.sanity.gravity import GRAVITY_ID
 from gauge_envs.checks.sanity.phenomena import phenomena
 from gauge_envs.errors import UnknownNameError
@@ -23,7 +24,7 @@ def selection(only: Sequence[str] = (), *, include_deformables: bool = False) ->
         UnknownNameError: A pattern matches no row.
     """
     patterns = [part.strip() for text in only for part in text.split(",") if part.strip()]
-    known = (GRAVITY_ID, *(one.id for one in phenomena(include_deformables=include_deformables)))
+    known = (GRAVITY_ID, CAPACITY_ID, *(one.id for one in phenomena(include_deformables=include_deformables)))
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
             raise UnknownNameError("phenomenon", pattern, known)

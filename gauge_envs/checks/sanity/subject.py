@@ -10,11 +10,15 @@ from gauge_envs.checks.rollout import DeclinedError
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import Need, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import Phenomenon
+from gauge_envs.checks.sanity.phenomena.foot import with_foot
 
 __all__ = ["Subject", "subject_of", "worst_of"]
 
 SEVERITY = (Verdict.DECLINED, Verdict.INSIDE, Verdict.VISIBLE, Verdict.WRONG)
 """Verdicts, the worst last."""
+
+NO_ROBOT = "the target states no geoms of a robot, so it has no foot"
+"""Reason why rows on a foot do not apply to settings without a model."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +55,14 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
         if need in configuration.inapplicable:
             return Subject(phenomenon=phenomenon, sets={}, inapplicable=configuration.inapplicable[need])
     sets: dict[str, Mapping[str, Any]] = dict(configuration.contact_sets)
+    if phenomenon.needs_foot:
+        geometry = configuration.foot_geometry
+        if geometry is None:
+            return Subject(phenomenon=phenomenon, sets={}, inapplicable=NO_ROBOT)
+        phenomenon = with_foot(phenomenon, geometry)
+        sets = {geoms: settings for geoms, settings in sets.items() if geoms in geometry.sets}
+        if not sets:
+            return Subject(phenomenon=phenomenon, sets={}, inapplicable="the chosen geoms are no foot on the ground")
     if Need.CONTACT not in phenomenon.needs:
         sets = dict([next(iter(sets.items()))])
     if phenomenon.needs_friction:
@@ -59,8 +71,21 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
         if not sets:
             reason = f"condim 1: contacts of {'; '.join(frictionless) or 'the target'} have no friction on purpose"
             return Subject(phenomenon=phenomenon, sets={}, inapplicable=reason)
+    return _judged(measurements, configuration, phenomenon, sets)
+
+
+def _judged(
+    measurements: Measurements,
+    configuration: TrainingConfiguration,
+    phenomenon: Phenomenon,
+    sets: Mapping[str, Mapping[str, Any]],
+) -> Subject:
+    """Return a phenomenon that applies with its sets; an impact is advisory unless the target states a constant."""
     if not phenomenon.is_impact:
         return Subject(phenomenon=phenomenon, sets=sets, advisory=phenomenon.advisory)
+    foot = configuration.foot
+    if foot is not None and not any(foot.restitution):
+        return Subject(phenomenon=phenomenon, sets=sets, advisory="the target states a restitution of 0")
     stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}
     reason = "" if stating else "the target states no impact constant: its contacts are critically damped or stiffer"
     return Subject(phenomenon=phenomenon, sets=stating or sets, advisory=reason)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium
 import mujoco
@@ -13,9 +14,9 @@ from gauge_envs.checks.sanity.readers import READERS, GeomPair
 from gauge_envs.checks.sanity.readers.reader import NotATargetError
 from gauge_envs.errors import TargetError
 
-__all__ = ["Target", "configuration"]
+__all__ = ["Target", "compiled_model", "configuration"]
 
-Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env
+Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | Mapping[str, Any]
 """A target of a sanity check; see `configuration`."""
 
 
@@ -27,10 +28,16 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
             a task of dm_control's suite (`dm_control:walker/walk`), whose model file is read without dm_control;
+            a task of MuJoCo Playground (`playground:WalkerWalk`) or of mjlab (`mjlab:TASK`), read from its source;
+            `params/env.yaml` of a training run of mjlab, or its task configuration;
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
-            a `mujoco.MjModel` or a `gymnasium.Env`;
+            the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
+            a YAML file in the style of IsaacGym, or the same as a mapping or an object;
+            a task of ManiSkill (`maniskill:PickCube-v1`), an environment of it, or a SimConfig;
+            a `mujoco.MjModel`, a `gymnasium.Env` or an environment of MuJoCo Playground;
+            a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
             ones of moving geoms on the ground.
@@ -52,6 +59,16 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
         return reader.read(target, pair)
     except NotATargetError as error:
         raise TargetError(f"{error}; give {accepted()}") from error
+
+
+def compiled_model(target: Any) -> mujoco.MjModel | None:
+    """Return the model of a target whose memory for contacts is limited; None for other targets.
+
+    Raises:
+        TargetError: The target cannot be read.
+    """
+    reader = next((one for one in READERS if one.matches(target)), None)
+    return None if reader is None or reader.model is None else reader.model(target)
 
 
 def accepted() -> str:

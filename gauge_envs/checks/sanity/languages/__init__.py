@@ -4,12 +4,30 @@ from __future__ import annotations
 
 from gauge_envs.checks.sanity.languages.base import Language
 from gauge_envs.checks.sanity.languages.genesis import GenesisPython
+from gauge_envs.checks.sanity.languages.isaac_gym import IsaacGym
+from gauge_envs.checks.sanity.languages.isaac_lab import IsaacLab, IsaacLab3
+from gauge_envs.checks.sanity.languages.maniskill import ManiSkill
 from gauge_envs.checks.sanity.languages.mjcf import Mjcf
+from gauge_envs.checks.sanity.languages.mjlab import Mjlab
+from gauge_envs.checks.sanity.languages.playground import Playground
 from gauge_envs.checks.sanity.languages.toml import Toml
 
 __all__ = ["LANGUAGES", "Language", "language"]
 
-LANGUAGES: dict[str, Language] = {one.name: one for one in (Toml(), Mjcf(), GenesisPython())}
+LANGUAGES: dict[str, Language] = {
+    one.name: one
+    for one in (
+        Toml(),
+        Mjcf(),
+        GenesisPython(),
+        Playground(),
+        Mjlab(),
+        IsaacLab(),
+        IsaacLab3(),
+        IsaacGym(),
+        ManiSkill(),
+    )
+}
 """All languages by name."""
 
 

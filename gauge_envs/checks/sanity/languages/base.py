@@ -18,6 +18,14 @@ class Language(ABC):
 
     name: ClassVar[str]
 
+    def writes(self, name: str) -> bool:
+        """Return whether a target can state a setting; others are not changed in the search for causes and cures.
+
+        Args:
+            name: Name of the backend's setting.
+        """
+        return True
+
     @abstractmethod
     def assignment(self, name: str, value: Any) -> str:
         """Return one setting of a backend with its value as the target writes it.

@@ -9,6 +9,7 @@ from functools import cache
 from gauge_envs.checks.sanity.phenomena import (
     carrying,
     edges,
+    foot,
     friction,
     impact,
     lines,
@@ -25,7 +26,7 @@ __all__ = ["Phenomenon", "PhenomenonValue", "Trace", "phenomena"]
 
 @cache
 def _all() -> dict[str, Phenomenon]:
-    modules = (friction, impact, swing, carrying, edges, stacking, textile, solids, lines)
+    modules = (foot, friction, impact, swing, carrying, edges, stacking, textile, solids, lines)
     return {one.id: one for module in modules for one in module.phenomena()}
 
 

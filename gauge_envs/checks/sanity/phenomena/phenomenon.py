@@ -65,6 +65,7 @@ class Phenomenon:
         read: Function that measures the number in a rollout of the scenario.
         trace: Quantity that is drawn over time; None when there is none.
         needs_friction: Whether the phenomenon means nothing without friction.
+        needs_foot: Whether the scene is built from the foot of the target.
         is_impact: Whether the number depends on a restitution that the target may not state.
         advisory: Why the row never counts for the whole configuration; empty when it counts.
     """
@@ -78,6 +79,7 @@ class Phenomenon:
     read: Callable[[Rollout], PhenomenonValue]
     trace: Trace | None = None
     needs_friction: bool = False
+    needs_foot: bool = False
     is_impact: bool = False
     advisory: str = ""
 
@@ -85,4 +87,5 @@ class Phenomenon:
     def needs(self) -> tuple[Need, ...]:
         """What a target must have for the phenomenon to apply."""
         contact = (Need.CONTACT,) if self.scenario.scene.contacts else ()
-        return (Need.GRAVITY, *contact, *((Need.FRICTION,) if self.needs_friction else ()))
+        friction = (Need.FRICTION,) if self.needs_friction else ()
+        return (Need.GRAVITY, *contact, *friction, *((Need.FOOT,) if self.needs_foot else ()))

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from gauge_envs.checks.sanity.readers.batched_model import MJX_MODEL, MUJOCO_WARP
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
 from gauge_envs.checks.sanity.readers.genesis import GENESIS_OPTIONS, GENESIS_SCENE
 from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
+from gauge_envs.checks.sanity.readers.isaac_gym import ISAAC_GYM
+from gauge_envs.checks.sanity.readers.isaac_lab import ISAAC_LAB
+from gauge_envs.checks.sanity.readers.maniskill import MANISKILL
+from gauge_envs.checks.sanity.readers.mjlab import MJLAB, MJLAB_CFG, MJLAB_FILE
 from gauge_envs.checks.sanity.readers.mujoco_model import MODEL_FILE, MODEL_OBJECT
+from gauge_envs.checks.sanity.readers.playground import PLAYGROUND, PLAYGROUND_ENV
+from gauge_envs.checks.sanity.readers.probe import PROBE_FILE
 from gauge_envs.checks.sanity.readers.reader import GeomPair, Reader
 from gauge_envs.checks.sanity.readers.settings import BACKEND, SETTINGS_FILE
 
@@ -13,14 +20,25 @@ __all__ = ["READERS", "GeomPair", "Reader"]
 
 READERS: tuple[Reader, ...] = (
     MODEL_OBJECT,
+    MANISKILL,
+    MJX_MODEL,
+    MUJOCO_WARP,
+    PLAYGROUND_ENV,
+    MJLAB_CFG,
     GYMNASIUM_ENV,
     DM_CONTROL,
+    PLAYGROUND,
+    MJLAB,
+    MJLAB_FILE,
     MODEL_FILE,
     GENESIS_SCENE,
     # Before settings files, which take every JSON file.
     GENESIS_OPTIONS,
+    PROBE_FILE,
     SETTINGS_FILE,
     BACKEND,
+    ISAAC_GYM,
+    ISAAC_LAB,
     # Takes every text.
     GYMNASIUM_ID,
 )

@@ -62,7 +62,9 @@ def options_settings(options: Mapping[str, Any], precision: int) -> dict[str, An
         precision: Bits of floating-point numbers.
     """
     simulation, rigid = options.get("sim") or {}, {**DEFAULTS, **(options.get("rigid") or {})}
-    step_s = rigid.get("dt") or (simulation.get("dt") or DEFAULT_STEP_S) / (simulation.get("substeps") or 1)
+    # The rigid solver inherits the simulation's step, which substeps divide, or has a shorter one of its own.
+    shared_s = (simulation.get("dt") or DEFAULT_STEP_S) / (simulation.get("substeps") or 1)
+    step_s = min(rigid.get("dt") or shared_s, shared_s)
     chosen = {name: _name(name, rigid[name]) for name in NAMES}
     is_elliptic = chosen["friction_cone"] == "elliptic"
     if chosen["contact_resolution"] is None:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+import mujoco
+
 from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.registry import is_bundled
 from gauge_envs.checks.sanity.model import TrainingConfiguration
@@ -41,6 +43,8 @@ class Reader:
         read: Function that returns the configuration of a target of this kind. It gets a pair of geoms, or None, when
             `has_geoms`. It raises `TargetError` for what it cannot read.
         has_geoms: Whether a target of this kind may have geoms from which a user chooses a pair.
+        model: Function that returns the compiled model of a target, with the options that it trains with; None when a
+            target of this kind has no limits of contacts that are run.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Reader:
     matches: Callable[[Any], bool]
     read: Callable[[Any, GeomPair | None], TrainingConfiguration]
     has_geoms: bool = False
+    model: Callable[[Any], mujoco.MjModel] | None = None
 
 
 def check_settings(name: str, settings: Mapping[str, Any]) -> None:

@@ -1,0 +1,114 @@
+"""Differences between the versions of MuJoCo that the backend runs with: 3.11 to 4.
+
+Every setting and every kind of body that an older version lacks is declared here, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import Scene
+
+__all__ = ["Feature", "absent_settings", "check_installed", "constants_of", "without_absent", "without_deformables"]
+
+DEFORMABLES_SINCE = 4
+"""First major version whose deformable bodies have the constants that this backend sets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feature:
+    """A setting, or one value of it, that some supported versions of MuJoCo lack.
+
+    Attributes:
+        setting: Name of the setting.
+        value: The value; None when the whole setting is absent.
+        enumeration: Name of MuJoCo's enumeration that holds its constant.
+        constant: Name of the constant, which shows whether the installed version has the feature.
+        since: First version that has it.
+    """
+
+    setting: str
+    value: str | None = None
+    enumeration: str
+    constant: str
+    since: str
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether the installed version has it."""
+        return hasattr(getattr(mujoco, self.enumeration), self.constant)
+
+
+FEATURES = (
+    Feature(
+        setting="integrator",
+        value="discrete",
+        enumeration="mjtIntegrator",
+        constant="mjINT_DISCRETE",
+        since="3.13",
+    ),
+    Feature(setting="speculative", enumeration="mjtEnableBit", constant="mjENBL_SPECULATIVE", since="4.0"),
+)
+
+
+def constants_of(enumeration: str, names: Mapping[str, str]) -> dict[str, Any]:
+    """Return those constants of an enumeration that the installed version has, by the name of a setting's value.
+
+    Args:
+        enumeration: Name of MuJoCo's enumeration.
+        names: Name of the constant, by the name that this package gives it.
+    """
+    found = getattr(mujoco, enumeration)
+    return {name: getattr(found, constant) for name, constant in names.items() if hasattr(found, constant)}
+
+
+def absent_settings() -> set[str]:
+    """Return the names of settings that the installed version lacks as a whole."""
+    return {feature.setting for feature in FEATURES if feature.value is None and not feature.is_installed}
+
+
+def without_absent(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings without those that the installed version lacks: they are not in force."""
+    absent = absent_settings()
+    return {name: value for name, value in settings.items() if name not in absent}
+
+
+def check_installed(chosen: Mapping[str, Any], changes: Mapping[str, Any]) -> None:
+    """Raise an error for a setting or a value that the installed version lacks.
+
+    Args:
+        chosen: All settings, of the preset and the user.
+        changes: Settings that the user states.
+
+    Raises:
+        ParameterError: The user states an absent setting, or the settings have an absent value.
+    """
+    for feature in FEATURES:
+        if feature.is_installed:
+            continue
+        if feature.value is None and feature.setting in changes:
+            what, cure = "does not have it", "leave it out"
+        elif feature.value is not None and chosen[feature.setting] == feature.value:
+            what, cure = f"has no value {feature.value!r}", "choose another value"
+        else:
+            continue
+        raise ParameterError(
+            f"MuJoCo setting {feature.setting!r}: the installed MuJoCo {mujoco.__version__} {what}, since it came with "
+            f"MuJoCo {feature.since}: {cure}, or install a later version"
+        )
+
+
+def without_deformables(scene: Scene) -> Iterator[str]:
+    """Yield the reason why the installed version is not used for the deformable bodies of a scene."""
+    if scene.deformables and int(mujoco.__version__.split(".")[0]) < DEFORMABLES_SINCE:
+        names = ", ".join(repr(body.name) for body in scene.deformables[:3])
+        more = "" if len(scene.deformables) <= 3 else f" and {len(scene.deformables) - 3} more"
+        yield (
+            f"deformable bodies ({names}{more}) need MuJoCo {DEFORMABLES_SINCE}, whose constants for them differ from "
+            f"those of the installed MuJoCo {mujoco.__version__}: install mujoco>={DEFORMABLES_SINCE}"
+        )

@@ -1,0 +1,120 @@
+"""Describe a foot of a robot and the rigid body that stands for it in the scenes of a sanity check.
+
+A single ball would roll and a single capsule would fall over. A robot keeps the orientation of its foot with its legs.
+In the scenes, four copies of the foot in one rigid body do the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene import Compound, Part, Pose, Sphere, mass_properties
+
+__all__ = ["COPIES", "REFERENCE_FOOT", "FootGeometry"]
+
+COPIES = 4
+"""Number of feet of the rigid body."""
+
+SPREAD = 4.0
+"""Half the side of the square of feet, over the larger of the foot's reach and the height of its centre. Friction at
+the soles then shifts at most a quarter of mu of the load from the upper to the lower feet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootGeometry:
+    """Foot of a robot: its solids as they stand, and the mass that it carries.
+
+    Attributes:
+        name: Name of the body in the model.
+        geoms: Description of its solids, such as `bfoot (capsule)`.
+        parts: Solids in a frame with z up, whose origin is the lowest point.
+        load_kg: Mass that one foot carries [kg].
+        robot_mass_kg: Mass of the robot [kg].
+        foot_count: Number of feet on which the robot stands.
+        pose: Pose of the robot in which the foot was read, such as `keyframe home`.
+        sets: Names of the sets of contact constants that the feet have on the ground.
+        softening: Inverse weight of the foot's link in MuJoCo over that of the rigid body of four feet. MuJoCo softens
+            contacts by it. None when unknown.
+    """
+
+    name: str
+    geoms: str
+    parts: tuple[Part, ...]
+    load_kg: float
+    robot_mass_kg: float
+    foot_count: int
+    pose: str = ""
+    sets: tuple[str, ...] = ()
+    softening: float | None = None
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the rigid body of four feet [kg]."""
+        return COPIES * self.load_kg
+
+    @cached_property
+    def half_side_m(self) -> float:
+        """Half the side of the square at whose corners the feet stand [m]."""
+        alone = Compound(parts=self.parts)
+        reach = float(np.linalg.norm(alone.corners_m[:, :2], axis=1).max())
+        return SPREAD * max(reach, float(mass_properties(alone, self.load_kg)[0][2]))
+
+    @cached_property
+    def soles_m(self) -> NDArray[np.float64]:
+        """Lowest points of the four feet in the frame of the rigid body [m], shape [4, 3]."""
+        return self._turns.apply([self.half_side_m, self.half_side_m, 0.0])
+
+    @property
+    def shape(self) -> Compound:
+        """Four copies at the corners of a square, each turned by 90 degrees about the vertical from the one before.
+
+        So the centre of mass is above the centre of the square whatever the form of the foot, and the feet carry the
+        same load.
+        """
+        parts = []
+        for turn, sole in zip(self._turns, self.soles_m, strict=True):
+            for part in self.parts:
+                x, y, z = (turn.apply(part.pose.position_m) + sole).tolist()
+                pose = Pose.from_rotation((x, y, z), turn * part.pose.rotation)
+                parts.append(Part(shape=part.shape, pose=pose))
+        return Compound(parts=tuple(parts))
+
+    @cached_property
+    def digest(self) -> str:
+        """Short text that differs for different scenes."""
+        return hashlib.sha256(repr((self.parts, self.load_kg, self.softening)).encode()).hexdigest()[:12]
+
+    @property
+    def description(self) -> str:
+        """Text about the foot and its load."""
+        feet = "1 foot" if self.foot_count == 1 else f"{self.foot_count} feet"
+        return f"{self.geoms} with {self.load_kg:.3g} kg, the share of one of {feet} in {self.robot_mass_kg:.3g} kg"
+
+    @property
+    def assumption(self) -> str:
+        """Text about what stands for the robot."""
+        softer = (
+            "" if self.softening is None else f"; contacts {self.softening:.3g} times softer, as on the foot's link"
+        )
+        return f"four copies in one rigid body, whose mass is spread evenly over their solids{softer}"
+
+    @property
+    def _turns(self) -> Rotation:
+        return Rotation.from_euler("z", 90.0 * np.arange(COPIES)[:, None], degrees=True)
+
+
+REFERENCE_FOOT = FootGeometry(
+    name="foot",
+    geoms="a sphere of 20 mm",
+    parts=(Part(shape=Sphere(radius_m=0.02), pose=Pose(position_m=(0.0, 0.0, 0.02))),),
+    load_kg=3.0,
+    robot_mass_kg=12.0,
+    foot_count=4,
+)
+"""Foot of a quadruped of 12 kg, with which the rows are listed without a target."""

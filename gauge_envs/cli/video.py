@@ -1,0 +1,93 @@
+"""Commands that judge videos by the laws of motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gauge_envs.cli.arguments import Json, Wide
+from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, print_table, stderr_console, stdout_console
+from gauge_envs.errors import ParameterError
+
+__all__ = ["video_app", "video_list", "video_score"]
+
+video_app = typer.Typer(help="Videos of world models, judged by the laws of motion.", no_args_is_help=True)
+
+
+@video_app.command("list")
+def video_list(json_lines: Json = False, wide: Wide = False) -> None:
+    """List the tasks: what moves, how large it is, and what real trials give."""
+    from gauge_envs.report.videos import task_rows, task_table
+    from gauge_envs.video import video_tasks
+
+    print_table(task_table(task_rows(video_tasks())), json_lines=json_lines, wide=wide)
+
+
+@video_app.command("score")
+def video_score(
+    videos: Annotated[list[Path], typer.Argument(metavar="VIDEO...", help="Video files, or tracks with --track.")],
+    task: Annotated[str, typer.Option(help="Task that the videos show, as SlopeSlider-2-wood; see gauge video list.")],
+    is_track: Annotated[
+        bool, typer.Option("--track", help="The files are tracks: CSV with the columns frame, x, y and confidence.")
+    ] = False,
+    fps: Annotated[
+        float | None, typer.Option(help="Frames per second, instead of the rate that a file states.")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures of a track [px], as 832x480.")
+    ] = None,
+    overlay: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
+    ] = None,
+    json_lines: Json = False,
+) -> None:
+    """Track the object in videos, fit the law of the task, and report its metrics with intervals.
+
+    Exit code 1 when a video is graded invalid.
+    """
+    from gauge_envs.report.videos import score_view
+    from gauge_envs.video import Grade, read_track, score_track, video_task
+    from gauge_envs.video.frames import FileFrames
+    from gauge_envs.video.overlay import save_overlay
+    from gauge_envs.video.tracker import track_object
+
+    chosen = video_task(task)
+    if is_track and fps is None:
+        raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
+    if is_track and overlay is not None:
+        raise ParameterError("--overlay needs the video, and --track gives a track alone: leave out one of the two")
+    if size is not None and not is_track:
+        raise ParameterError("--size goes with --track; a video states its own size")
+    has_failed = False
+    for path in videos:
+        if is_track:
+            assert fps is not None
+            result = score_track(read_track(path, fps=fps, size_px=_size(size)), chosen, name=str(path))
+        else:
+            source = FileFrames(path, fps=fps)
+            result = score_track(track_object(source, chosen), chosen, name=str(path))
+            if overlay is not None:
+                overlay.mkdir(parents=True, exist_ok=True)
+                written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
+                stderr_console().print(plain_text(str(written)), soft_wrap=True)
+        if json_lines:
+            print_json_lines([result.to_dict()])
+        else:
+            stdout_console().print(score_view(result, chosen.real), soft_wrap=True)
+        has_failed = has_failed or result.grade is Grade.INVALID
+    if has_failed:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _size(text: str | None) -> tuple[int, int]:
+    """Return width and height of `832x480`; the reference grid when nothing is stated."""
+    from gauge_envs.video.tasks import REFERENCE_SIZE_PX
+
+    if text is None:
+        return REFERENCE_SIZE_PX
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
+        raise ParameterError(f"--size {text!r}: give width and height in pixels, as 832x480")
+    return int(parts[0]), int(parts[1])

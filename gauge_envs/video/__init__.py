@@ -1,0 +1,27 @@
+"""Judge a video by the law that its motion follows: tasks, tracks, metrics and their uncertainty.
+
+Example:
+    >>> from gauge_envs.video import video_tasks
+    >>> [task.id for task in video_tasks()][:2]
+    ['SlopeSlider-2-wood', 'SlopeSlider-2-plastic']
+"""
+
+from gauge_envs.video.grade import Grade
+from gauge_envs.video.scoring import METRICS, VideoScore, score, score_track
+from gauge_envs.video.tasks import Motion, VideoTask, video_task, video_tasks
+from gauge_envs.video.track import Event, Track, read_track
+
+__all__ = [
+    "METRICS",
+    "Event",
+    "Grade",
+    "Motion",
+    "Track",
+    "VideoScore",
+    "VideoTask",
+    "read_track",
+    "score",
+    "score_track",
+    "video_task",
+    "video_tasks",
+]

@@ -1,0 +1,69 @@
+"""Draw a track into its video: where the object was seen, which frames count, and what the law gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gauge_envs.errors import VideoError
+from gauge_envs.video.frames import FileFrames, Picture, opencv
+from gauge_envs.video.scoring import VideoScore
+
+__all__ = ["save_overlay"]
+
+COUNTED = (80, 200, 80)
+DROPPED = (150, 150, 150)
+MARKED = (60, 60, 230)
+"""Colours in blue, green and red: of retained places, of dropped ones, and of the present place."""
+
+
+def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
+    """Write a video with the track, and return its path.
+
+    Args:
+        source: The video that was scored.
+        result: Its result.
+        path: File to write, MP4.
+
+    Raises:
+        VideoError: The file cannot be written.
+    """
+    cv2 = opencv()
+    track = result.track
+    span = result.interval_frames
+    writer = None
+    for number, picture in enumerate(source.pictures()):
+        if writer is None:
+            size = (picture.shape[1], picture.shape[0])
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), source.fps, size)
+            if not writer.isOpened():
+                raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
+        writer.write(_drawn(picture, result, number, span))
+    if writer is None or not len(track.frames):
+        raise VideoError(f"{source.name}: there is no frame to draw")
+    writer.release()
+    return path
+
+
+def _drawn(picture: Picture, result: VideoScore, number: int, span: tuple[int, int] | None) -> Picture:
+    cv2 = opencv()
+    drawn = picture.copy()
+    track = result.track
+    for frame, place in zip(track.frames[: number + 1], track.points_px[: number + 1], strict=False):
+        if np.isfinite(place).all():
+            counts = span is not None and span[0] <= frame <= span[1]
+            cv2.circle(drawn, (round(place[0]), round(place[1])), 2, COUNTED if counts else DROPPED, -1)
+    if number < len(track.frames) and np.isfinite(track.points_px[number]).all():
+        x, y = track.points_px[number]
+        cv2.drawMarker(drawn, (round(x), round(y)), MARKED, cv2.MARKER_CROSS, 22, 2)
+    values = [f"{name} {value:.3g}" for name, value in result.metrics.items() if value is not None]
+    is_counted = span is not None and span[0] <= number <= span[1]
+    state = "counted" if is_counted else "dropped"
+    confidence = track.confidence[number] if number < len(track.confidence) else 0.0
+    lines = [f"frame {number}, {state}, confidence {confidence:.2f}", f"{result.grade.value}: {', '.join(values)}"]
+    for row, text in enumerate(lines):
+        place = (10, drawn.shape[0] - 30 + 20 * row)
+        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
+        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+    return drawn

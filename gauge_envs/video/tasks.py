@@ -1,0 +1,177 @@
+"""Define the five tasks of the world-model track: the law, the object, and where it stands in the known first frame.
+
+Every video model gets the same first frame. Numbers in pixels were read from those frames, on their grid of 832 x 480
+pixels with the origin in the top left corner. Sizes in metres are those of the real objects.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from gauge_envs.errors import UnknownNameError
+from gauge_envs.experiments.resolve import load_experiment
+
+__all__ = ["REFERENCE_SIZE_PX", "Motion", "VideoTask", "video_task", "video_tasks"]
+
+REFERENCE_SIZE_PX = (832, 480)
+"""Width and height of the first frames, on whose grid all pixel numbers are given."""
+
+SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
+"""Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
+
+
+class Motion(StrEnum):
+    """Kind of motion of a task, which decides the law and how the object is followed."""
+
+    SLIDE = "slide"
+    """A cube slides down a board with constant acceleration."""
+    FALL = "fall"
+    """A ball falls with constant acceleration until the first impact."""
+    TURN = "turn"
+    """A cube rides or slips on a turntable, held by limited friction."""
+    CRADLE = "cradle"
+    """A row of hanging balls transfers the momentum of one ball to the last one."""
+    PENDULUM = "pendulum"
+    """A ball on a rod swings, damped."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoTask:
+    """One task of the world-model track.
+
+    Attributes:
+        id: Id of the experiment in this suite, such as `SlopeSlider-2-wood`.
+        motion: Kind of motion.
+        size_m: Length that gives the scale: edge of a cube or diameter of a ball [m].
+        size_px: The same length in the first frame [px].
+        size_sigma_px: Standard uncertainty of that length [px]: of one edge or diameter, read by eye.
+        centre_px: Centre of the tracked object in the first frame [px], shape [2]: the face of a cube that looks at the
+            camera, or a ball.
+        direction: Unit vector of a straight motion in the picture, shape [2]; None for other motions.
+        pivot_px: Pivot of a swinging ball [px], shape [2]; None for other motions.
+        pivot_sigma_px: Standard uncertainty of each coordinate of the pivot [px].
+        rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
+        release_height_m: Height from which the incoming ball of a cradle is released [m].
+        mass_kg: Mass of the object [kg].
+        friction: Coefficient of friction of the contact, 1; None where there is none.
+        real: Real values by the name of the metric, from the published table of real trials.
+    """
+
+    id: str
+    motion: Motion
+    size_m: float
+    size_px: float
+    size_sigma_px: float = 0.5
+    centre_px: tuple[float, float]
+    direction: tuple[float, float] | None = None
+    pivot_px: tuple[float, float] | None = None
+    pivot_sigma_px: float = 1.0
+    rest_px: tuple[float, float] | None = None
+    release_height_m: float = 0.0
+    mass_kg: float
+    friction: float | None = None
+    real: dict[str, float]
+
+    @property
+    def scale_m_per_px(self) -> float:
+        """Size of a pixel of the first frame at the depth of the object [m]."""
+        return self.size_m / self.size_px
+
+
+def video_tasks() -> tuple[VideoTask, ...]:
+    """Return all tasks, in the order of the published table."""
+    return (
+        _slide("wood", 60.0, (607.0, 53.0), 2.58),
+        _slide("plastic", 60.2, (618.5, 71.0), 2.57),
+        _slide("metal", 59.5, (603.0, 71.0), 2.67),
+        _turn("wood", 84.6, (257.0, 232.0)),
+        _turn("plastic", 85.6, (257.0, 239.0)),
+        _turn("metal", 86.5, (256.0, 238.0)),
+        VideoTask(
+            id="BouncingBall-rubber",
+            motion=Motion.FALL,
+            size_m=0.06,
+            size_px=49.2,
+            centre_px=(529.0, 44.6),
+            direction=(0.0, 1.0),
+            mass_kg=_mass_kg("BouncingBall-rubber", "ball"),
+            real={"qfi": 0.0, "a_m_s2": 9.81},
+        ),
+        VideoTask(
+            id="NewtonsCradle-metal",
+            motion=Motion.CRADLE,
+            size_m=0.02,
+            size_px=37.2,
+            centre_px=(71.0, 93.0),
+            pivot_px=(477.0, 90.0),
+            rest_px=(477.0, 347.0),
+            release_height_m=0.13294,
+            mass_kg=_mass_kg("NewtonsCradle-metal", "ball-5"),
+            real={"mte": 1.0},
+        ),
+        VideoTask(
+            id="Pendulum-metal",
+            motion=Motion.PENDULUM,
+            size_m=0.06,
+            size_px=46.0,
+            centre_px=(465.0, 263.5),
+            pivot_px=(413.2, 58.3),
+            mass_kg=_mass_kg("Pendulum-metal", "ball"),
+            real={"r2": 1.0, "pd_s": 1.06},
+        ),
+    )
+
+
+def video_task(name: str) -> VideoTask:
+    """Return a task by the id of its experiment.
+
+    Raises:
+        UnknownNameError: There is no such task; the message suggests near names.
+    """
+    tasks = {task.id: task for task in video_tasks()}
+    if name not in tasks:
+        raise UnknownNameError("video task", name, list(tasks))
+    return tasks[name]
+
+
+def _slide(material: str, size_px: float, centre_px: tuple[float, float], real_a_m_per_s2: float) -> VideoTask:
+    variant = f"SlopeSlider-2-{material}"
+    return VideoTask(
+        id=variant,
+        motion=Motion.SLIDE,
+        size_m=0.05,
+        size_px=size_px,
+        centre_px=centre_px,
+        direction=SLOPE_DIRECTION,
+        mass_kg=_mass_kg(variant, "cube"),
+        real={"qfi": 0.0, "a_m_s2": real_a_m_per_s2},
+    )
+
+
+def _turn(material: str, size_px: float, centre_px: tuple[float, float]) -> VideoTask:
+    variant = f"Turntable-2-{material}"
+    return VideoTask(
+        id=variant,
+        motion=Motion.TURN,
+        size_m=0.05,
+        size_px=size_px,
+        centre_px=centre_px,
+        pivot_px=(411.0, 238.0),
+        mass_kg=_mass_kg(variant, "cube"),
+        friction=_friction(variant),
+        real={"de_n": 0.0},
+    )
+
+
+def _mass_kg(variant: str, body: str) -> float:
+    mass = load_experiment(variant).scene.body(body).mass_kg
+    assert mass is not None
+    return mass
+
+
+def _friction(variant: str) -> float:
+    """Return the friction between the cube and the plate of a turntable."""
+    contacts = load_experiment(variant).scene.contacts
+    return next(contact.friction for contact in contacts if {"cube", "plate"} == {*contact.first, *contact.second})
