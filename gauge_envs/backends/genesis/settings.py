@@ -105,7 +105,19 @@ PRESETS: dict[str, SettingsGenesis] = {
     "impact": SettingsGenesis(preset="impact", timestep_s=1 / 36000, impact_steps=100),
     "impact_chain": SettingsGenesis(preset="impact_chain", timestep_s=1 / 9000),
     "contact_free": SettingsGenesis(preset="contact_free", timestep_s=1 / 1800),
-    "stack": SettingsGenesis(preset="stack", timestep_s=1 / 900, sustained_timeconst_s=0.005),
+    # Many resting contacts: a step of a wall of 118 bricks takes 15 ms with the pyramidal cone, and 86 ms with
+    # Signorini contacts. The wall sinks by 0.4 mm then, and by 0.2 mm with them.
+    "stack": SettingsGenesis(
+        preset="stack",
+        timestep_s=1 / 900,
+        iterations=25,
+        tolerance=1e-6,
+        friction_cone="pyramidal",
+        contact_resolution="convex",
+        impratio=1.0,
+        pruning_tolerance=0.02,
+        sustained_timeconst_s=0.005,
+    ),
     # Genesis's defaults at the rate of the paper's rigid runs; only masses, shapes and friction come from the scene.
     "out_of_box": OUT_OF_BOX,
     # The paper states 180 Hz, and that all settings but the physical parameters are defaults.
