@@ -31,7 +31,7 @@ def soft_row(scene: Scene) -> SoftRow:
     return SoftRow.of(bodies, attachments_by_body(scene, bodies))
 
 
-@pytest.mark.parametrize("preset", ["default", "mpm"])
+@pytest.mark.parametrize("preset", ["default", pytest.param("mpm", marks=pytest.mark.slow)])
 def test_a_bar_has_its_modulus_and_poisson_ratio_and_follows_its_grip(preset: str) -> None:
     results = list(run_checks("genesis", settings={"preset": preset}, only=("foam-*",)))
     assert {result.check: result.status for result in results} == {
@@ -45,7 +45,7 @@ def test_a_bar_has_its_modulus_and_poisson_ratio_and_follows_its_grip(preset: st
     assert values["foam-poisson"] == pytest.approx(0.3, rel=0.01)
 
 
-@pytest.mark.parametrize("preset", ["default", "mpm"])
+@pytest.mark.parametrize("preset", ["default", pytest.param("mpm", marks=pytest.mark.slow)])
 def test_a_state_of_foam_continues_bit_for_bit_in_another_simulation(preset: str) -> None:
     scene = load_experiment("FoamTwisting-soft").scene
     genesis = backend("genesis")
