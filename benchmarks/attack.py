@@ -24,11 +24,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from pxr import Sdf
 
 from gauge_envs import load_experiment
 from gauge_envs.analysis.comparison import compare
+from gauge_envs.checks.sanity import configuration
+from gauge_envs.checks.sanity.probe.program import document as probe_document
 from gauge_envs.checks.sanity.readers.isaac_gym import isaac_gym_configuration
 from gauge_envs.checks.sanity.readers.isaac_lab import isaac_lab_configuration
 from gauge_envs.checks.sanity.readers.yaml_document import read_yaml
@@ -54,6 +57,17 @@ MOST_MEMORY_MB = 1000.0
 
 NAME = "SlopeSlider-2-wood"
 
+ROBOT = """
+<mujoco>
+  <asset><mesh name="foot" vertex="0 0 0  .1 0 0  0 .1 0  0 0 .1"/></asset>
+  <worldbody><geom name="floor" type="plane" size="1 1 1"/>
+    <body name="a" pos="0 0 1"><freejoint/><geom type="mesh" mesh="foot"/>
+      <body name="b"><joint range="-1 1" limited="true"/><geom name="b" type="capsule" size=".1 .1"/></body></body>
+  </worldbody>
+  <contact><pair geom1="floor" geom2="b"/><exclude body1="a" body2="b"/></contact>
+</mujoco>
+"""
+"""Seed of probe files."""
 EXAMPLES = Path(__file__).parents[1] / "examples" / "sanity"
 
 TOKENS = (
@@ -166,6 +180,7 @@ def targets(folder: Path) -> dict[str, Target]:
             'all = "nominal: a seed"',
         ]
     )
+    probe = json.dumps(probe_document(mujoco.MjModel.from_xml_string(ROBOT))).encode()
     Sdf.Layer.FindOrOpen(str(layer)).Export(str(folder / "scene.usdc"))
 
     def trial_read(file: Path) -> None:
@@ -192,6 +207,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "usdc": Target(
             ".usdc", [(folder / "scene.usdc").read_bytes()], lambda file: from_usd(file, duration_s=1.0), 0.01
         ),
+        "probe": Target(".gaugeprobe.json", [probe], configuration, 0.5),
         "isaac_lab": Target(
             ".yaml",
             [file.read_bytes() for file in sorted(EXAMPLES.glob("g1_*.yaml"))],

@@ -4,8 +4,8 @@
 
 Each entry makes a fresh environment, installs the wheel with the `plot` extra and without any engine but MuJoCo, runs
 the conformance checks of MuJoCo, and runs the tests from a copy that holds no sources of the package. The lowest MuJoCo
-has no deformable bodies, so an entry with the lowest dependencies runs `--rigid-tests` with it, and the other tests
-with the lowest MuJoCo that has them. A version without an interpreter is skipped with a message;
+has no deformable bodies. An entry with the lowest dependencies runs `--rigid-tests` with it, and the other tests with
+the lowest MuJoCo that has them. A version without an interpreter is skipped with a message;
 PYTHON3_12=/path/to/python names an interpreter that is not on the PATH.
 """
 
@@ -129,6 +129,8 @@ def _test(
     code = 0
     if is_lowest:
         code = _pytest(commands, rigid_tests, checkout)
+        # MuJoCo 4 consists of several packages; pip would remove their files with the single older one afterwards.
+        _run([str(commands / "python"), "-m", "pip", "uninstall", "--quiet", "--yes", "mujoco"])
         _run([str(commands / "python"), "-m", "pip", "install", "--quiet", LOWEST_WITH_DEFORMABLES])
         print(f"{entry}: goes on with {_versions(commands / 'python')}", flush=True)
     code = _pytest(commands, tests, checkout) or code

@@ -16,6 +16,7 @@ PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 DISTRIBUTION = {
+    "cv2": "opencv-python-headless",
     "genesis": "genesis-world",
     "pydrake": "drake",
     "pxr": "usd-core",

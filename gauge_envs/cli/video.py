@@ -8,10 +8,19 @@ from typing import Annotated
 import typer
 
 from gauge_envs.cli.arguments import Json, Wide
-from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, print_table, stderr_console, stdout_console
-from gauge_envs.errors import ParameterError
+from gauge_envs.cli.output import (
+    EXIT_FAILED,
+    echo,
+    plain_text,
+    print_json_lines,
+    print_table,
+    progress_bar,
+    stderr_console,
+    stdout_console,
+)
+from gauge_envs.errors import ParameterError, VideoError
 
-__all__ = ["video_app", "video_list", "video_score"]
+__all__ = ["video_app", "video_list", "video_report", "video_score"]
 
 video_app = typer.Typer(help="Videos of world models, judged by the laws of motion.", no_args_is_help=True)
 
@@ -78,6 +87,47 @@ def video_score(
             stdout_console().print(score_view(result, chosen.real), soft_wrap=True)
         has_failed = has_failed or result.grade is Grade.INVALID
     if has_failed:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@video_app.command("report")
+def video_report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with videos MODEL/TASK.mp4.")],
+    out: Annotated[Path, typer.Option(help="Folder for the page and for results.json.")] = Path("video_report"),
+) -> None:
+    """Score the videos of many models, and write a page with a table and pictures of what was followed.
+
+    Exit code 1 when a video cannot be read; the others are on the page.
+    """
+    import json
+
+    from gauge_envs.report.video_page import find_videos, save_video_page
+    from gauge_envs.video import score_track, video_task
+    from gauge_envs.video.frames import FileFrames
+    from gauge_envs.video.tracker import track_object
+
+    videos = find_videos(folder)
+    results, files, broken = {}, {}, []
+    with progress_bar(stderr_console()) as progress:
+        bar = progress.add_task("videos", total=len(videos))
+        for model, task, file in videos:
+            progress.update(bar, description=f"{model}: {task}")
+            try:
+                track = track_object(FileFrames(file), video_task(task))
+                results[model, task] = score_track(track, video_task(task), name=f"{model}/{file.name}")
+                files[model, task] = file
+            except VideoError as error:
+                broken.append(str(error))
+            progress.update(bar, advance=1)
+    for text in broken:
+        stderr_console().print(plain_text(text), soft_wrap=True)
+    if not results:
+        raise typer.Exit(EXIT_FAILED)
+    page = save_video_page(results, files, out)
+    lines = [json.dumps({"model": model, **result.to_dict()}) for (model, _), result in results.items()]
+    (out / "results.json").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    echo(page)
+    if broken:
         raise typer.Exit(EXIT_FAILED)
 
 

@@ -12,7 +12,7 @@ from gauge_envs.report.table import Column, Table, as_rich
 from gauge_envs.report.text import value_text
 from gauge_envs.video import METRICS, VideoScore, VideoTask
 
-__all__ = ["score_view", "task_rows", "task_table"]
+__all__ = ["TITLES", "score_view", "short_text", "task_rows", "task_table"]
 
 TITLES = {
     "a_m_s2": "acceleration [m/s^2]",
@@ -70,9 +70,9 @@ def score_view(result: VideoScore, real: Mapping[str, float]) -> Group:
     ]
     columns = (
         Column("metric", "metric"),
-        Column("value", "video", format=_short_text, is_number=True),
+        Column("value", "video", format=short_text, is_number=True),
         Column("interval", "95 % interval"),
-        Column("real", "real", format=_short_text, is_number=True),
+        Column("real", "real", format=short_text, is_number=True),
     )
     span = result.interval_frames
     frames = "no frame is retained" if span is None else f"frames {span[0]} to {span[1]} are retained"
@@ -84,9 +84,10 @@ def score_view(result: VideoScore, real: Mapping[str, float]) -> Group:
     return Group(*parts)
 
 
-def _short_text(value: float) -> str:
+def short_text(value: float) -> str:
+    """Return a value with four digits."""
     return f"{value:.4g}"
 
 
 def _interval_text(interval: tuple[float, float] | None) -> str:
-    return "" if interval is None else f"{_short_text(interval[0])} to {_short_text(interval[1])}"
+    return "" if interval is None else f"{short_text(interval[0])} to {short_text(interval[1])}"

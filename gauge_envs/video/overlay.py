@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from gauge_envs.errors import VideoError
-from gauge_envs.video.frames import FileFrames, Picture, opencv
+from gauge_envs.video.frames import FileFrames, Frames, Picture, opencv
 from gauge_envs.video.scoring import VideoScore
 
-__all__ = ["save_overlay"]
+__all__ = ["drawn_frames", "save_overlay"]
 
 COUNTED = (80, 200, 80)
 DROPPED = (150, 150, 150)
@@ -30,20 +31,24 @@ def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
         VideoError: The file cannot be written.
     """
     cv2 = opencv()
-    track = result.track
-    span = result.interval_frames
     writer = None
-    for number, picture in enumerate(source.pictures()):
+    for picture in drawn_frames(source, result):
         if writer is None:
             size = (picture.shape[1], picture.shape[0])
             writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), source.fps, size)
             if not writer.isOpened():
                 raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
-        writer.write(_drawn(picture, result, number, span))
-    if writer is None or not len(track.frames):
+        writer.write(picture)
+    if writer is None:
         raise VideoError(f"{source.name}: there is no frame to draw")
     writer.release()
     return path
+
+
+def drawn_frames(source: Frames, result: VideoScore) -> Iterator[Picture]:
+    """Yield the frames of a video on the reference grid, with the track drawn into them."""
+    for number, picture in enumerate(source.pictures()):
+        yield _drawn(picture, result, number, result.interval_frames)
 
 
 def _drawn(picture: Picture, result: VideoScore, number: int, span: tuple[int, int] | None) -> Picture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,7 +15,9 @@ from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.checks.sanity.foot import FootGeometry
 from gauge_envs.checks.sanity.phenomena.foot import foot_scene
+from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.metrics import fitted_acceleration
+from gauge_envs.experiments.export.assets import shape_to_obj
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -29,6 +32,7 @@ from gauge_envs.scene import (
     Sphere,
     mass_properties,
 )
+from gauge_envs.scene.usd.writer import to_usd
 
 TETRAHEDRON = ConvexUnion(pieces_m=(((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04)),))
 SOLIDS = {
@@ -133,3 +137,11 @@ def test_the_inverse_weight_of_dynamic_bodies_is_scaled() -> None:
     foot = plain.body("foot").id
     np.testing.assert_allclose(softer.body_invweight0[foot], 5.0 * plain.body_invweight0[foot])
     assert plain.body_invweight0[foot, 0] == pytest.approx(1.0 / 4.0)
+
+
+def test_files_have_no_compounds(tmp_path: Path) -> None:
+    scene = foot_scene(foot_of("sphere"), friction=0.3)
+    with pytest.raises(ParameterError, match="'foot' is a compound of solids"):
+        to_usd(scene, tmp_path / "scene.usda")
+    with pytest.raises(ParameterError, match="a compound of solids has no OBJ file"):
+        shape_to_obj(scene.body("foot").shape, "foot")

@@ -17,6 +17,7 @@ from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
 from gauge_envs.video import Grade, Motion, VideoScore, read_track, score, score_track, video_task, video_tasks  # noqa: E402
 from gauge_envs.video.frames import FileFrames  # noqa: E402
+from gauge_envs.video.published import published_results  # noqa: E402
 
 FIVE = ("SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal")
 
@@ -176,6 +177,34 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
     assert line["metrics"]["mte"] is None
     drawn = FileFrames(tmp_path / "drawn" / "slide.overlay.mp4")
     assert sum(1 for _ in drawn.pictures()) == len(one.frames)
+
+
+def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> None:
+    one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
+    for model in ("fast", "slow"):
+        (tmp_path / "videos" / model).mkdir(parents=True)
+    written(one, tmp_path / "videos" / "fast" / "SlopeSlider-2-metal.mp4")
+    (tmp_path / "videos" / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
+    outcome = CliRunner().invoke(app, ["video", "report", str(tmp_path / "videos"), "--out", str(tmp_path / "page")])
+    assert outcome.exit_code == 1
+    page = (tmp_path / "page" / "index.html").read_text()
+    (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
+    assert json.loads(line)["model"] == "fast"
+    assert page.count("<img ") == 6
+    # Published value of one of ten models.
+    assert "0.074" in page
+    assert "http" not in page
+    empty = CliRunner().invoke(app, ["video", "report", str(tmp_path / "page")])
+    assert empty.exit_code == 2
+
+
+def test_published_values_are_those_of_the_table() -> None:
+    published = published_results()
+    assert len(published) == 10
+    assert published["seedance2"]["Pendulum-metal", "pd_s"] == 3.13
+    assert published["wan22"]["NewtonsCradle-metal", "mte"] is None
+    named = {key for values in published.values() for key in values}
+    assert named == {(task.id, name) for task in video_tasks() for name in task.real}
 
 
 def test_files_that_are_no_videos_are_errors(tmp_path: Path) -> None:

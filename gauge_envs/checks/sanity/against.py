@@ -64,7 +64,7 @@ class ChangeRow:
     """One quantity in both configurations.
 
     Attributes:
-        id: Id of the phenomenon, or `step`, `gravity`, `foot-straight`, `foot-turned`, `foot-rebound`.
+        id: Id of the phenomenon, or `step`, `gravity`, `foot-straight`, `foot-turned`, `foot-restitution`.
         title: Title.
         unit: Unit of both values; `1` for a pure number.
         trained: Value where the policy was trained; None when unknown.
@@ -340,7 +340,7 @@ def _rebound_rows(one: _Side, other: _Side, rows: Mapping[str, ChangeRow]) -> li
     (phenomenon,) = phenomena([REBOUND])
     return [
         ChangeRow(
-            id="foot-rebound",
+            id="foot-restitution",
             title="restitution that a foot meets",
             unit="1",
             trained=trained,

@@ -26,11 +26,20 @@ SPARE = 1.25
 """Ratio of recommended limits and the counted need, since other motions may need more."""
 
 
-def capacity_row(configuration: TrainingConfiguration, language: Language) -> PhenomenonResult | None:
-    """Return the row on the memory for contacts; None when the target states no limit."""
+def capacity_row(
+    configuration: TrainingConfiguration, language: Language, *, is_wanted: bool = False
+) -> PhenomenonResult | None:
+    """Return the row on the memory for contacts; None when the target states no limit.
+
+    Args:
+        configuration: The configuration.
+        language: Language of the target.
+        is_wanted: Whether to return a declined row when the target states no limit.
+    """
     capacity = configuration.capacity
     if capacity is None:
-        return None
+        remark = "the target states no limit of its memory for contacts"
+        return _row(None, Verdict.DECLINED, remark=remark, applies=False) if is_wanted else None
     if capacity.need is None:
         return _row(None, Verdict.DECLINED, remark=capacity.reason, applies=False)
     missing = capacity.missing_rows + math.ceil(capacity.missing_contacts)

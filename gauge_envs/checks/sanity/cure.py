@@ -10,6 +10,7 @@ from typing import Any
 from gauge_envs.checks.rollout import DeclinedError
 from gauge_envs.checks.sanity.alternatives import Alternative, alternatives
 from gauge_envs.checks.sanity.languages import Language
+from gauge_envs.checks.sanity.languages.toml import Toml
 from gauge_envs.checks.sanity.measure import Measured, Measurements
 from gauge_envs.checks.sanity.model import Cure, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.subject import Subject, worst_of
@@ -28,6 +29,15 @@ RECOMMENDED_MUJOCO: Mapping[str, Any] = {
     "contact_margin_m": 0.0,
 }
 """Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
+
+RECOMMENDED_PHYSX: Mapping[str, Any] = {"solver": "TGS", "position_iterations": 10, "velocity_iterations": 1}
+"""The same for PhysX, in the language of a training stack."""
+
+AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
+"""Recommended settings that are kept where the target has more."""
+
+STEP = "timestep_s"
+"""Setting that is changed only where no other change mends as much, since shorter steps cost time in proportion."""
 
 MOST_CHANGES = 3
 """Most settings that are changed one after the other."""
@@ -58,8 +68,8 @@ def find_cure(
 ) -> Cure | None:
     """Return the change that mends most flagged rows; None when no change mends one.
 
-    Single changes are tried first, then further ones beside the best. If flags are left in a MuJoCo model, the settings
-    that this package recommends are tried as a whole. Rows that were inside are measured again with the result.
+    Single changes are tried first, then further ones beside the best. If flags are left, or come instead, the settings
+    that this package recommends for the target are tried as a whole. Rows that were inside are measured again.
 
     Args:
         measurements: Measurements on the backend.
@@ -77,15 +87,15 @@ def find_cure(
     steps = list(_greedy(measurements, flagged, others, language, named))
     changes = {name: value for step in steps for name, value in step.changes.items()}
     mended = steps[-1].mended if steps else 0
-    if mended < len(flagged) and configuration.is_model:
-        recommended = _recommended(configuration)
+    new = _new_flags(measurements, others, changes) if mended else ()
+    recommended = _recommended(configuration)
+    if recommended and (mended < len(flagged) or len(new) >= mended):
         count = _score(measurements, flagged, recommended)[0]
-        if count > mended:
-            steps = [*steps[:1], _Step(changes=recommended, mended=count, source="this package's recommendation")]
-            steps, changes, mended = [s for s in steps if s.mended], recommended, count
-    if not mended:
-        return None
-    new = _new_flags(measurements, others, changes)
+        if count > mended or (count and len(new) >= mended):
+            first = steps[:1] if count > mended else []
+            steps = [*first, _Step(changes=recommended, mended=count, source="this package's recommendation")]
+            changes, mended = recommended, count
+            new = _new_flags(measurements, others, changes)
     if len(new) >= mended:
         return None
     return Cure(
@@ -113,7 +123,7 @@ def _greedy(
     left, mended = list(flagged), 0
     while left and candidates and len(changes) < MOST_CHANGES:
         scored = [(_score(measurements, left, {**changes, one.name: one.value}), one) for one in candidates]
-        scored.sort(key=lambda pair: (pair[0][0], pair[1].name in named, pair[0][1]), reverse=True)
+        scored.sort(key=lambda pair: _preference(pair[1], named, *pair[0]), reverse=True)
         harms = [
             len(_new_flags(measurements, others, {**changes, one.name: one.value})) for _, one in scored[:MOST_COMPARED]
         ]
@@ -126,6 +136,11 @@ def _greedy(
         yield _Step(changes={best.name: best.value}, mended=mended, source=best.source)
         left = [one for one in left if not _is_inside(one.measured(measurements, changes))]
         candidates = [one for one in candidates if one.name not in changes]
+
+
+def _preference(one: Alternative, named: Collection[str], mended: int, closeness: float) -> tuple[float, ...]:
+    """Return the order of a change: flags it mends, no shorter step, whether it is named for a row, closeness."""
+    return (mended, one.name != STEP, one.name in named, closeness)
 
 
 def _new_flags(measurements: Measurements, others: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[str, ...]:
@@ -162,14 +177,21 @@ def _is_inside(outcomes: Mapping[str, Measured]) -> bool:
 
 
 def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
-    """Return the recommended settings that differ from the model's; a shorter step and more iterations are kept."""
-    kept = dict(configuration.settings)
+    """Return the recommended settings that differ from the target's; a shorter step and more iterations are kept.
+
+    A settings file has none, since its backend's preset is what it differs from.
+    """
+    recommended: Mapping[str, Any] = {}
+    if configuration.is_model:
+        recommended = RECOMMENDED_MUJOCO
+    elif configuration.backend == "physx" and configuration.language != Toml.name:
+        recommended = RECOMMENDED_PHYSX
     changes = {}
-    for name, value in RECOMMENDED_MUJOCO.items():
-        was = kept.get(name, 0.0 if name == "contact_margin_m" else None)
-        if name == "timestep_s" and was is not None and was <= value:
+    for name, value in recommended.items():
+        was = configuration.settings.get(name, 0.0 if name == "contact_margin_m" else None)
+        if name == STEP and was is not None and was <= value:
             continue
-        if name in ("iterations", "ls_iterations") and was is not None and was >= value:
+        if name in AT_LEAST and was is not None and was >= value:
             continue
         if (tuple(was) if isinstance(was, list) else was) != value:
             changes[name] = value

@@ -99,7 +99,9 @@ class ExportedScene:
 def _all_scenes() -> tuple[ExportedScene, ...]:
     grouped: dict[str, list[Phenomenon]] = {}
     for one in phenomena():
-        grouped.setdefault(one.scenario.name, []).append(one)
+        # A scene with a robot's foot needs a target, and files have no compounds.
+        if not one.needs_foot:
+            grouped.setdefault(one.scenario.name, []).append(one)
     return tuple(ExportedScene(several[0].scenario, several) for several in grouped.values())
 
 

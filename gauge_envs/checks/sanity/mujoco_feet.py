@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.contact_pairs import ContactPairs, PairKind, can_move
@@ -65,12 +65,14 @@ class _Stance:
         up: Rotation from the model's world to a frame with z up.
         positions_m: Positions of the geoms in that frame [m], shape [geom_count, 3].
         rotations: Rotations of the geoms to that frame.
+        joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
     """
 
     label: str
     up: Rotation
     positions_m: NDArray[np.float64]
     rotations: Rotation
+    joint_axes: NDArray[np.float64]
 
 
 def read_foot(
@@ -102,7 +104,7 @@ def read_foot(
     driven = _driven_bodies(model)
     if driven:
         robots &= {_first_moving_body(model, body) for body in driven}
-    standing = [body for body in robots if _can_fall(model, body, np.asarray(up))]
+    standing = [body for body in robots if _can_fall(model, stance, body)]
     if not standing:
         raise NoFootError("no robot of the model stands on the ground under its own weight")
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
@@ -164,6 +166,7 @@ def _stance(model: mujoco.MjModel, up: NDArray[np.float64]) -> _Stance:
         up=turn,
         positions_m=turn.apply(data.geom_xpos),
         rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
+        joint_axes=turn.apply(data.xaxis),
     )
 
 
@@ -204,7 +207,7 @@ def _pulled_bodies(model: mujoco.MjModel, tendon: int) -> set[int]:
     }
 
 
-def _can_fall(model: mujoco.MjModel, body: int, up: NDArray[np.float64]) -> bool:
+def _can_fall(model: mujoco.MjModel, stance: _Stance, body: int) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
     on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
@@ -213,10 +216,8 @@ def _can_fall(model: mujoco.MjModel, body: int, up: NDArray[np.float64]) -> bool
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             return True
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-            axis = np.zeros(3)
-            mujoco.mju_rotVecQuat(axis, model.jnt_axis[joint], model.body_quat[body])
             falls = weight > HELD_M_PER_S * model.dof_damping[model.jnt_dofadr[joint]]
-            if abs(axis @ up) > UPRIGHT and joint not in driven and falls:
+            if abs(stance.joint_axes[joint, 2]) > UPRIGHT and joint not in driven and falls:
                 return True
     return False
 
@@ -309,7 +310,10 @@ def _solid(model: mujoco.MjModel, geom: int) -> Box | Sphere | Cylinder | Capsul
         return Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z))
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         vertices = _vertices_m(model, geom)
-        hull = vertices[ConvexHull(vertices).vertices]
+        try:
+            hull = vertices[ConvexHull(vertices).vertices]
+        except QhullError:
+            raise NoFootError("the foot is a flat mesh, which the scenes cannot have") from None
         return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
     name = mujoco.mjtGeom(int(kind)).name.removeprefix("mjGEOM_").lower()
     raise NoFootError(f"the foot is a geom of type {name}, which the scenes cannot have")

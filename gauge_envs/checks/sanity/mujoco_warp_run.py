@@ -25,13 +25,23 @@ from gauge_envs.checks.sanity.contact_capacity import CapacityLimits, most_neede
 from gauge_envs.checks.sanity.measure import Measurements
 from gauge_envs.checks.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.checks.sanity.phenomena import phenomena
+from gauge_envs.checks.sanity.subject import subject_of
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.scene import Pose, Scene
 
 __all__ = ["BackendMuJoCoWarp", "SimulationMuJoCoWarp", "overflow_effect", "with_mujoco_warp"]
 
 MOST_ROWS, MOST_CONTACTS = 1024, 256
-"""Memory of a scene for constraint rows and for contacts; the largest scene, a wall of bricks, needs a part of it."""
+"""Memory of a target's own model for constraint rows and for contacts, where it is not limited."""
+
+FEWEST_CONTACTS, CONTACTS_OF_BODY = 64, 16
+"""Memory of a scene for contacts: a number, and more for each body. A brick of a wall has 7."""
+
+ROWS_OF_CONTACT = 6
+"""Memory of a scene for constraint rows, for each contact; a contact with the pyramidal cone has 4."""
+
+TOO_LARGE = "the scene needs more memory for contacts than is reserved"
+"""Start of the reason why a scene is not run to its end."""
 
 FIELDS = frozenset(SettingsMuJoCo.model_fields)
 """Settings of scenes; a cure may name others, such as gravity."""
@@ -74,17 +84,17 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
         super().__init__(scene, settings, *built)
         self._warp, self._device = _started()
         self._is_changed = True
+        self._most_contacts = FEWEST_CONTACTS + CONTACTS_OF_BODY * len(scene.bodies)
         with self._device:
             self._on_warp = self._warp.put_model(self.model)
             # It runs into its limit of iterations on purpose, with settings that allow one.
             self._on_warp.opt.warn_overflow = 0
-            self._state = self._warp.put_data(self.model, self.data, nconmax=MOST_CONTACTS, njmax=MOST_ROWS)
+        self._state = self._put()
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start; the seed has no effect."""
         super().reset(seed)
-        with self._device:
-            self._state = self._warp.put_data(self.model, self.data, nconmax=MOST_CONTACTS, njmax=MOST_ROWS)
+        self._state = self._put()
         self._is_changed = True
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
@@ -134,8 +144,19 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
                 self._warp.step(self._on_warp, state)
         self.data.qpos[:], self.data.qvel[:] = state.qpos.numpy()[0], state.qvel.numpy()[0]
         self.data.time += count * self._timestep_s
-        if state.nefc.numpy()[0] > MOST_ROWS or state.nacon.numpy()[0] > MOST_CONTACTS:
-            raise BackendError(f"the scene needs more than {MOST_ROWS} constraint rows or {MOST_CONTACTS} contacts")
+        # mujoco_warp does not count contacts beyond its memory, so full memory is too small.
+        if state.nefc.numpy()[0] > state.njmax or state.nacon.numpy()[0] >= self._most_contacts:
+            raise BackendError(f"{TOO_LARGE}: {self._most_contacts} contacts")
+
+    def _put(self) -> Any:
+        """Return the data on mujoco_warp, with memory for the contacts of all bodies."""
+        with self._device:
+            return self._warp.put_data(
+                self.model,
+                self.data,
+                naconmax=self._most_contacts,
+                njmax=ROWS_OF_CONTACT * self._most_contacts,
+            )
 
 
 def with_mujoco_warp(report: Report, *, model: mujoco.MjModel | None = None) -> Report:
@@ -230,19 +251,20 @@ def _again(
     cure: Mapping[str, Any],
 ) -> tuple[PhenomenonResult, bool]:
     """Return a flagged row with its outcome on mujoco_warp, also with the cure, and whether it is flagged there too."""
-    phenomenon = phenomena([row.phenomenon], include_deformables=True)[0]
-    sets = configuration.contact_sets
-    settings = sets.get(row.geoms) or next(iter(sets.values()))
+    subject = subject_of(measurements, configuration, phenomena([row.phenomenon], include_deformables=True)[0])
+    phenomenon = subject.phenomenon
+    settings = subject.sets.get(row.geoms) or next(iter(subject.sets.values()))
     measured = measurements.measure(phenomenon, settings)
-    if measured.verdict is Verdict.DECLINED:
+    if measured.verdict is Verdict.DECLINED or TOO_LARGE in measured.remark:
         return _remarked(row, f"not run on {engine}: {measured.remark}"), False
     unit = "" if row.unit == "1" else f" {row.unit}"
     holds = measured.verdict in (Verdict.VISIBLE, Verdict.WRONG)
-    value = measured.remark if measured.value is None else f"{measured.value:.3g}"
-    text = f"{'holds' if holds else 'does not hold'} on {engine}: {value} of {row.reality.value:.3g}{unit}"
+    real = f"of {row.reality.value:.3g}{unit}"
+    value = measured.remark if measured.value is None else f"{measured.value:.3g} {real}"
+    text = f"{'holds' if holds else 'does not hold'} on {engine}: {value}"
     changes = {name: value for name, value in cure.items() if name in FIELDS}
     if changes:
-        cured = measurements.measure(phenomenon, {**settings, **changes})
+        cured = measurements.measure(subject.phenomenon, {**settings, **changes})
         after = cured.remark if cured.value is None else f"{cured.value:.3g}"
         text += f", and {after} there with the change on top"
     return _remarked(row, text), holds

@@ -1,8 +1,8 @@
 """Build a MuJoCo model from the data of a probe file.
 
 The model has the bodies with their mass, the joints, the geoms, the contact constants and the options of the original.
-It has no actuators, tendons, equality constraints, sensors and deformable bodies. Nothing of the file is executed: all
-arrays have declared shapes and ranges, and MuJoCo compiles them as numbers.
+What actuators act on is marked, without their gains. It has no tendons, equality constraints, sensors and deformable
+bodies. Nothing of the file is executed: arrays have declared shapes and ranges, and MuJoCo compiles them as numbers.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ Texts = Annotated[list[Text], Field(max_length=MOST_OBJECTS)]
 Numbers = list[float]
 
 WIDTHS: Mapping[str, Mapping[str, int]] = {
-    "body": {"parentid": 1, "pos": 3, "quat": 4, "mass": 1, "ipos": 3, "iquat": 4, "inertia": 3, "mocapid": 1},
-    "jnt": {"type": 1, "bodyid": 1, "pos": 3, "axis": 3, "limited": 1, "range": 2, "ref": 1, "armature": 1},
+    "body": {"parentid": 1, "pos": 3, "quat": 4, "mass": 1, "ipos": 3, "iquat": 4, "inertia": 3, "mocapid": 1}
+    | {"driven": 1},
+    "jnt": {"type": 1, "bodyid": 1, "pos": 3, "axis": 3, "limited": 1, "range": 2, "ref": 1, "armature": 1}
+    | {"damping": 1, "driven": 1},
     "geom": dict.fromkeys(("bodyid", "contype", "conaffinity", "condim", "priority", "solmix", "margin", "gap"), 1)
     | {"friction": 3, "solref": 2, "solimp": 5, "size": 3, "pos": 3, "quat": 4, "rbound": 1},
     "pair": {"dim": 1, "geom1": 1, "geom2": 1, "friction": 5, "solref": 2, "solreffriction": 2, "solimp": 5}
@@ -43,7 +45,17 @@ WIDTHS: Mapping[str, Mapping[str, int]] = {
 """Columns of each array, by kind of object."""
 
 INTEGERS = (
-    *("body_parentid", "body_mocapid", "jnt_type", "jnt_bodyid", "jnt_limited", "geom_bodyid", "geom_contype"),
+    *(
+        "body_parentid",
+        "body_mocapid",
+        "body_driven",
+        "jnt_driven",
+        "jnt_type",
+        "jnt_bodyid",
+        "jnt_limited",
+        "geom_bodyid",
+        "geom_contype",
+    ),
     *("geom_conaffinity", "geom_condim", "geom_priority", "pair_dim", "pair_geom1", "pair_geom2", "exclude_signature"),
 )
 
@@ -105,6 +117,7 @@ def build_saved_model(data: ModelData, name: str) -> tuple[mujoco.MjModel, list[
         notes = _set_options(spec, data)
         bodies = _add_bodies(spec, data, tables)
         _add_joints(bodies, tables["jnt"])
+        _add_actuators(spec, bodies, tables)
         _add_geoms(spec, bodies, data, tables["geom"])
         _add_pairs(spec, data, tables)
         for key, qpos in data.keyframes.items():
@@ -257,9 +270,23 @@ def _add_joints(bodies: list[Any], table: dict[str, NDArray[Any]]) -> None:
         joint.pos, joint.axis, joint.range = (table[key][index] for key in ("pos", "axis", "range"))
         is_limited = bool(table["limited"][index, 0])
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE if is_limited else mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.name = f"joint {index}"
         joint.armature = table["armature"][index, 0]
+        # MuJoCo 4 has coefficients of a polynomial in the velocity, earlier versions one number.
+        damping = np.zeros(np.shape(joint.damping))
+        damping.flat[0] = table["damping"][index, 0]
+        joint.damping = damping if damping.ndim else float(damping)
         if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             joint.ref = table["ref"][index, 0]
+
+
+def _add_actuators(spec: mujoco.MjSpec, bodies: list[Any], tables: dict[str, dict[str, NDArray[Any]]]) -> None:
+    """Add an actuator for each joint and body that the original moves, without its gains."""
+    for index in np.flatnonzero(tables["jnt"]["driven"][:, 0]):
+        spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"joint {index}")
+    for index in np.flatnonzero(tables["body"]["driven"][:, 0]):
+        site = bodies[int(index)].add_site(name=f"actuator {index}")
+        spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_SITE, target=site.name)
 
 
 def _add_geoms(spec: mujoco.MjSpec, bodies: list[Any], data: ModelData, table: dict[str, NDArray[Any]]) -> None:

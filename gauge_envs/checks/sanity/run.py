@@ -155,7 +155,8 @@ class _Run:
     def stated_rows(self, chosen: Sequence[str]) -> list[PhenomenonResult]:
         """Return the rows on what the target states, which need no rollout."""
         rows = [gravity_row(self._configuration, self.language)] if GRAVITY_ID in chosen else []
-        capacity = capacity_row(self._configuration, self.language) if CAPACITY_ID in chosen else None
+        wanted = len(chosen) == 1
+        capacity = capacity_row(self._configuration, self.language, is_wanted=wanted) if CAPACITY_ID in chosen else None
         return rows if capacity is None else [*rows, capacity]
 
     def _stated_fixes(self) -> dict[str, tuple[str, dict[str, Any]]]:

@@ -24,7 +24,7 @@ from gauge_envs.experiments.export.usd_layer import usd_layer_text
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
+from gauge_envs.scene import Box, Compound, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.meshes import hull_faces
 
 __all__ = ["asset_rows", "asset_texts", "assets_folder", "build_assets", "shape_to_obj", "solid_shapes", "stale_asset"]
@@ -185,7 +185,7 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     Spheres and cylinders become polyhedra of the exact volume: faces are inside the true surface, vertices outside.
 
     Raises:
-        ParameterError: The shape is a plane, which is not a solid.
+        ParameterError: The shape is a plane, which is not a solid, or a compound.
     """
     pieces, note = _pieces(shape)
     lines = [f"# {name}: volume {shape.volume_m3!r} m^3{note}", f"o {name}"]
@@ -220,7 +220,8 @@ def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
         ends = [np.insert(ring, 2, height, axis=1) for height in (-0.5 * shape.length_m, 0.5 * shape.length_m)]
         note = f"; cylinder of radius {shape.radius_m!r} m, vertices at {radius / shape.radius_m:.5f} of it"
         return [_polyhedron(np.concatenate(ends))], note
-    raise ParameterError("a plane is not a solid and has no OBJ file")
+    kind = "a compound of solids" if isinstance(shape, Compound) else "a plane, which is not a solid,"
+    raise ParameterError(f"{kind} has no OBJ file")
 
 
 def _polyhedron(points_m: NDArray[np.float64]) -> Polyhedron:

@@ -39,7 +39,7 @@ from gauge_envs.scene.bodies import (
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
-from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Pose, Shape, Sphere
+from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Pose, Shape, Sphere
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -297,6 +297,8 @@ class _Writer:
 
     def _geometry(self, parent: Sdf.Path, shape: Shape) -> list[UsdGeom.Gprim]:
         path = parent.AppendChild("collision")
+        if isinstance(shape, Compound):
+            raise ParameterError(f"{parent.name!r} is a compound of solids, which USD layers of this suite do not have")
         if isinstance(shape, ConvexUnion):
             return [self._piece(f"{path}_{index}", np.array(piece)) for index, piece in enumerate(shape.pieces_m)]
         if isinstance(shape, Box):

@@ -44,8 +44,10 @@ def manifest(exported: Path) -> dict[str, Any]:
 
 def test_every_rigid_phenomenon_is_exported_with_its_reality(manifest: dict[str, Any]) -> None:
     listed = {one["id"]: one for scene in manifest["scenes"] for one in scene["phenomena"]}
-    assert set(listed) == {one.id for one in phenomena()}
-    for one in phenomena():
+    # Rows on a robot's foot need a target.
+    known = [one for one in phenomena() if not one.needs_foot]
+    assert set(listed) == {one.id for one in known}
+    for one in known:
         entry = listed[one.id]
         assert (entry["value"], entry["tolerance"], entry["unit"]) == (
             one.reality.value,

@@ -298,11 +298,36 @@ def test_changes_are_lines_of_python() -> None:
     assert written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
 
 
+def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
+    settings = {"timestep_s": 0.01, "hinges": "articulation", "link_linear_damping_per_s": 0.05}
+    target = TrainingConfiguration(
+        name="links", source="test", backend="physx", settings=settings, language="isaac_lab"
+    )
+    report = check(target, only=["period"])
+    (row,) = report.rows
+    assert row.cause is not None and row.cause.settings == ("link_linear_damping_per_s",)
+    assert "link_linear_damping_per_s = 0 (which the target has no key for) instead of 0.05" in row.cause.line
+    assert report.cure is None or "link_linear_damping" not in report.cure.line
+
+
+def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
+    """With PGS and one iteration, the solver alone and the iterations alone each bring another flag."""
+    counts = {"solver_position_iteration_count": 1, "solver_velocity_iteration_count": 0}
+    cfg = changed(sim__physx__solver_type=0, scene__robot__spawn__articulation_props=counts)
+    report = check(isaac_lab_configuration(cfg, name="pgs", source="test"), only=["slide-wood,carry-wood,point"])
+    assert report.cure is not None
+    props = "self.scene.robot.spawn.articulation_props"
+    assert report.cure.line == (
+        f"self.sim.physx.solver_type = 1; {props}.solver_position_iteration_count = 10; "
+        f"{props}.solver_velocity_iteration_count = 1: the one flag goes (from this package's recommendation)"
+    )
+
+
 def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated() -> None:
     trained, deployed = (EXAMPLES / f"g1_{name}.yaml" for name in ("trained", "deployed"))
     comparison = compare(trained, deployed, only=["slide-wood,rebound-slow,gravity"])
     rows = {row.id: row for row in comparison.rows}
-    foot, rebound = rows["foot-straight"], rows["foot-rebound"]
+    foot, rebound = rows["foot-straight"], rows["foot-restitution"]
     assert (foot.trained, foot.deployed) == (pytest.approx(1.0, abs=0.02), pytest.approx(0.5, abs=0.01))
     assert (rebound.trained, rebound.deployed) == (0.0, pytest.approx(0.4, abs=0.01))
     assert [row.change for row in comparison.changed] == [Change.LARGE, Change.LARGE]

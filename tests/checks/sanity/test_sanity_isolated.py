@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import Result
 from hostile import install
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app

@@ -45,7 +45,9 @@ HARD = """
     <body name="base" pos="0 0 1" euler="10 20 30"><freejoint/>
       <geom type="mesh" mesh="m" pos=".1 .2 .3" euler="20 30 40" priority="2" solref="-500 -20"/>
       <geom type="mesh" mesh="n" contype="0" conaffinity="0" mass="0"/>
-      <body pos=".2 0 0"><joint axis="0 1 0" range="-30 60" limited="true" ref="10" armature=".01"/>
+      <body pos=".2 0 0">
+        <joint name="knee" axis="0 1 0" range="-30 60" limited="true" ref="10" armature=".01" damping=".2"/>
+        <site name="eye" pos=".1 0 0"/>
         <geom type="capsule" size=".05 .2" margin=".003" gap=".001"/>
         <body name="tip" pos="0 0 -.3"><joint type="ball"/>
           <geom type="ellipsoid" size=".02 .03 .04" condim="6" friction=".4 .02 .003"/>
@@ -53,7 +55,7 @@ HARD = """
         </body>
       </body>
     </body>
-    <body name="other" pos="2 0 1"><freejoint/><geom size=".1"/></body>
+    <body name="other" pos="2 0 1"><freejoint/><geom size=".1"/><site name="ring"/></body>
   </worldbody>
   <contact>
     <pair geom1="pin" geom2="floor" condim="3" friction="1.2 1.1 .01 .001 .002" solref=".003 .8"
@@ -61,6 +63,8 @@ HARD = """
     <exclude body1="base" body2="other"/>
   </contact>
   <equality><connect body1="tip" body2="other" anchor="0 0 0"/></equality>
+  <tendon><spatial name="string"><site site="eye"/><site site="ring"/></spatial></tendon>
+  <actuator><motor joint="knee"/><motor tendon="string"/></actuator>
   <keyframe><key name="home" qpos="0 0 2 1 0 0 0 .1 1 0 0 0 0 2 0 2 1 0 0 0"/></keyframe>
 </mujoco>
 """
@@ -163,13 +167,13 @@ def test_values_of_configurations_become_plain() -> None:
         limits: tuple[float, float] = (-float("inf"), 1.5)
         mode: Mode = Mode.TGS
 
-    values = {"part": Part(), "rows": np.array([[1, 2]]), "ids": slice(None), "kind": ast.parse, 3: np.float32(0.5)}
+    values = {"part": Part(), "rows": np.array([[1, 2]]), "ids": slice(None), "kind": ast.parse, 3: np.float32(0.004)}
     assert plain(values) == {
         "part": {"limits": ["-inf", 1.5], "mode": "TGS"},
         "rows": [[1, 2]],
         "ids": None,
         "kind": "ast:parse",
-        "3": 0.5,
+        "3": 0.004,
     }
     nested: list[Any] = []
     nested.append(nested)
@@ -201,7 +205,16 @@ def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
         states.append(data)
     for name in POSED:
         np.testing.assert_allclose(getattr(states[1], name), getattr(states[0], name), atol=1e-12)
-    for name in ("body_mass", "body_inertia", "body_subtreemass", "body_weldid", "jnt_range", "qpos0", "dof_armature"):
+    for name in (
+        "body_mass",
+        "body_inertia",
+        "body_subtreemass",
+        "body_weldid",
+        "jnt_range",
+        "qpos0",
+        "dof_armature",
+        "dof_damping",
+    ):
         np.testing.assert_allclose(getattr(built, name), getattr(original, name), atol=1e-12)
     # Hulls lie where those of the original lie, whatever frame the compiler gives a mesh.
     hulls = []

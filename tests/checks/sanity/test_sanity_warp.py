@@ -18,7 +18,7 @@ from gauge_envs.checks.sanity import check
 from gauge_envs.checks.sanity.capacity import capacity_row
 from gauge_envs.checks.sanity.contact_capacity import CapacityLimits, most_needed_data
 from gauge_envs.checks.sanity.languages import language
-from gauge_envs.checks.sanity.model import TrainingConfiguration
+from gauge_envs.checks.sanity.model import Report, TrainingConfiguration
 from gauge_envs.checks.sanity.mujoco_warp_run import EFFECT_S, BackendMuJoCoWarp, overflow_effect, with_mujoco_warp
 from gauge_envs.checks.sanity.phenomena import phenomena
 from gauge_envs.checks.sanity.target import configuration
@@ -106,7 +106,8 @@ def test_scenes_that_it_does_not_run() -> None:
 
 
 def test_another_engine_is_named_and_not_run() -> None:
-    report = check("newton", only=["gravity"])
+    newton = TrainingConfiguration(name="n", source="test", backend="newton", settings={})
+    report = Report(configuration=newton, rows=(), versions={}, wall_s=0.0)
     again = with_mujoco_warp(report)
     assert again.rows == report.rows
     assert again.notes[-1].endswith("runs models of MuJoCo; the target runs on newton")

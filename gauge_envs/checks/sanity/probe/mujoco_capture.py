@@ -94,9 +94,11 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
     title = bytes(model.names).split(b"\0")[0].decode()
     starts = [int(start) for start in flat(model.jnt_qposadr)]
     firsts = [int(first) for first in flat(model.jnt_dofadr)]
-    qpos0, armature = flat(model.qpos0), flat(model.dof_armature)
+    qpos0, armature, damping = flat(model.qpos0), flat(model.dof_armature), flat(model.dof_damping)
+    driven_joints, driven_bodies = driven(model)
+    runs_on = implementation(target, model)
     data = {
-        "implementation": implementation(target, model),
+        "implementation": runs_on,
         "options": options,
         "known_flags": known,
         "counts": {name: int(getattr(model, name)) for name in COUNTS if hasattr(model, name)},
@@ -104,6 +106,9 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
             **{name: flat(getattr(model, name)) for name in ARRAYS},
             "jnt_ref": [qpos0[start] for start in starts],
             "jnt_armature": [armature[first] for first in firsts],
+            "jnt_damping": [damping[first] for first in firsts],
+            "jnt_driven": [int(joint in driven_joints) for joint in range(model.njnt)],
+            "body_driven": [int(body in driven_bodies) for body in range(model.nbody)],
         },
         "geom_types": types,
         "geom_hulls": chosen,
@@ -111,7 +116,7 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
         "body_names": texts(model, model.name_bodyadr),
         "hulls": found_hulls,
         "keyframes": keyframes(model),
-        "limits": limits(target),
+        "limits": {} if runs_on == "c" else limits(target),
         "frame_skip": frame_skip(target),
     }
     source = f"model {title or 'unnamed'!r}, MuJoCo {mujoco.__version__}"
@@ -136,6 +141,32 @@ def hulls(model: Any, types: list[str]) -> tuple[dict[str, list[float]], list[in
         rows = [3 * (first + int(corner)) for corner in corners]
         found_hulls[str(mesh)] = [number for row in rows for number in vertices[row : row + 3]]
     return found_hulls, chosen
+
+
+def driven(model: Any) -> tuple[set[int], set[int]]:
+    """Return the joints on which actuators act, and the bodies on which they act by tendons, at sites or directly."""
+    import mujoco
+
+    kinds, targets = flat(model.actuator_trntype), [int(target) for target in flat(model.actuator_trnid)[::2]]
+    joints, bodies = set(), set()
+    for number, target in enumerate(targets):
+        kind = mujoco.mjtTrn(int(kinds[number])).name
+        if kind == "mjTRN_JOINT":
+            joints.add(target)
+        elif kind == "mjTRN_JOINTINPARENT":
+            bodies.add(int(flat(model.jnt_bodyid)[target]))
+        elif kind == "mjTRN_BODY":
+            bodies.add(target)
+        elif kind in ("mjTRN_SITE", "mjTRN_SLIDERCRANK"):
+            bodies.add(int(flat(model.site_bodyid)[target]))
+        elif kind == "mjTRN_TENDON":
+            first, count = int(flat(model.tendon_adr)[target]), int(flat(model.tendon_num)[target])
+            for wrap in range(first, first + count):
+                owners = {"mjWRAP_JOINT": model.jnt_bodyid, "mjWRAP_SITE": model.site_bodyid}
+                owner = owners.get(mujoco.mjtWrap(int(flat(model.wrap_type)[wrap])).name)
+                if owner is not None:
+                    bodies.add(int(flat(owner)[int(flat(model.wrap_objid)[wrap])]))
+    return joints, bodies
 
 
 def keyframes(model: Any) -> dict[str, list[float]]:

@@ -57,6 +57,11 @@ def array_values(value: Any) -> Any:
     for step in ("detach", "cpu", "numpy"):
         method = getattr(value, step, None)
         value = method() if callable(method) else value
+    if str(getattr(value, "dtype", "")) == "float32":
+        import numpy
+
+        # The shortest decimals of single precision: 0.004 instead of 0.004000000189989805.
+        value = numpy.asarray(value).astype("U").astype(float)
     return value.tolist() if callable(getattr(value, "tolist", None)) else None
 
 

@@ -83,7 +83,7 @@ def _read(target: Any, pair: GeomPair | None, name: str, note: str) -> TrainingC
     model = _built(target)
     read = read_model(model, name=name, source=f"{name} in this process, world 0", pair=pair)
     unread = "friction loss, limits and actuators do not matter for the rows and are not read"
-    return replace(read, notes=(note, unread, *read.notes))
+    return replace(read, notes=(note, unread, *read.notes), foot_geometry=None)
 
 
 def _capacity(data: Any) -> ContactCapacity:

@@ -194,7 +194,10 @@ def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
 
 def _packaged(task: PlaygroundTask) -> PackagedModel:
     """Return the compiled model of a task, with the options that its code sets."""
-    packaged = packaged_model(task.model_file, task.folders)
+    try:
+        packaged = packaged_model(task.model_file, task.folders)
+    except TargetError as error:
+        raise TargetError(f"{PREFIX}{task.name}: {error}") from None
     for option, value in task.options.items():
         setattr(packaged.model.opt, option, value)
     return packaged

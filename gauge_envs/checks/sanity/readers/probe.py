@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from gauge_envs.checks.sanity.contact_capacity import CapacityLimits, ContactCapacity
 from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.probe_model import ModelData, build_saved_model
 from gauge_envs.checks.sanity.readers.isaac_gym import isaac_gym_configuration
@@ -47,6 +48,8 @@ DIFFERENCES = {
     "mjx": "training runs on MJX; the rows are measured with MuJoCo's C engine",
     "mujoco_warp": "training runs on MuJoCo Warp; the rows are measured with MuJoCo's C engine",
 }
+
+NOT_COUNTED = "a probe file does not hold what moves the robot, so its contacts are not counted"
 
 ABSENT_PARTS = {
     "nflex": "deformable bodies of the model are not read",
@@ -116,7 +119,9 @@ def _read_mujoco(file: _ProbeFile, path: Path, pair: GeomPair | None) -> Trainin
         notes.append(f"margins and gaps of two geoms are combined as since MuJoCo {MARGINS_TEXT}, not as in training")
     notes += [note for count, note in ABSENT_PARTS.items() if data.counts.get(count)]
     read = read_model(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
-    return replace(read, notes=(*read.notes, *notes))
+    limits = CapacityLimits(njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax"))
+    capacity = ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
+    return replace(read, notes=(*read.notes, *notes), capacity=capacity)
 
 
 def _release(version: str | None) -> tuple[int, ...]:

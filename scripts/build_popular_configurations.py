@@ -1,0 +1,393 @@
+"""Measure what popular training configurations do to physics, and write the tables of `docs/sanity_popular.md`.
+
+    python scripts/build_popular_configurations.py                       measures what the data lack, then writes both
+    python scripts/build_popular_configurations.py --package Gymnasium   measures this package only
+    python scripts/build_popular_configurations.py --docs                writes the page from the data
+    python scripts/build_popular_configurations.py --check               fails if the page is not current
+
+Packages are read as they are installed; one that is not installed keeps its rows. Tasks with equal settings share a
+row, which is measured once for a version of the package and of the engine. `scoring/popular_configurations.json` is
+written after each row, so that the script can be stopped at any time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from gauge_envs.checks.sanity import Report, TrainingConfiguration, Verdict, check, configuration
+from gauge_envs.checks.sanity.phenomena import phenomena
+from gauge_envs.errors import GaugeError
+from gauge_envs.files import json_ready, write_whole
+from gauge_envs.scene import GRAVITY_M_PER_S2
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT / "scoring" / "popular_configurations.json"
+PAGE = ROOT / "docs" / "sanity_popular.md"
+BEGIN = "<!-- configurations, written by scripts/build_popular_configurations.py -->"
+END = "<!-- end of configurations -->"
+
+PHENOMENA = (
+    "gravity",
+    "creep-wood",
+    "rest-height",
+    "slide-wood",
+    "slide-turned",
+    "rebound*",
+    "foot-creep",
+    "foot-slide",
+)
+"""Measured rows of the sanity check, as patterns."""
+
+SLOPE_RAD = math.radians(30.0)
+"""Slope on which the cubes of `slide-wood` and `slide-turned` slide."""
+
+HELD_SHARE = 0.05
+"""Acceleration, over that of the real cube, below which a cube counts as held."""
+
+MOST_TARGETS = 4
+"""Most tasks of a row that are listed by name."""
+
+GYMNASIUM = ("Ant", "HalfCheetah", "Hopper", "Humanoid", "HumanoidStandup", "InvertedDoublePendulum")
+GYMNASIUM += ("InvertedPendulum", "Pusher", "Reacher", "Swimmer", "Walker2d")
+
+DM_CONTROL = ("acrobot/swingup", "ball_in_cup/catch", "cartpole/balance", "cheetah/run", "dog/run", "finger/spin")
+DM_CONTROL += ("fish/swim", "hopper/hop", "humanoid/run", "humanoid_CMU/run", "manipulator/bring_ball")
+DM_CONTROL += ("pendulum/swingup", "point_mass/easy", "quadruped/run", "reacher/easy", "stacker/stack_2")
+DM_CONTROL += ("swimmer/swimmer6", "walker/run")
+
+MANISKILL = ("AnymalC-Reach", "AssemblingKits", "DrawTriangle", "LiftPegUpright", "MS-AntWalk", "MS-CartpoleBalance")
+MANISKILL += ("MS-HopperHop", "MS-HumanoidWalk", "OpenCabinetDrawer", "PegInsertionSide", "PickCube", "PickSingleYCB")
+MANISKILL += (
+    "PlaceSphere",
+    "PlugCharger",
+    "PokeCube",
+    "PullCube",
+    "PushCube",
+    "PushT",
+    "RollBall",
+    "RotateValveLevel0",
+)
+MANISKILL += ("RotateSingleObjectInHandLevel0", "StackCube", "TriFingerRotateCubeLevel0", "TurnFaucet")
+MANISKILL += ("TwoRobotPickCube", "UnitreeG1Stand", "UnitreeG1TransportBox", "UnitreeGo2-Reach", "UnitreeH1Stand")
+
+
+def playground_tasks() -> Sequence[str]:
+    """Return all tasks of MuJoCo Playground."""
+    from gauge_envs.checks.sanity.readers import playground
+
+    return [f"playground:{name}" for name in playground.playground_tasks()]
+
+
+def mjlab_tasks() -> Sequence[str]:
+    """Return all tasks of mjlab."""
+    from gauge_envs.checks.sanity.readers import mjlab
+
+    return [f"mjlab:{name}" for name in mjlab.mjlab_tasks()]
+
+
+def isaac_lab_files() -> Sequence[str]:
+    """Return configurations that training runs of Isaac Lab write, from this repository's examples."""
+    return [str(file) for file in sorted((ROOT / "examples" / "sanity").glob("*.yaml"))]
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package whose configurations are measured.
+
+    Attributes:
+        distribution: Name under which it is installed.
+        module: Module that shows whether it is installed.
+        targets: Function that returns its targets of a sanity check.
+    """
+
+    distribution: str
+    module: str
+    targets: Callable[[], Sequence[str]]
+
+
+PACKAGES = {
+    "Gymnasium": Package("gymnasium", "gymnasium", lambda: [f"{name}-v5" for name in GYMNASIUM]),
+    "dm_control": Package("dm_control", "dm_control", lambda: [f"dm_control:{name}" for name in DM_CONTROL]),
+    "MuJoCo Playground": Package("playground", "mujoco_playground", playground_tasks),
+    "mjlab": Package("mjlab", "mjlab", mjlab_tasks),
+    "ManiSkill": Package("mani_skill", "mani_skill", lambda: [f"maniskill:{name}-v1" for name in MANISKILL]),
+    "Isaac Lab": Package("isaaclab", "isaaclab", isaac_lab_files),
+}
+
+
+# --- measuring -------------------------------------------------------------------------------------------------------
+
+
+def installed_version(package: Package) -> str | None:
+    """Return the version of a package; None when it is not installed."""
+    if find_spec(package.module) is None:
+        return None
+    try:
+        return version(package.distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def key_of(read: TrainingConfiguration) -> str:
+    """Return a text that is equal for configurations with equal settings and with feet that carry the same."""
+    needs = {need.value: reason for need, reason in read.inapplicable.items()}
+    foot = read.foot_geometry
+    carried = None if foot is None else (foot.geoms, f"{foot.load_kg:.3g}", f"{foot.softening or math.nan:.3g}")
+    parts = (read.backend, list(read.contact_sets.values()), read.gravity_m_per_s2, read.up, needs, friction_of(read))
+    return json.dumps(json_ready((*parts, carried)), sort_keys=True)
+
+
+def friction_of(read: TrainingConfiguration, geoms: str = "") -> float | None:
+    """Return the sliding friction that a target states for contacts on the ground; None when it states none.
+
+    Args:
+        read: The configuration.
+        geoms: Geoms whose contacts are meant, among those on the ground; the most frequent ones when empty.
+    """
+    if read.foot is not None:
+        return float(read.foot.mean_friction)
+    used = [group for group in read.contact_groups if group.is_used]
+    chosen = [group for group in used if group.geoms == geoms] or used
+    return float(chosen[0].constants["friction"][0]) if chosen else None
+
+
+def share_of_friction(phenomenon: str, acceleration: float | None) -> float | None:
+    """Return the friction with which a cube slides, over its own; None when nothing was measured."""
+    if acceleration is None:
+        return None
+    real, found = (friction_at(one) for one in (real_value(phenomenon), acceleration))
+    return found / real
+
+
+def friction_at(acceleration: float) -> float:
+    """Return the friction with which a cube slides on the slope with an acceleration [m/s^2]."""
+    return math.tan(SLOPE_RAD) - acceleration / (GRAVITY_M_PER_S2 * math.cos(SLOPE_RAD))
+
+
+def real_value(phenomenon: str) -> float:
+    """Return the value of real objects."""
+    return phenomena([phenomenon])[0].reality.value
+
+
+def row_of(report: Report, package: str, key: str, targets: Sequence[str], packages: str) -> dict[str, Any]:
+    """Return the row of one set of settings, JSON-ready."""
+    read = report.configuration
+    by_id = {row.phenomenon: row for row in report.rows}
+    flags = [row for row in report.rows if row.is_flag]
+    return {
+        "package": package,
+        "version": packages,
+        "targets": list(targets),
+        "key": key,
+        "engine": read.backend,
+        "engine_version": report.versions.get(read.backend, ""),
+        "step_s": read.settings.get("timestep_s"),
+        "friction": friction_of(read, by_id["slide-wood"].geoms),
+        "geoms": {row.phenomenon: row.geoms for row in report.rows if row.geoms},
+        "values": {name: row.configured for name, row in by_id.items() if row.verdict is not Verdict.DECLINED},
+        "verdicts": {name: row.verdict.value for name, row in by_id.items()},
+        "advisory": [name for name, row in by_id.items() if row.advisory],
+        "remarks": sorted({row.remark for row in report.rows if row.remark}),
+        "flag_count": len(flags),
+        "wrong_count": sum(row.verdict is Verdict.WRONG for row in flags),
+        "cure": "" if report.cure is None else report.cure.line,
+    }
+
+
+def groups_of(targets: Sequence[str]) -> tuple[dict[str, list[str]], dict[str, TrainingConfiguration], dict[str, str]]:
+    """Return targets by key, one configuration for each key, and what cannot be read with the reason."""
+    by_key: dict[str, list[str]] = {}
+    read: dict[str, TrainingConfiguration] = {}
+    unreadable = {}
+    for target in targets:
+        try:
+            found = configuration(target)
+        except GaugeError as error:
+            unreadable[target] = str(error)
+            continue
+        key = key_of(found)
+        by_key.setdefault(key, []).append(shown_name(target))
+        read.setdefault(key, found)
+    return by_key, read, unreadable
+
+
+def shown_name(target: str) -> str:
+    """Return a target without the prefix of its package and without folders."""
+    return Path(target).name if target.endswith(".yaml") else target.split(":")[-1]
+
+
+def measure(name: str, data: dict[str, Any], file: Path) -> None:
+    """Measure the rows of a package that the data lack; write the data after each row."""
+    package = PACKAGES[name]
+    found = installed_version(package)
+    if found is None:
+        print(f"{name} is not installed: its rows stay as they are")
+        return
+    by_key, read, unreadable = groups_of(package.targets())
+    known = {row["key"]: row for row in data["rows"] if row["package"] == name and row["version"] == found}
+    others = [row for row in data["rows"] if row["package"] != name]
+    data["unreadable"][name] = {shown_name(target): reason for target, reason in unreadable.items()}
+    rows = []
+    for key, targets in by_key.items():
+        row = known.get(key)
+        if row is None:
+            report = check(read[key], only=PHENOMENA)
+            row = row_of(report, name, key, targets, found)
+            print(f"{name}: {', '.join(targets)}: {row['wrong_count']} wrong, {report.wall_s:.0f} s", flush=True)
+        rows.append({**row, "targets": targets})
+        # Rows of tasks that come later are kept until they are measured.
+        later = [known[one] for one in list(by_key)[len(rows) :] if one in known]
+        data["rows"] = [*others, *rows, *later]
+        write_data(data, file)
+    data["rows"] = [*others, *rows]
+    write_data(data, file)
+
+
+def write_data(data: Mapping[str, Any], file: Path) -> None:
+    """Write the data, with rows in the order of packages and tasks."""
+    order = list(PACKAGES)
+    rows = sorted(data["rows"], key=lambda row: (order.index(row["package"]), row["targets"]))
+    write_whole(file, (json.dumps({**data, "rows": rows}, indent=1, sort_keys=True) + "\n").encode())
+
+
+# --- page ------------------------------------------------------------------------------------------------------------
+
+COLUMNS = ("task", "step [ms]", "stated friction", "met, straight", "met, turned", "creep [mm/s]", "gap [mm]")
+COLUMNS += (
+    "own foot creeps [mm/s]",
+    "own foot meets",
+    "rebound",
+    "slow",
+    "gravity [m/s²]",
+    "flags",
+    "what to change first",
+)
+
+
+def page_text(data: Mapping[str, Any], page: str) -> str:
+    """Return the page with the tables of the data."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return "\n".join([f"{before}{BEGIN}", *tables(data), f"{END}{after}"])
+
+
+def tables(data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of a table for each package."""
+    for name in PACKAGES:
+        rows = [row for row in data["rows"] if row["package"] == name]
+        if not rows:
+            continue
+        engines = sorted({f"{row['engine']} {row['engine_version']}".strip() for row in rows})
+        yield from ("", f"### {name} {rows[0]['version']}, run on {' and '.join(engines)}", "")
+        yield "| " + " | ".join(COLUMNS) + " |"
+        yield "|" + "---|" * len(COLUMNS)
+        measured = [row for row in rows if "slide-wood" in row["values"]]
+        for row in sorted(measured, key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"])):
+            yield "| " + " | ".join(cells(row)) + " |"
+        silent = [target for row in rows if row not in measured for target in row["targets"]]
+        if silent:
+            yield from ("", f"No row on contact: {', '.join(silent)}. Nothing can collide, or there is no gravity.")
+        unreadable = data["unreadable"].get(name, {})
+        if unreadable:
+            yield from ("", f"Not read here: {', '.join(sorted(unreadable))}. The data state the reasons.")
+    yield ""
+
+
+def cells(row: Mapping[str, Any]) -> list[str]:
+    """Return the cells of a row of the page."""
+    values, targets = row["values"], row["targets"]
+    more = len(targets) - MOST_TARGETS
+    names = ", ".join(targets[:MOST_TARGETS]) + (f" and {more} more" if more > 0 else "")
+    flags = f"{row['wrong_count']} wrong" + (
+        f", {row['flag_count'] - row['wrong_count']} visible" if row["flag_count"] > row["wrong_count"] else ""
+    )
+    return [
+        names + deciding(row),
+        "" if row["step_s"] is None else f"{1e3 * row['step_s']:g}",
+        "" if row["friction"] is None else f"{row['friction']:g}",
+        met(row, "slide-wood"),
+        met(row, "slide-turned"),
+        number(values.get("creep-wood"), 1),
+        number(values.get("rest-height"), 2),
+        number(values["foot-creep"], 1) if "foot-creep" in values else "",
+        met(row, "foot-slide") if "foot-slide" in values else "",
+        *(rebound(row, name) for name in ("rebound", "rebound-slow")),
+        number(values.get("gravity"), 2),
+        flags if row["flag_count"] else "none",
+        cure(row["cure"]),
+    ]
+
+
+def deciding(row: Mapping[str, Any]) -> str:
+    """Return the first geom of the contacts that decide how a cube slides; empty where all contacts are equal."""
+    geoms = row["geoms"].get("slide-wood", "")
+    first = geoms.rpartition(" with ")[2].split(",")[0].partition(" and ")[0]
+    return f" ({first})" if first else ""
+
+
+def met(row: Mapping[str, Any], phenomenon: str) -> str:
+    """Return the share of its own friction that a cube meets, `held` for one that does not slide at all."""
+    value = row["values"].get(phenomenon)
+    if value is None:
+        return "fails"
+    if value < HELD_SHARE * real_value(phenomenon):
+        return "held"
+    share = share_of_friction(phenomenon, value)
+    return f"{share:.0%}".replace("%", " %")
+
+
+def rebound(row: Mapping[str, Any], phenomenon: str) -> str:
+    """Return a rebound, with a star where the target states no restitution; empty when not measured."""
+    if phenomenon not in row["verdicts"]:
+        return ""
+    return number(row["values"].get(phenomenon), 2) + ("*" if phenomenon in row["advisory"] else "")
+
+
+def number(value: float | None, digits: int) -> str:
+    """Return a number with a fixed number of digits, zero without a sign; `fails` for a run that gave none."""
+    return "fails" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def cure(line: str) -> str:
+    """Return the first change of a cure, and the flags that go."""
+    if not line:
+        return ""
+    change, _, effect = line.partition(": ")
+    return f"`{change}`: {effect.partition(';')[0].partition(' (')[0]}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and write; return the exit status."""
+    parser = argparse.ArgumentParser(description="Measure popular training configurations.")
+    parser.add_argument("--package", action="append", choices=tuple(PACKAGES), help="package; default: all")
+    parser.add_argument("--docs", action="store_true", help="measure nothing; write the page")
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if the page is not current")
+    parser.add_argument("--data", type=Path, default=DATA, help="file of the data")
+    parser.add_argument("--page", type=Path, default=PAGE, help="page with the tables")
+    options = parser.parse_args(arguments)
+    empty: dict[str, Any] = {"rows": [], "unreadable": {}}
+    data = json.loads(options.data.read_text(encoding="utf-8")) if options.data.is_file() else empty
+    if not (options.docs or options.check):
+        for name in options.package or PACKAGES:
+            measure(name, data, options.data)
+    page = options.page.read_text(encoding="utf-8")
+    text = page_text(data, page)
+    if options.check:
+        if text != page:
+            print(f"{options.page} is not current: run python scripts/{Path(__file__).name} --docs", file=sys.stderr)
+        return int(text != page)
+    write_whole(options.page, text.encode())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
