@@ -6,6 +6,7 @@ Free bodies stand far from each other in it, so that scenes that differ in start
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -31,13 +32,16 @@ def body_label(index: int) -> str:
     return f"body{index}"
 
 
-def document(scene: Scene, settings: SettingsGenesis, coupled: Mapping[str, float] | None = None) -> str:
+def document(
+    scene: Scene, settings: SettingsGenesis, coupled: Mapping[str, float] | None = None, margin_m: float = 0.0
+) -> str:
     """Return the document.
 
     Args:
         scene: The scene.
         settings: Settings in force.
         coupled: Friction of the bodies that collide with deformable bodies, by name.
+        margin_m: Thickness by which the geoms of these bodies exceed them [m].
     """
     root = ElementTree.Element("mujoco")
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="false")
@@ -53,9 +57,23 @@ def document(scene: Scene, settings: SettingsGenesis, coupled: Mapping[str, floa
         friction = (coupled or {}).get(body.name)
         if friction is not None:
             inert = Constants(max(friction, MIN_FRICTION), (settings.sustained_timeconst_s, 1.0), (0.9, 0.95, 0.001))
-            copies.insert(0, (inert, Layer(accepts=COUPLED_BIT)))
+            coupling = (inert, Layer(accepts=COUPLED_BIT))
+            if margin_m > 0.0 and isinstance(body.shape, Box | Sphere | Cylinder):
+                _add_geoms(parent, asset, index, replace(body, shape=_enlarged(body.shape, margin_m)), pose, [coupling])
+            else:
+                copies.insert(0, coupling)
         _add_geoms(parent, asset, index, body, pose, copies)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _enlarged(shape: Box | Sphere | Cylinder, margin_m: float) -> Box | Sphere | Cylinder:
+    """Return a shape whose surface is farther outside [m]."""
+    if isinstance(shape, Box):
+        x, y, z = (edge + 2.0 * margin_m for edge in shape.size_m)
+        return Box(size_m=(x, y, z))
+    if isinstance(shape, Sphere):
+        return Sphere(radius_m=shape.radius_m + margin_m)
+    return Cylinder(radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m)
 
 
 def _text(values: Iterable[float]) -> str:

@@ -24,6 +24,9 @@ __all__ = ["Model", "Place", "borrow_model", "forget_models", "model_key", "retu
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
 
+DISTANCE_CELL_M = 5e-4
+"""Edge of the cells of a body's distance field [m], of which Genesis makes at most 128 along an edge."""
+
 NEIGHBOURS = 8
 """Pairs that each convex piece of a scene with many bodies may form at a time. Genesis raises an error beyond it."""
 
@@ -151,17 +154,20 @@ def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, parts: Sequ
     coupled: dict[str, float] = {}
     for part in parts:
         coupled |= part.touches()
+    margin_m = max((part.touch_margin_m() for part in parts), default=0.0)
     if not scene.bodies:
         return None
     return built.add_entity(
         gs.morphs.MJCF(
-            file=document(scene, settings, coupled),
+            file=document(scene, settings, coupled, margin_m),
             align=False,
             decimate=False,
             convexify=True,
             # Genesis would give each hinge the inertia of a motor.
             default_armature=None,
         ),
+        # Particles read the distance to a body from a grid.
+        material=gs.materials.Rigid(sdf_cell_size=DISTANCE_CELL_M) if coupled else None,
         surface=gs.surfaces.Default(),
     )
 

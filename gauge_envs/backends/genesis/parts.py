@@ -43,6 +43,10 @@ class DeformablePart(ABC):
         """
         return {}
 
+    def touch_margin_m(self) -> float:
+        """Return by how much the geoms of `touches` exceed their bodies [m], planes and unions apart."""
+        return 0.0
+
     @abstractmethod
     def add(self, scene: Any) -> None:
         """Add the bodies to a `gs.Scene` that is not built."""

@@ -16,11 +16,11 @@ import numpy as np
 import warp as wp
 from newton.solvers import SolverImplicitMPM
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from gauge_envs.backends.newton.pins import Pin, PinnedParticles
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.point_weights import linear_weights
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.scene import Motion, SoftBody
 
@@ -28,9 +28,6 @@ __all__ = ["SoftPartMPM", "StepperMPM", "add_soft_mpm", "fitted_voxel_m"]
 
 GRIPPED_SIZE = 0.3
 """Size of a gripped point relative to its cell; a gripped point has no volume to fill."""
-
-NEIGHBOURS = 24
-"""Number of material points from which a tracked point is interpolated."""
 
 VOXEL_RANGE = (0.85, 1.15)
 """Voxel sizes that `fitted_voxel_m` tries, as multiples of the desired size."""
@@ -120,32 +117,13 @@ class SoftPartMPM:
             ShapeError: A point lies outside the free material.
         """
         points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
-        nearest, weights = _linear_weights(self._points_m, points)
+        nearest, weights = linear_weights(self._points_m, points)
 
         def read(state: newton.State) -> NDArray[np.float64]:
             positions = state.particle_q.numpy()[self.particles].astype(np.float64)
             return np.asarray(np.einsum("pk,pki->pi", weights, positions[nearest]))
 
         return read
-
-
-def _linear_weights(
-    sources_m: NDArray[np.float64], points_m: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the nearest sources of each point and moving-least-squares weights that reproduce linear functions.
-
-    Returns:
-        Indices of the sources and their weights, both of shape [point_count, NEIGHBOURS].
-    """
-    distance, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
-    # The weight falls to 2 % at the farthest neighbour.
-    near = np.exp(-4.0 * np.square(distance / distance[:, -1:]))
-    offsets = sources_m[nearest] - points_m[:, None]
-    basis = np.concatenate([np.ones_like(offsets[..., :1]), offsets / distance[:, -1:, None]], axis=-1)
-    moments = np.einsum("pk,pki,pkj->pij", near, basis, basis)
-    # The value at the point itself is the first coefficient.
-    first = np.linalg.solve(moments, np.broadcast_to(np.eye(4)[:, :1], (len(points_m), 4, 1)))[..., 0]
-    return nearest, near * np.einsum("pki,pi->pk", basis, first)
 
 
 def add_soft_mpm(

@@ -12,9 +12,7 @@ than the softest of its soft row is therefore a rigid body, to which the elastic
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import groupby, product
-from math import ceil, inf
+from math import inf
 
 import newton
 import numpy as np
@@ -25,6 +23,12 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
+from gauge_envs.backends.shared.tetrahedra import (
+    TetrahedralMesh,
+    grid_lines_m,
+    grid_points_m,
+    lame_constants,
+)
 from gauge_envs.scene import Box, Motion, SoftBody
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
@@ -36,7 +40,6 @@ __all__ = [
     "SoftPartNewton",
     "add_block_shapes",
     "add_soft",
-    "lame_constants",
 ]
 
 CELL_M = 0.0125
@@ -49,28 +52,6 @@ sideways: with half this thickness they pass its lower face, with this thickness
 RIGID_RATIO = 50.0
 """Ratio of stiffness to the softest block of a soft row from which a block is rigid; the row then bends less by the
 inverse of the ratio."""
-
-FIVE_TETRAHEDRA = np.array(
-    [
-        [(0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1)],
-        [(1, 0, 0), (0, 0, 0), (1, 1, 0), (1, 0, 1)],
-        [(0, 1, 0), (0, 0, 0), (1, 1, 0), (0, 1, 1)],
-        [(0, 0, 1), (0, 0, 0), (1, 0, 1), (0, 1, 1)],
-        [(1, 1, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1)],
-    ]
-)
-"""Corners of the tetrahedra in a unit cell; every second cell is mirrored so that faces match."""
-
-
-def lame_constants(body: SoftBody) -> tuple[float, float]:
-    """Return the shear modulus and the first Lame constant [Pa], Newton's `k_mu` and `k_lambda`.
-
-    Newton adds mu to lambda, which its stable Neo-Hookean energy needs for the small-strain limit (Smith, De Goes and
-    Kim 2018, section 3.4).
-    """
-    young, poisson = body.young_modulus_pa, body.poisson_ratio
-    shear = young / (2.0 * (1.0 + poisson))
-    return shear, 2.0 * shear * poisson / (1.0 - 2.0 * poisson)
 
 
 class SoftPartNewton:
@@ -91,7 +72,7 @@ class SoftPartNewton:
     def __init__(
         self,
         soft_row: SoftRow,
-        mesh: _Mesh,
+        mesh: TetrahedralMesh,
         *,
         start: int,
         pins: Sequence[Pin],
@@ -106,7 +87,7 @@ class SoftPartNewton:
         self._soft_row = soft_row
         self._mesh = mesh
         self._solids = [_Solid(block, rigid[block.body.name]) for block in soft_row.blocks if block.body.name in rigid]
-        self._grids = [_grid_m(_lines_m([solid.block], 0, cell_m)) for solid in self._solids]
+        self._grids = [grid_points_m(grid_lines_m([solid.block], 0, cell_m)) for solid in self._solids]
         self.rest_m = np.concatenate([mesh.points_m, *self._grids])
         self._node_indices = {block.body.name: np.flatnonzero(block.holds(self.rest_m)) for block in soft_row.blocks}
 
@@ -194,7 +175,7 @@ def add_soft(
         for block in soft_row.blocks
         if block.body.young_modulus_pa >= rigid_ratio * softest and not attachments.get(block.body.name)
     ]
-    mesh = _Mesh.of(soft_row, stiff, cell_m)
+    mesh = TetrahedralMesh.of(soft_row, stiff, cell_m)
     start = builder.particle_count
     pins = _add_particles(builder, soft_row, mesh, indices, contact_radius_m)
     materials = [lame_constants(block.body) for block in soft_row.blocks]
@@ -231,7 +212,11 @@ def add_block_shapes(
 
 
 def _add_particles(
-    builder: newton.ModelBuilder, soft_row: SoftRow, mesh: _Mesh, indices: Mapping[str, int], contact_radius_m: float
+    builder: newton.ModelBuilder,
+    soft_row: SoftRow,
+    mesh: TetrahedralMesh,
+    indices: Mapping[str, int],
+    contact_radius_m: float,
 ) -> list[Pin]:
     """Add the nodes of a mesh and return pins for those that kinematic bodies hold."""
     start = builder.particle_count
@@ -274,78 +259,6 @@ def _add_rigid(builder: newton.ModelBuilder, block: Block, axis: int, start: int
     return body
 
 
-# --- geometry --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Mesh:
-    """Tetrahedra of the elastic blocks of a soft row.
-
-    Attributes:
-        points_m: Nodes at the start [m], shape [node_count, 3].
-        tetrahedra: Node indices of each tetrahedron, positively oriented, shape [tetrahedron_count, 4].
-        volumes_m3: Volumes of the tetrahedra [m^3], shape [tetrahedron_count].
-        blocks: Which block of the row each is part of, shape [tetrahedron_count].
-    """
-
-    points_m: NDArray[np.float64]
-    tetrahedra: NDArray[np.intp]
-    volumes_m3: NDArray[np.float64]
-    blocks: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, soft_row: SoftRow, rigid: Sequence[Block], cell_m: float) -> _Mesh:
-        """Return the mesh of all elastic blocks; neighbouring elastic blocks share nodes."""
-        points, tetrahedra, blocks, count = [], [], [], 0
-        for is_rigid, group in groupby(enumerate(soft_row.blocks), key=lambda item: item[1] in rigid):
-            if is_rigid:
-                continue
-            members = list(group)
-            lines = _lines_m([block for _, block in members], soft_row.axis, cell_m)
-            corners = _tetrahedra([len(line) for line in lines])
-            points.append(_grid_m(lines))
-            tetrahedra.append(count + corners)
-            count += len(points[-1])
-            middles = points[-1][corners].mean(axis=1)
-            owner = np.zeros(len(corners), dtype=np.intp)
-            for index, block in members:
-                owner[block.holds(middles)] = index
-            blocks.append(owner)
-        all_points, all_tetrahedra = np.concatenate(points), np.concatenate(tetrahedra)
-        volumes = np.linalg.det(all_points[all_tetrahedra[:, 1:]] - all_points[all_tetrahedra[:, :1]]) / 6.0
-        flipped = volumes < 0.0
-        all_tetrahedra[flipped] = all_tetrahedra[flipped][:, [1, 0, 2, 3]]
-        return cls(
-            points_m=all_points,
-            tetrahedra=all_tetrahedra,
-            volumes_m3=np.abs(volumes),
-            blocks=np.concatenate(blocks),
-        )
-
-    def masses_kg(self, densities_kg_per_m3: Sequence[float]) -> NDArray[np.float64]:
-        """Return node masses [kg], shape [node_count]: a quarter of each tetrahedron's mass for each of its nodes."""
-        shares = 0.25 * self.volumes_m3 * np.asarray(densities_kg_per_m3)[self.blocks]
-        masses: NDArray[np.float64] = np.zeros(len(self.points_m))
-        np.add.at(masses, self.tetrahedra, shares[:, None])
-        return masses
-
-    def surface(self) -> NDArray[np.intp]:
-        """Return the boundary triangles, counter-clockwise seen from outside, shape [triangle_count, 3]."""
-        faces = self.tetrahedra[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-        return faces[first[count == 1]]
-
-    def weights(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return four nodes and their barycentric weights for each point [m], both of shape [point_count, 4]."""
-        corner = self.points_m[self.tetrahedra[:, 0]]
-        inverse = np.linalg.inv((self.points_m[self.tetrahedra[:, 1:]] - corner[:, None]).transpose(0, 2, 1))
-        later = np.einsum("tij,ptj->pti", inverse, points_m[:, None] - corner)
-        weights = np.concatenate([1.0 - later.sum(axis=-1, keepdims=True), later], axis=-1)
-        # On shared faces, and just outside the surface, take the tetrahedron that contains the point most deeply.
-        best = np.argmax(weights.min(axis=-1), axis=1)
-        return self.tetrahedra[best], weights[np.arange(len(points_m)), best]
-
-
 class _Solid:
     """A block that is a rigid body, at rest in the world's axes.
 
@@ -363,27 +276,3 @@ class _Solid:
         pose = state.body_q.numpy()[self._body].astype(np.float64)
         moved: NDArray[np.float64] = Rotation.from_quat(pose[3:]).apply(points_m - self.block.centre_m) + pose[:3]
         return moved
-
-
-def _lines_m(blocks: Sequence[Block], axis: int, cell_m: float) -> list[NDArray[np.float64]]:
-    """Return the grid lines along x, y and z [m] of blocks that join along an axis, including their interfaces."""
-    lines = [_line_m(blocks[0].low_m[i], blocks[0].high_m[i], cell_m) for i in range(3)]
-    for block in blocks[1:]:
-        lines[axis] = np.append(lines[axis], _line_m(block.low_m[axis], block.high_m[axis], cell_m)[1:])
-    return lines
-
-
-def _line_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
-    return np.linspace(low_m, high_m, max(1, ceil((high_m - low_m) / cell_m - 1e-6)) + 1)
-
-
-def _grid_m(lines_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    return np.stack(np.meshgrid(*lines_m, indexing="ij"), axis=-1).reshape(-1, 3)
-
-
-def _tetrahedra(counts: Sequence[int]) -> NDArray[np.intp]:
-    """Return five tetrahedra for each cell of a grid with the given numbers of lines, shape [tetrahedron_count, 4]."""
-    cells = np.array(list(product(*(range(count - 1) for count in counts))))
-    mirrored = (cells % 2 == 1)[:, None, None]
-    corners = cells[:, None, None] + np.where(mirrored, 1 - FIVE_TETRAHEDRA, FIVE_TETRAHEDRA)
-    return np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), tuple(counts)).reshape(-1, 4)

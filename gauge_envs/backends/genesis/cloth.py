@@ -1,0 +1,341 @@
+"""Cloth by Genesis's position-based dynamics: springs between particles, and hinges between triangles.
+
+Genesis's solver has no multipliers: each iteration closes a spring by the share 1 / (w + a), with the inverse masses w
+and the compliance a over the squared step. In equilibrium, with one iteration, the spring's force is therefore its
+extension over (w h^2 + compliance). With the compliance 1 / k - w h^2 the stiffness is k, at every step. The same
+iteration is then the semi-implicit Euler method, which neither damps nor gains energy if the step is short enough.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from gauge_envs.backends.genesis.coupling import couple_only_marked_geoms, coupled_geoms, driven_places, touching_bodies
+from gauge_envs.backends.genesis.engine import engine
+from gauge_envs.backends.genesis.parts import DeformablePart, Motions
+from gauge_envs.backends.genesis.pbd_settings import CLOTH_CELL_M, SettingsPBD, cloth_cell_m, spring_stiffnesses
+from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
+from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import Cloth, Motion, Scene
+from gauge_envs.scene.fabrics import Fabric, genesis_pbd
+
+__all__ = ["ClothPart"]
+
+ROOM_M = 20.0
+"""Distance from the cloth to the walls of the domain, which every Genesis particle has [m]."""
+
+HASH_CELLS = 16
+"""Cells of the hash grid along each axis. The grid repeats itself, and its clearing would dominate the cost."""
+
+
+class _Sheet:
+    """One cloth among the particles.
+
+    Attributes:
+        cloth: The cloth.
+        grid: Its regular mesh.
+        rest_m: World positions of the particles at the start [m], shape [particle_count, 3].
+        entity: Its entity in the Genesis scene.
+        held: Attachment of each held particle, by index.
+    """
+
+    def __init__(self, cloth: Cloth, attachments: Sequence[RigidAttachment], settings: SettingsPBD, cell_m: float):
+        self.cloth = cloth
+        self.grid = ClothGrid(cloth, cell_m)
+        self.rest_m = cloth.pose.to_world(np.column_stack([self.grid.plane_m, np.zeros(len(self.grid.plane_m))]))
+        self.entity: Any = None
+        self.held: dict[int, RigidAttachment] = {}
+        self._attachments = attachments
+        self._settings = settings
+
+    @property
+    def particles(self) -> slice:
+        """Its particles in the solver."""
+        return slice(self.entity._particle_start, self.entity._particle_start + self.entity.n_particles)
+
+    def add(self, scene: Any, folder: Path) -> None:
+        """Add the entity to a scene that is not built."""
+        gs, settings = engine(), self._settings
+        nominal = genesis_pbd(Fabric.of(self.cloth)).constants
+        material = gs.materials.PBD.Cloth(
+            rho=self.cloth.areal_density_kg_per_m2,
+            static_friction=0.0,
+            kinetic_friction=0.0,
+            stretch_compliance=nominal["stretch_compliance"],
+            bending_compliance=nominal["bending_compliance"],
+            stretch_relaxation=settings.stretch_relaxation,
+            bending_relaxation=settings.bending_relaxation,
+            air_resistance=settings.air_resistance,
+        )
+        mesh = trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False)
+        path = folder / f"{self.cloth.name}.obj"
+        mesh.export(path, digits=17)
+        if settings.mesh == "remeshed":
+            self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
+            self.rest_m = np.asarray(self.entity._particles, dtype=np.float64)
+            self.held = self._held_by_place()
+            return
+        with _mesh_kept():
+            self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
+        springs = self._springs()
+        self.entity._edges = springs.astype(gs.np_int)
+        self.entity._edges_len_rest = self._lengths_m(springs).astype(gs.np_float)
+        self.entity._particles = self.rest_m.astype(gs.np_float)
+        self.held = held_vertices(self.grid, self.cloth, self._attachments)
+
+    def _held_by_place(self) -> dict[int, RigidAttachment]:
+        """Return the attachment of each particle of a mesh of any shape that lies in an attached region."""
+        held: dict[int, RigidAttachment] = {}
+        local = self.cloth.pose.to_body(self.rest_m)
+        for attachment in reversed(self._attachments):
+            axis = "xy".index(attachment.region.axis)
+            size = self.cloth.size_m[axis]
+            low = local[:, axis] + 0.5 * size
+            inward = low if attachment.region.side == "low" else size - low
+            inside = np.flatnonzero(inward <= attachment.region.depth_m + 1e-4 * size)
+            held |= dict.fromkeys(inside.tolist(), attachment)
+        return held
+
+    def _springs(self) -> NDArray[np.intp]:
+        """Return the ends of springs along the grid's lines and along both diagonals of each cell, shape [count, 2]."""
+        counts = tuple(round(size / cell) for size, cell in zip(self.cloth.size_m, self.grid.cell_m, strict=True))
+        index = np.arange((counts[0] + 1) * (counts[1] + 1)).reshape(counts[0] + 1, counts[1] + 1)
+        pairs = (
+            (index[:-1], index[1:]),
+            (index[:, :-1], index[:, 1:]),
+            (index[:-1, :-1], index[1:, 1:]),
+            (index[1:, :-1], index[:-1, 1:]),
+        )
+        return np.concatenate([np.stack([first.ravel(), second.ravel()], axis=-1) for first, second in pairs])
+
+    def _lengths_m(self, springs: NDArray[np.intp]) -> NDArray[np.float64]:
+        ends = self.grid.plane_m[springs]
+        return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+
+    def masses_kg(self) -> NDArray[np.float64]:
+        """Return the masses of the particles [kg]: the area around each on a grid, equal ones otherwise."""
+        if self._settings.mesh == "remeshed":
+            count = len(self.rest_m)
+            area = self.cloth.size_m[0] * self.cloth.size_m[1]
+            return np.full(count, self.cloth.areal_density_kg_per_m2 * area / count)
+        return self.cloth.areal_density_kg_per_m2 * self.grid.vertex_areas_m2()
+
+    def spring_compliances(self) -> NDArray[np.float64]:
+        """Return the compliance of each spring [m/N], shape [spring_count].
+
+        Raises:
+            ParameterError: The time step is too long for a spring.
+        """
+        springs = np.asarray(self.entity._edges, dtype=np.intp)
+        if self._settings.stiffness == "nominal":
+            return np.full(len(springs), 1.0 / self.cloth.stretch_stiffness_n_per_m)
+        inverse = 1.0 / self.masses_kg()
+        inverse[list(self.held)] = 0.0
+        lag = inverse[springs].sum(axis=1) * self._settings.timestep_s**2
+        compliances = 1.0 / self._spring_stiffnesses(springs) - lag
+        if np.any(compliances <= 0.0):
+            raise ParameterError(
+                f"Genesis setting 'timestep_s' is {self._settings.timestep_s:.4g} s, and a spring of cloth "
+                f"{self.cloth.name!r} with cells of {1e3 * max(self.grid.cell_m):.4g} mm would close in less than one "
+                "step: choose a smaller timestep_s or a larger cell_m"
+            )
+        return compliances
+
+    def _spring_stiffnesses(self, springs: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the stiffness of each spring [N/m]; those on the border of the cloth belong to half a cell."""
+        along, diagonal = spring_stiffnesses(self.cloth)
+        step = np.abs(np.diff(self.grid.plane_m[springs], axis=1))[:, 0]
+        stiffnesses = np.empty(len(springs))
+        cell = self.grid.cell_m
+        for axis in range(2):
+            other = 1 - axis
+            rows = step[:, other] < 1e-9 * cell[other]
+            width = np.full(rows.sum(), cell[other])
+            places = np.abs(self.grid.plane_m[springs[rows, 0], other])
+            width[places > 0.5 * self.cloth.size_m[other] - 1e-6 * cell[other]] *= 0.5
+            stiffnesses[rows] = along * width / cell[axis]
+        crossing = (step > 1e-9 * min(cell)).all(axis=1)
+        # On a square cell this is the diagonal's stiffness; on others it keeps the shear stiffness.
+        stiffnesses[crossing] = diagonal * (cell[0] ** 2 + cell[1] ** 2) / (2.0 * cell[0] * cell[1])
+        return stiffnesses
+
+
+@contextmanager
+def _mesh_kept() -> Iterator[None]:
+    """Keep Genesis from making a new mesh of the mesh that it is given."""
+    from genesis.engine.mesh import Mesh
+
+    remesh = Mesh.remesh
+    Mesh.remesh = lambda self, *_, **__: None
+    try:
+        yield
+    finally:
+        Mesh.remesh = remesh
+
+
+class ClothPart(DeformablePart):
+    """All cloths of a scene.
+
+    Args:
+        scene: The scene.
+        settings: Numerical settings.
+    """
+
+    restores: ClassVar[bool] = True
+
+    def __init__(self, scene: Scene, settings: SettingsPBD) -> None:
+        cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
+        self.names = tuple(cloth.name for cloth in cloths)
+        self._scene = scene
+        self._settings = settings
+        cell_m = settings.cell_m or (cloth_cell_m(scene) if settings.mesh == "grid" else CLOTH_CELL_M)
+        self._size_m = settings.particle_size_m or max(cloth.thickness_m for cloth in cloths)
+        sheets = [_Sheet(cloth, rigid_attachments(scene, cloth.name), settings, cell_m) for cloth in cloths]
+        self._sheets = dict(zip(self.names, sheets, strict=True))
+        self._cell_m = cell_m
+        self._kernels: Any = None
+        self._start: tuple[NDArray[Any], NDArray[Any]] = (np.zeros((0, 3)), np.zeros((0, 3)))
+        self._pins: dict[str, tuple[NDArray[np.int32], NDArray[np.float64]]] = {}
+        self._planned: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {}
+
+    def scene_options(self) -> dict[str, Any]:
+        """Return the options of the PBD solver and of the coupling."""
+        gs, settings = engine(), self._settings
+        points = np.concatenate([sheet.rest_m for sheet in self._sheets.values()])
+        hash_cell_m = max(1.25 * self._size_m, self._cell_m)
+        return {
+            "pbd_options": gs.options.PBDOptions(
+                particle_size=settings.cell_m if settings.mesh == "remeshed" else self._size_m,
+                hash_grid_cell_size=hash_cell_m,
+                hash_grid_res=(HASH_CELLS * hash_cell_m,) * 3,
+                max_stretch_solver_iterations=settings.stretch_iterations,
+                max_bending_solver_iterations=settings.bending_iterations,
+                lower_bound=tuple((points.min(axis=0) - ROOM_M).tolist()),
+                upper_bound=tuple((points.max(axis=0) + ROOM_M).tolist()),
+            ),
+            # Genesis cannot couple particles with bodies that have no geoms.
+            "coupler_options": gs.options.LegacyCouplerOptions(rigid_pbd=bool(self.touches())),
+        }
+
+    def touches(self) -> Mapping[str, float]:
+        """Return the friction of the rigid bodies that collide with cloth, by name."""
+        return touching_bodies(self._scene, self.names)
+
+    def add(self, scene: Any) -> None:
+        """Add the entities."""
+        couple_only_marked_geoms(scene)
+        with tempfile.TemporaryDirectory() as folder:
+            for sheet in self._sheets.values():
+                sheet.add(scene, Path(folder))
+
+    def finish(self, scene: Any) -> None:
+        """Set masses, compliances and held particles, and place the kernels around those of the solver."""
+        from gauge_envs.backends.genesis.pbd_kernels import PBDKernels
+
+        gs, settings = engine(), self._settings
+        solver = scene.sim.pbd_solver
+        sheets = list(self._sheets.values())
+        masses = np.concatenate([sheet.masses_kg() for sheet in sheets])
+        solver.particles_info.mass.from_numpy(masses.astype(gs.np_float))
+        compliances = np.concatenate([sheet.spring_compliances() for sheet in sheets])
+        solver.edges_info.stretch_compliance.from_numpy(compliances.astype(gs.np_float))
+        self._kernels = kernels = PBDKernels(scene)
+        if settings.exact_hinges and solver.n_inner_edges:
+            bend = [np.full(s.entity.n_inner_edges, 1.0 / s.cloth.bend_stiffness_n_m_per_rad) for s in sheets]
+            kernels.set_compliance(np.concatenate(bend))
+            _call_before(solver, "_kernel_solve_bending", kernels.exact_hinges)
+        if settings.body_friction and self.touches():
+            self._add_friction(scene)
+        for sheet in sheets:
+            if sheet.held:
+                sheet.entity.fix_particles(np.array(list(sheet.held)))
+        self._find_pins()
+        self._start = self._read()
+
+    def _add_friction(self, scene: Any) -> None:
+        """Apply friction after the kernel that moves particles out of rigid bodies."""
+        kernels, coupler, touches = self._kernels, scene.sim.coupler, self.touches()
+        friction = np.zeros(scene.sim.rigid_solver.n_geoms)
+        for name, geoms in coupled_geoms(scene, self._scene, touches).items():
+            friction[geoms] = touches[name]
+        kernels.set_friction(friction)
+        collide = coupler.kernel_pbd_rigid_collide
+
+        def collide_and_rub(**arguments: Any) -> None:
+            kernels.keep()
+            collide(**arguments)
+            kernels.rub(*(arguments[name] for name in ("geoms_state", "geoms_info", "links_state", "sdf_info")))
+
+        coupler.kernel_pbd_rigid_collide = collide_and_rub
+
+    def _find_pins(self) -> None:
+        particles: dict[str, list[int]] = {}
+        places: dict[str, list[NDArray[np.float64]]] = {}
+        for sheet in self._sheets.values():
+            for index, attachment in sheet.held.items():
+                if attachment.motion is Motion.KINEMATIC:
+                    particles.setdefault(attachment.body, []).append(sheet.particles.start + index)
+                    places.setdefault(attachment.body, []).append(attachment.pose.to_body(sheet.rest_m[index]))
+        self._pins = {
+            body: (np.array(rows, dtype=np.int32), np.array(places[body])) for body, rows in particles.items()
+        }
+
+    def reset(self) -> None:
+        """Return the particles to their start."""
+        self._kernels.write(*self._start)
+        self._planned = {}
+
+    def prescribe(self, motions: Motions, time_s: float, step_s: float) -> None:
+        """Give held particles the velocity that takes them along with their body in the step."""
+        gs = engine()
+        if time_s == 0.0:
+            self._planned = {}
+            count = round(self._settings.drive_interval_s / step_s)
+            for body, (particles, places) in self._pins.items():
+                path = driven_places(motions[body], places, step_s * np.arange(count + 1))
+                self._kernels.place(particles, np.ascontiguousarray(path[0], dtype=gs.np_float))
+                velocities = np.ascontiguousarray(np.diff(path, axis=0) / step_s, dtype=gs.np_float)
+                self._planned[body] = (particles, velocities)
+        step = round(time_s / step_s)
+        for particles, velocities in self._planned.values():
+            self._kernels.carry(particles, velocities[step])
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Return the positions of a cloth's particles [m], shape [particle_count, 3]."""
+        positions: NDArray[np.float64] = self._read()[0][self._sheets[name].particles].astype(np.float64)
+        return positions
+
+    def _read(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        shape = (self._kernels.particle_count, 3)
+        positions, velocities = (np.empty(shape, dtype=engine().np_float) for _ in range(2))
+        self._kernels.read(positions, velocities)
+        return positions, velocities
+
+    def state(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return positions [m] and velocities [m/s] of all particles, both of shape [particle_count, 3]."""
+        return self._read()
+
+    def restore(self, state: tuple[NDArray[Any], NDArray[Any]]) -> None:
+        """Restore positions and velocities; the next interval prescribes the held particles anew."""
+        self._kernels.write(*state)
+        self._planned = {}
+
+
+def _call_before(owner: Any, method: str, function: Any) -> None:
+    """Replace a method of an object by one that calls a function first."""
+    replaced = getattr(owner, method)
+
+    def both(*arguments: Any) -> None:
+        function()
+        replaced(*arguments)
+
+    setattr(owner, method, both)

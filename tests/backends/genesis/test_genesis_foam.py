@@ -1,0 +1,133 @@
+"""Genesis's soft bodies, by finite elements and by material points: elasticity, grips, contact, repeatability."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gauge_envs import load_experiment
+from gauge_envs.scene import Attachment, Cloth, Contact, Scene
+
+pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
+
+from gauge_envs.backends import backend
+from gauge_envs.backends.genesis.deformables import unsupported_deformables
+from gauge_envs.backends.genesis.foam_mpm import fitted_voxel_m
+from gauge_envs.backends.genesis.foam_settings import SettingsFEM, longest_mpm_timestep_s, soft_presets
+from gauge_envs.backends.shared.attachments import attachments_by_body, bonded_soft_bodies
+from gauge_envs.backends.shared.point_weights import linear_weights
+from gauge_envs.backends.shared.soft_rows import SoftRow
+from gauge_envs.checks.conformance import Status, run_checks
+from gauge_envs.checks.rollout import record
+
+SETTINGS = SettingsFEM(preset="default", timestep_s=1 / 900)
+
+
+def soft_row(scene: Scene) -> SoftRow:
+    (bodies,) = bonded_soft_bodies(scene)
+    return SoftRow.of(bodies, attachments_by_body(scene, bodies))
+
+
+@pytest.mark.parametrize("preset", ["default", pytest.param("mpm", marks=pytest.mark.slow)])
+def test_a_bar_has_its_modulus_and_poisson_ratio_and_follows_its_grip(preset: str) -> None:
+    results = list(run_checks("genesis", settings={"preset": preset}, only=("foam-*",)))
+    assert {result.check: result.status for result in results} == {
+        "foam-start": Status.PASS,
+        "foam-tension": Status.PASS,
+        "foam-poisson": Status.PASS,
+        "foam-pinned-face": Status.PASS,
+    }
+    values = {result.check: result.measured for result in results}
+    assert values["foam-tension"] == pytest.approx(1e4, rel=0.01)
+    assert values["foam-poisson"] == pytest.approx(0.3, rel=0.01)
+
+
+@pytest.mark.parametrize("preset", ["default", pytest.param("mpm", marks=pytest.mark.slow)])
+def test_a_state_of_foam_continues_bit_for_bit_in_another_simulation(preset: str) -> None:
+    scene = load_experiment("FoamTwisting-soft").scene
+    genesis = backend("genesis")
+    ends = []
+    first = genesis.build(scene, {"preset": preset})
+    first.reset(0)
+    first.advance(1 / 180)
+    kept = pickle.loads(pickle.dumps(first.state()))
+    for simulation in (first, genesis.build(scene, {"preset": preset})):
+        simulation.restore(kept)
+        simulation.advance(1 / 180)
+        ends.append(simulation.nodes("foam"))
+        simulation.close()
+    assert (ends[0] == ends[1]).all()
+
+
+@pytest.mark.slow
+def test_a_cube_as_wide_as_the_foam_stays_outside_it() -> None:
+    scene = load_experiment("FoamBending-soft").scene
+    simulation = backend("genesis").build(scene)
+    simulation.reset(0)
+    rollout = record(simulation, scene, 0.5)
+    simulation.close()
+    nodes, lower_m = rollout.nodes_m["foam"], rollout.position("cube")[:, 2] - 0.025
+    under = (nodes[0, :, 2] > nodes[0, :, 2].max() - 1e-6) & (np.abs(nodes[0, :, 1] - 0.39576) < 0.0255)
+    assert under.sum() == 25
+    gap_m = lower_m[-1] - nodes[-1, under, 2]
+    assert nodes[0, under, 2].mean() - lower_m[-1] > 0.005
+    assert np.all(np.abs(gap_m - 1e-3) < 4e-4)
+
+
+def test_blocks_of_a_row_have_their_own_material() -> None:
+    scene = load_experiment("CantileverBeam-soft").scene
+    simulation = backend("genesis").build(scene)
+    simulation.reset(0)
+    assert [len(simulation.nodes(f"cube-{number}")) for number in range(1, 5)] == [125] * 4
+    for _ in range(18):
+        simulation.advance(1 / 180)
+    lengths = [np.ptp(simulation.nodes(f"cube-{number}")[:, 1]) for number in range(1, 5)]
+    simulation.close()
+    assert abs(lengths[1] - 0.05) < 2e-3
+    assert all(np.isfinite(lengths))
+
+
+def test_grid_planes_lie_at_the_faces_of_both_grips() -> None:
+    row = soft_row(load_experiment("FoamTwisting-soft").scene)
+    voxel = fitted_voxel_m([row], 0.0125)
+    assert 0.85 * 0.0125 <= voxel <= 1.15 * 0.0125
+    for face in (row.low_m[2], row.high_m[2]):
+        assert abs(round(face / voxel) * voxel - face) < 0.15 * voxel
+
+
+def test_the_step_of_material_points_is_a_share_of_the_time_of_sound() -> None:
+    scene = load_experiment("FoamTwisting-soft").scene
+    (body,) = scene.deformables
+    density = body.mass_kg / (0.05 * 0.05 * 0.2)
+    modulus = body.young_modulus_pa * 0.77 / (1.23 * 0.54)
+    assert longest_mpm_timestep_s(body, 0.0125) == pytest.approx(0.4 * 0.0125 / np.sqrt(modulus / density), rel=1e-9)
+    assert soft_presets(scene)["mpm"].timestep_s <= longest_mpm_timestep_s(body, 0.0125)
+
+
+def test_weights_reproduce_linear_functions() -> None:
+    generator = np.random.default_rng(0)
+    sources, points = generator.uniform(size=(300, 3)), generator.uniform(0.2, 0.8, size=(20, 3))
+    nearest, weights = linear_weights(sources, points)
+    values = 0.3 + sources @ [1.0, -2.0, 0.5]
+    assert np.einsum("pk,pk->p", weights, values[nearest]) == pytest.approx(0.3 + points @ [1.0, -2.0, 0.5], abs=1e-9)
+
+
+def test_soft_bodies_that_genesis_cannot_simulate_are_declined() -> None:
+    for id in ("RopeWinding-rubber", "StickStack-soft"):
+        reasons = tuple(unsupported_deformables(load_experiment(id).scene, SETTINGS))
+        assert any("is a line" in reason for reason in reasons)
+    scene = load_experiment("CantileverBeam-soft").scene
+    touching = Contact(first=("cube-1",), second=("cube-3",), friction=0.1, restitution=0.0)
+    reasons = tuple(unsupported_deformables(replace(scene, contacts=(touching,)), SETTINGS))
+    assert any("'cube-1' may touch 'cube-3'" in reason for reason in reasons)
+    (cloth,) = load_experiment("TextileFlinging-satin").scene.deformables
+    assert isinstance(cloth, Cloth)
+    both = replace(scene, deformables=(*scene.deformables, cloth))
+    assert any("is beside cloth" in reason for reason in unsupported_deformables(both, SETTINGS))
+    apart = replace(
+        scene, attachments=(Attachment(deformable="cube-9", region=scene.attachments[0].region, to="base"),)
+    )
+    assert any("not in the scene" in reason for reason in unsupported_deformables(apart, SETTINGS))
