@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from gauge_envs.backends import backend_names, is_bundled, support_of, versions_of
@@ -116,6 +117,8 @@ def _lacks(name: str, experiment: Experiment) -> list[str]:
 def list_table(rows: Sequence[dict[str, Any]]) -> Table:
     """Return the rows of `list_rows` as a table."""
     imported = [short_id(row["id"]) for row in rows if row["imported"]]
+    # An engine that runs nothing is not installed or broken; it is no exception in each row.
+    working = {name for row in rows for name, lacks in row["backends"].items() if not lacks}
     return Table(
         columns=(
             Column("id", "id"),
@@ -124,16 +127,17 @@ def list_table(rows: Sequence[dict[str, Any]]) -> Table:
             Column("frames", "frames", is_number=True, wide_only=True),
             Column("grade", "grade"),
             Column("imported", "imported trials", lambda known: "yes" if known else "no", wide_only=True),
-            Column("backends", "runs on", _usable_text),
+            Column("backends", "runs on", partial(_usable_text, working=working)),
         ),
         rows=rows,
         notes=(f"Real trials imported for {shortened(imported)}.",) if imported else (),
     )
 
 
-def _usable_text(backends: dict[str, list[str]]) -> str:
+def _usable_text(backends: dict[str, list[str]], *, working: Collection[str]) -> str:
+    """Return the engines that run an experiment, of those that run any."""
     usable = [name for name, lacks in backends.items() if not lacks]
-    others = [name for name, lacks in backends.items() if lacks]
+    others = [name for name, lacks in backends.items() if lacks and name in working]
     if len(usable) > 2 and len(others) < 2:
         return f"all {len(usable)}" if not others else f"all but {others[0]}"
     return ", ".join(usable) or "none"

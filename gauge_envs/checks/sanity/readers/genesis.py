@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -205,7 +204,7 @@ def _is_options_file(target: Any) -> bool:
     if not isinstance(target, str | Path) or Path(target).suffix.lower() != ".json":
         return False
     try:
-        values = json.loads(read_regular(Path(target), MOST_OPTIONS_BYTES))
+        values = json_document(read_regular(Path(target), MOST_OPTIONS_BYTES))
     except (OSError, ValueError):
         return False
     return isinstance(values, dict) and isinstance(values.get("sim"), dict) and isinstance(values.get("rigid"), dict)
