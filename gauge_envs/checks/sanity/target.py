@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import gymnasium
 import mujoco
+from gymnasium.vector import VectorEnv
 
 from gauge_envs.checks.sanity.model import TrainingConfiguration
 from gauge_envs.checks.sanity.readers import READERS, GeomPair
@@ -16,7 +17,7 @@ from gauge_envs.errors import TargetError
 
 __all__ = ["Target", "compiled_model", "configuration"]
 
-Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | Mapping[str, Any]
+Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | VectorEnv[Any, Any, Any] | Mapping[str, Any]
 """A target of a sanity check; see `configuration`."""
 
 
@@ -36,7 +37,7 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
             the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
             a YAML file in the style of IsaacGym, or the same as a mapping or an object;
             a task of ManiSkill (`maniskill:PickCube-v1`), an environment of it, or a SimConfig;
-            a `mujoco.MjModel`, a `gymnasium.Env` or an environment of MuJoCo Playground;
+            a `mujoco.MjModel`, a `gymnasium.Env`, a `gymnasium.vector.VectorEnv`, or an env of MuJoCo Playground;
             a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent

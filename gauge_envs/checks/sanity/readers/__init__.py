@@ -5,7 +5,7 @@ from __future__ import annotations
 from gauge_envs.checks.sanity.readers.batched_model import MJX_MODEL, MUJOCO_WARP
 from gauge_envs.checks.sanity.readers.dm_control import DM_CONTROL
 from gauge_envs.checks.sanity.readers.genesis import GENESIS_OPTIONS, GENESIS_SCENE
-from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID
+from gauge_envs.checks.sanity.readers.gymnasium_env import GYMNASIUM_ENV, GYMNASIUM_ID, GYMNASIUM_VECTOR
 from gauge_envs.checks.sanity.readers.isaac_gym import ISAAC_GYM
 from gauge_envs.checks.sanity.readers.isaac_lab import ISAAC_LAB
 from gauge_envs.checks.sanity.readers.maniskill import MANISKILL
@@ -28,6 +28,7 @@ READERS: tuple[Reader, ...] = (
     PLAYGROUND_ENV,
     MJLAB_CFG,
     GYMNASIUM_ENV,
+    GYMNASIUM_VECTOR,
     DM_CONTROL,
     PLAYGROUND,
     MJLAB,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import mujoco
+from gymnasium.vector import VectorEnv
 
 from gauge_envs.backends import Simulation
 from gauge_envs.checks.sanity.model import TrainingConfiguration
@@ -15,13 +17,30 @@ from gauge_envs.checks.sanity.readers.reader import GeomPair, NotATargetError, R
 from gauge_envs.errors import TargetError
 from gauge_envs.experiments.variants import variants
 
-__all__ = ["GYMNASIUM_ENV", "GYMNASIUM_ID"]
+__all__ = ["GYMNASIUM_ENV", "GYMNASIUM_ID", "GYMNASIUM_VECTOR"]
+
+VECTOR_KEYS = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
+"""Arguments of `gymnasium.make_vec` that a single environment does not take."""
 
 
-def _read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
+def _read_vector(vector: VectorEnv[Any, Any, Any], pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of the first environment of a vector; it is made anew where it is in another process."""
+    inner: Any = vector.unwrapped
+    several = getattr(inner, "envs", None)
+    if several:
+        return _read_env(several[0], _env_name(several[0]), pair)
+    spec = vector.spec
+    if spec is None:
+        kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
+        raise NotATargetError(f"{kind} shows neither its environments nor a spec of them")
+    single = {name: value for name, value in spec.kwargs.items() if name not in VECTOR_KEYS}
+    return _read_id(spec.id, pair, single)
+
+
+def _read_id(name: str, pair: GeomPair | None, kwargs: Mapping[str, Any] | None = None) -> TrainingConfiguration:
     own = {variant.name: variant.id for variant in variants()}
     try:
-        env = gymnasium.make(own.get(name, name))
+        env = gymnasium.make(own.get(name, name), **(kwargs or {}))
     except Exception as error:  # Other environments raise exceptions of any kind.
         cause = " ".join(str(error).split())
         raise NotATargetError(f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__})") from error
@@ -65,6 +84,15 @@ GYMNASIUM_ENV = Reader(
     has_geoms=True,
 )
 """Reader of environments in this process."""
+
+GYMNASIUM_VECTOR = Reader(
+    name="gymnasium-vector",
+    accepts="a vector env",
+    matches=lambda target: isinstance(target, VectorEnv),
+    read=_read_vector,
+    has_geoms=True,
+)
+"""Reader of vector environments in this process; all of their environments have one configuration."""
 
 GYMNASIUM_ID = Reader(
     name="gymnasium-id",
