@@ -19,7 +19,8 @@ SHIFT = 4
 EXPOSURES = 4
 """Pictures that are averaged to one frame, over half of its time."""
 
-GRAVITY_M_PER_S2 = 9.80665
+RAMP_S = 0.4
+"""Time in which a turntable reaches its rate [s]."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,9 @@ def _motion(
         rate = float(rng.uniform(1.0, 2.5))
 
         def turning(time_s: float) -> tuple[NDArray[np.float64], float]:
-            angle = rate * max(0.0, time_s - release)
+            # A plate that starts at once would need more force than friction has.
+            since = max(0.0, time_s - release)
+            angle = rate * (0.5 * since**2 / RAMP_S if since < RAMP_S else since - 0.5 * RAMP_S)
             c, s = np.cos(angle), np.sin(angle)
             return pivot + np.array([[c, -s], [s, c]]) @ offset, -float(np.degrees(angle))
 
