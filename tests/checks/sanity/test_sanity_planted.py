@@ -197,3 +197,10 @@ def test_changes_are_written_in_the_language_of_the_target() -> None:
     assert language("toml").paste_text(changes) == (
         'cone = "elliptic", refsafe = true, contact_solimp = [0.9, 0.95, 0.001, 0.5, 2], timestep_s = 0.005'
     )
+
+
+def test_a_setting_that_is_left_out_is_not_written_as_the_flag_of_another() -> None:
+    mjcf = language("mjcf")
+    assert mjcf.paste_text({"o_friction": None}) == '<option><flag override="disable"/></option>'
+    assert mjcf.paste_text({"contact_solimp": None}) == "no solimp"
+    assert mjcf.value_text("contact_solimp", None) == "the default of the engine"

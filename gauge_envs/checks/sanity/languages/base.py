@@ -50,6 +50,8 @@ class Language(ABC):
 
     def value_text(self, name: str, value: Any) -> str:
         """Return the value of a setting alone, as the target writes it."""
+        if value is None:
+            return "the default of the engine"
         return self.assignment(name, value).partition("=")[2].strip().strip('"')
 
 

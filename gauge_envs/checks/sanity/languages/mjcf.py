@@ -41,6 +41,10 @@ GEOM = {
 """Attributes of MJCF's `<geom>` by name of the setting."""
 
 
+OVERRIDDEN = "o_friction"
+"""Setting that MJCF leaves out by switching the flag `override` off."""
+
+
 class Mjcf(Language):
     """Elements of a MuJoCo model: `<option cone="elliptic"/>`, `<default><geom solref="0.02 1"/></default>`."""
 
@@ -48,8 +52,10 @@ class Mjcf(Language):
 
     def assignment(self, name: str, value: Any) -> str:
         """Return `attribute="value"`; a setting that MJCF has no attribute for is written as in TOML."""
-        if value is None:
+        if value is None and name == OVERRIDDEN:
             return 'override="disable"'
+        if value is None:
+            return f"no {OPTION.get(name) or GEOM.get(name) or name}"
         if name in FLAG:
             return f'{name}="{"enable" if value else "disable"}"'
         attribute = OPTION.get(name) or GEOM.get(name)
@@ -61,8 +67,7 @@ class Mjcf(Language):
         """Return elements: `<option>` with its flags, and `<geom>` for some geoms or as the default of all."""
         kinds: dict[str, list[str]] = {"option": [], "flag": [], "geom": [], "rest": []}
         for name, value in changes.items():
-            is_flag = name in FLAG or value is None
-            kind = "flag" if is_flag else "option" if name in OPTION else "geom" if name in GEOM else "rest"
+            kind = _kind(name, value)
             kinds[kind].append(self.assignment(name, value))
         option, flags, geom, rest = kinds.values()
         inner = f"<flag {' '.join(flags)}/>" if flags else ""
@@ -79,6 +84,15 @@ class Mjcf(Language):
         """Return `<option gravity="x y z"/>`."""
         value = tuple(round(component, 2) + 0.0 for component in gravity_m_per_s2)
         return f'<option gravity="{_attribute(value)}"/>'
+
+
+def _kind(name: str, value: Any) -> str:
+    """Return the element in which a setting stands."""
+    if name in FLAG or (name == OVERRIDDEN and value is None):
+        return "flag"
+    if value is None:
+        return "rest"
+    return "option" if name in OPTION else "geom" if name in GEOM else "rest"
 
 
 def _attribute(value: Any) -> str:
