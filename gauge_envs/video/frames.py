@@ -38,9 +38,6 @@ LEAST_FRAMES = 8
 LEAST_FPS, MOST_FPS = 5.0, 1000.0
 """Range of frame rates [1/s]: with fewer pictures, a fall is over between two of them."""
 
-SAME_PICTURE = 0.05
-"""Largest mean difference of the grey values of a picture and its repetition, after compression."""
-
 
 class Frames(ABC):
     """Frames of a video that can be read again and again.

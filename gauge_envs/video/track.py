@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `vanished`, `duplicated`, `size`, `camera` or `repeated`.
+        kind: `duplicated`, `camera` or `scene`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
@@ -54,8 +54,6 @@ class Track:
         confidence: Confidence from 0 to 1, shape [frame_count]; 0 where it was not found.
         size_ratio: Apparent size divided by that in the first frame, shape [frame_count]; NaN where unknown.
         events: What happened in the video.
-        scale_ratio: Factor of the pixel scale against the first frame of the task, 1 where the video keeps its framing.
-        offset_px: Shift of the framing on the reference grid [px], shape [2].
     """
 
     frames: NDArray[np.int64]
@@ -64,8 +62,6 @@ class Track:
     confidence: NDArray[np.float64]
     size_ratio: NDArray[np.float64]
     events: tuple[Event, ...] = ()
-    scale_ratio: float = 1.0
-    offset_px: tuple[float, float] = field(default=(0.0, 0.0))
 
     @property
     def is_found(self) -> NDArray[np.bool_]:

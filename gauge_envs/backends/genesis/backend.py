@@ -50,9 +50,9 @@ class BackendGenesis(Backend):
         """
         chosen = settings_for(scene, settings)
         check_support(scene, chosen)
-        from gauge_envs.backends.genesis.simulation import new_simulation
+        from gauge_envs.backends.genesis.simulation import SimulationGenesis
 
-        return new_simulation(scene, chosen)
+        return SimulationGenesis(scene, chosen)
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
         """Build scenes as environments of one Genesis scene, which advance in the same step.

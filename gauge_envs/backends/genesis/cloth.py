@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -189,8 +189,6 @@ class ClothPart(DeformablePart):
         scene: The scene.
         settings: Numerical settings.
     """
-
-    restores: ClassVar[bool] = True
 
     def __init__(self, scene: Scene, settings: SettingsPBD) -> None:
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -105,8 +105,6 @@ class FEMPart(DeformablePart):
         scene: The scene.
         settings: Numerical settings.
     """
-
-    restores: ClassVar[bool] = True
 
     def __init__(self, scene: Scene, settings: SettingsFEM) -> None:
         self._scene = scene

@@ -8,7 +8,7 @@ voxel behind that plane, so that it is the last one that they move.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,8 +159,6 @@ class MPMPart(DeformablePart):
         scene: The scene.
         settings: Numerical settings.
     """
-
-    restores: ClassVar[bool] = True
 
     def __init__(self, scene: Scene, settings: SettingsMPM) -> None:
         self._scene = scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +25,9 @@ class DeformablePart(ABC):
 
     Attributes:
         names: Names of the bodies.
-        restores: Whether `restore` continues bit for bit. Otherwise the simulation repeats all calls since the reset.
     """
 
     names: tuple[str, ...]
-    restores: ClassVar[bool] = False
 
     @abstractmethod
     def scene_options(self) -> dict[str, Any]:
@@ -81,10 +79,10 @@ class DeformablePart(ABC):
         """Return why the solver gave up the state; see `World.fault`."""
         return None
 
+    @abstractmethod
     def state(self) -> Any:
-        """Return a snapshot that can be pickled. Only parts with `restores` need it."""
-        raise NotImplementedError
+        """Return a snapshot that can be pickled."""
 
+    @abstractmethod
     def restore(self, state: Any) -> None:
-        """Restore a snapshot. Only parts with `restores` need it."""
-        raise NotImplementedError
+        """Restore a snapshot; the motion continues bit for bit."""

@@ -13,18 +13,11 @@ from gauge_envs.backends.genesis.model import Model, borrow_model, return_model
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.genesis.stepper import Stepper
-from gauge_envs.backends.shared.replay import ReplayedSimulation
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = ["SimulationGenesis", "new_simulation"]
-
-
-def new_simulation(scene: Scene, settings: SettingsGenesis) -> Simulation:
-    """Return a simulation of a scene. Parts that cannot be restored make it repeat its calls instead."""
-    simulation = SimulationGenesis(scene, settings)
-    return simulation if simulation.restores else ReplayedSimulation(simulation)
+__all__ = ["SimulationGenesis"]
 
 
 class SimulationGenesis(Simulation):
@@ -42,11 +35,6 @@ class SimulationGenesis(Simulation):
         self._parts = {name: part for part in self._model.parts for name in part.names}
         self._origin = StateOrigin(f"genesis {version('genesis-world')}", self.settings, scene)
         self.reset(0)
-
-    @property
-    def restores(self) -> bool:
-        """Whether every part continues bit for bit from a state."""
-        return all(part.restores for part in self._open().parts)
 
     def _open(self) -> Model:
         if self._model is None:
