@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide
+from gauge_envs.cli.arguments import Json, ParametersOption, Wide, parsed_parameters, parsed_settings
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     echo,
@@ -20,7 +20,7 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.errors import ParameterError, VideoError
 
-__all__ = ["video_app", "video_list", "video_report", "video_score"]
+__all__ = ["video_app", "video_list", "video_render", "video_report", "video_score"]
 
 video_app = typer.Typer(help="Videos of world models, judged by the laws of motion.", no_args_is_help=True)
 
@@ -129,6 +129,36 @@ def video_report(
     echo(page)
     if broken:
         raise typer.Exit(EXIT_FAILED)
+
+
+@video_app.command("render")
+def video_render(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="Task, as SlopeSlider-2-wood; see gauge video list.")],
+    out: Annotated[Path, typer.Option(help="Video to write, MP4; its exact track goes beside it.")],
+    backend: Annotated[str, typer.Option(help="Engine.")] = "mujoco",
+    parameters: ParametersOption = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Numerical setting of the engine, as timestep_s=0.0005.")
+    ] = None,
+    fps: Annotated[float, typer.Option(help="Frames per second; divides 180.")] = 30.0,
+    seconds: Annotated[
+        float | None, typer.Option(help="Time after the release [s]; default: the experiment, at most 8 s.")
+    ] = None,
+) -> None:
+    """Film an episode of an engine as the first frame of its task is seen, so that gauge video score can judge it."""
+    from gauge_envs.video.render import film
+
+    filmed = film(
+        task,
+        backend=backend,
+        parameters=parsed_parameters(parameters) or "calibrated",
+        settings=parsed_settings(changes or []),
+        fps=fps,
+        seconds=seconds,
+    )
+    track = filmed.save(out)
+    echo(out)
+    echo(track)
 
 
 def _size(text: str | None) -> tuple[int, int]:
