@@ -1,7 +1,7 @@
 """Map a track from an oblique view onto the plane of the motion, by four known points or a calibrated camera.
 
-A view file states one of both. Lengths are in the plane: x to the right and y down; for a slide x is down the slope. The
-origin is the pivot of a swing, the axis of a turntable, or the first place of the object.
+A view file states one of both. Lengths are in the plane: x to the right and y down; for a slide x is down the slope.
+The origin is the pivot of a swing, the axis of a turntable, or the first place of the object.
 
     size_px = [1280, 720]          # pictures in which the pixels were read
     scale_sigma = 0.01             # relative standard uncertainty of lengths in the plane
