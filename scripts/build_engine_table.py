@@ -38,8 +38,8 @@ DATA = ROOT / "scoring" / "engines.json"
 PAGE = ROOT / "docs" / "engines" / "comparison.md"
 BEGIN, END = "<!-- engines, written by scripts/build_engine_table.py -->", "<!-- end of engines -->"
 
-ENGINES = ("mujoco", "newton", "physx", "pybullet", "rapier", "drake")
-MORE_PRESETS = {"physx": ("isaac", "paper"), "newton": ("paper",)}
+ENGINES = ("mujoco", "newton", "physx", "pybullet", "rapier", "drake", "genesis")
+MORE_PRESETS = {"physx": ("isaac", "paper"), "newton": ("paper",), "genesis": ("paper",)}
 """Presets beside the default one, which is the empty text, and `out_of_box`."""
 
 PAPER_STEP = {"timestep_s": 1 / 180, "drive_interval_s": 1 / 180}

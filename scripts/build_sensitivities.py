@@ -20,7 +20,7 @@ from gauge_envs.references.sensitivities import sensitivities_text
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sensitivity import measure_sensitivities
 
-ENGINES = ("mujoco", "drake", "newton", "physx", "pybullet", "rapier")
+ENGINES = ("mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,11 +1,14 @@
-"""Draw the contact sheets of the README: first, middle and last frame of one variant of each family.
+"""Draw the contact sheets of the documentation: first, middle and last picture of each episode.
 
-Usage: python scripts/render_sheet.py rigid|deformable [OUT.png]
+python scripts/render_sheet.py rigid
+python scripts/render_sheet.py flinging --backend genesis --out docs/images/flinging_genesis.png
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import gymnasium
@@ -41,13 +44,21 @@ SHEETS = {
         "StickStack-soft": 4.0,
         "CantileverBeam-soft": 0.5,
     },
+    "flinging": {
+        "TextileFlinging-satin": 1.8,
+        "TextileFlinging-rayon": 1.8,
+        "TextileFlinging-uniform": 1.8,
+        "TextileFlinging-nylon": 1.8,
+        "TextileFlinging-oxford": 1.8,
+        "TextileFlinging-leather": 1.8,
+    },
 }
 """Variants, and the time of the last picture [s]."""
 
 
-def frames(name: str, seconds: float) -> list[np.ndarray]:
+def frames(name: str, seconds: float, backend: str) -> list[np.ndarray]:
     """Return the first, middle and last picture of the first seconds of an episode."""
-    env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=480, height=360)
+    env = gymnasium.make(f"GAUGE/{name}", backend=backend, render_mode="rgb_array", width=480, height=360)
     env.reset(seed=0)
     zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
     last = min(env.unwrapped.experiment.frame_count - 1, round(30 * seconds))
@@ -60,21 +71,26 @@ def frames(name: str, seconds: float) -> list[np.ndarray]:
     return pictures
 
 
-def main() -> None:
-    """Draw and write a sheet."""
-    sheet = sys.argv[1]
-    out = Path(sys.argv[2] if len(sys.argv) > 2 else f"docs/images/{sheet}.png")
-    rows = len(SHEETS[sheet]) // 2
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Draw and write a sheet; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sheet", choices=SHEETS)
+    parser.add_argument("--backend", default="mujoco", help="engine")
+    parser.add_argument("--out", type=Path, help="picture; default: docs/images/SHEET.png")
+    options = parser.parse_args(arguments)
+    episodes = SHEETS[options.sheet]
+    rows = len(episodes) // 2
     figure, axes = plt.subplots(rows, 6, figsize=(12, 1.65 * rows), layout="constrained")
-    for index, (name, seconds) in enumerate(SHEETS[sheet].items()):
+    for index, (name, seconds) in enumerate(episodes.items()):
         row, column = divmod(index, 2)
-        for offset, picture in enumerate(frames(name, seconds)):
+        for offset, picture in enumerate(frames(name, seconds, options.backend)):
             axis = axes[row, 3 * column + offset]
             axis.imshow(picture)
             axis.set_axis_off()
         axes[row, 3 * column].set_title(name, loc="left", fontsize=9)
-    figure.savefig(out, dpi=80)
+    figure.savefig(options.out or Path("docs/images") / f"{options.sheet}.png", dpi=80)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
+from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.errors import GaugeError
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
-from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = ["DeclinedError", "DivergedError", "DriverPaths", "NotFiniteError", "Rollout", "record", "states_now"]
+__all__ = ["DeclinedError", "DivergedError", "NotFiniteError", "Rollout", "record", "states_now"]
 
 
 class DeclinedError(GaugeError):
@@ -104,27 +104,6 @@ class Rollout:
     def sample_at(self, time_s: float) -> int:
         """Return the index of the sample nearest to a time [s]."""
         return int(np.abs(self.times_s - time_s).argmin())
-
-
-class DriverPaths:
-    """Recorded motions of a scene's kinematic bodies, cut into intervals.
-
-    Args:
-        scene: The scene.
-        seconds: Time for which the scene will be driven [s].
-        interval_s: Length of an interval [s].
-    """
-
-    def __init__(self, scene: Scene, seconds: float, interval_s: float = SAMPLE_INTERVAL_S) -> None:
-        frame_count = 2 + math.ceil(seconds * FRAME_RATE_HZ)
-        self._interval_s = interval_s
-        self._paths = [DriverPath(driver, scene, frame_count, interval_s=interval_s) for driver in scene.drivers]
-
-    def advance(self, simulation: Simulation, index: int) -> None:
-        """Drive all kinematic bodies through an interval, counted from 0, and simulate it."""
-        for path in self._paths:
-            simulation.drive(path.body, *path.interval(index, np.zeros(path.motion_count)))
-        simulation.advance(self._interval_s)
 
 
 def record(

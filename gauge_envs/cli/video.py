@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide
+from gauge_envs.cli.arguments import Json, ParametersOption, Wide, parsed_parameters, parsed_settings
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     echo,
@@ -20,7 +20,10 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.errors import ParameterError, VideoError
 
-__all__ = ["video_app", "video_list", "video_report", "video_score"]
+if TYPE_CHECKING:
+    from gauge_envs.video import Track
+
+__all__ = ["video_app", "video_list", "video_render", "video_report", "video_score"]
 
 video_app = typer.Typer(help="Videos of world models, judged by the laws of motion.", no_args_is_help=True)
 
@@ -47,6 +50,15 @@ def video_score(
     size: Annotated[
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures of a track [px], as 832x480.")
     ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="TOML file with the view of the plane of the motion.")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,SIZE", help="With --camera: centre and size of the object in the first picture [px]."
+        ),
+    ] = None,
     overlay: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
     ] = None,
@@ -57,30 +69,36 @@ def video_score(
     Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.report.videos import score_view
-    from gauge_envs.video import Grade, read_track, score_track, video_task
+    from gauge_envs.video import Grade, score_track, video_task
     from gauge_envs.video.frames import FileFrames
     from gauge_envs.video.overlay import save_overlay
+    from gauge_envs.video.plane import read_plane_view
     from gauge_envs.video.tracker import track_object
 
     chosen = video_task(task)
-    if is_track and fps is None:
-        raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
-    if is_track and overlay is not None:
-        raise ParameterError("--overlay needs the video, and --track gives a track alone: leave out one of the two")
+    if overlay is not None and (is_track or camera is not None):
+        raise ParameterError(
+            "--overlay draws on a video that shows the first frame: leave out --track and --camera"
+        )
     if size is not None and not is_track:
         raise ParameterError("--size goes with --track; a video states its own size")
+    _check_view_options(camera, start, is_track=is_track)
+    view = None if camera is None else read_plane_view(camera)
     has_failed = False
     for path in videos:
         if is_track:
-            assert fps is not None
-            result = score_track(read_track(path, fps=fps, size_px=_size(size)), chosen, name=str(path))
+            track = _given_track(path, fps, size)
         else:
             source = FileFrames(path, fps=fps)
-            result = score_track(track_object(source, chosen), chosen, name=str(path))
-            if overlay is not None:
-                overlay.mkdir(parents=True, exist_ok=True)
-                written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
-                stderr_console().print(plain_text(str(written)), soft_wrap=True)
+            track = track_object(source, chosen if view is None else view.in_oblique_view(chosen, _start(start)))
+        scale_sigma = None
+        if view is not None:
+            track, scale_sigma = view.on_reference_grid(track, chosen), view.scale_sigma
+        result = score_track(track, chosen, name=str(path), scale_sigma=scale_sigma)
+        if overlay is not None:
+            overlay.mkdir(parents=True, exist_ok=True)
+            written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
+            stderr_console().print(plain_text(str(written)), soft_wrap=True)
         if json_lines:
             print_json_lines([result.to_dict()])
         else:
@@ -131,6 +149,36 @@ def video_report(
         raise typer.Exit(EXIT_FAILED)
 
 
+@video_app.command("render")
+def video_render(
+    task: Annotated[str, typer.Argument(metavar="TASK", help="Task, as SlopeSlider-2-wood; see gauge video list.")],
+    out: Annotated[Path, typer.Option(help="Video to write, MP4; its exact track goes beside it.")],
+    backend: Annotated[str, typer.Option(help="Engine.")] = "mujoco",
+    parameters: ParametersOption = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", help="Numerical setting of the engine, as timestep_s=0.0005.")
+    ] = None,
+    fps: Annotated[float, typer.Option(help="Frames per second; divides 180.")] = 30.0,
+    seconds: Annotated[
+        float | None, typer.Option(help="Time after the release [s]; default: the experiment, at most 8 s.")
+    ] = None,
+) -> None:
+    """Film an episode of an engine as the first frame of its task is seen, so that gauge video score can judge it."""
+    from gauge_envs.video.render import film
+
+    filmed = film(
+        task,
+        backend=backend,
+        parameters=parsed_parameters(parameters) or "calibrated",
+        settings=parsed_settings(changes or []),
+        fps=fps,
+        seconds=seconds,
+    )
+    track = filmed.save(out)
+    echo(out)
+    echo(track)
+
+
 def _size(text: str | None) -> tuple[int, int]:
     """Return width and height of `832x480`; the reference grid when nothing is stated."""
     from gauge_envs.video.tasks import REFERENCE_SIZE_PX
@@ -141,3 +189,31 @@ def _size(text: str | None) -> tuple[int, int]:
     if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
         raise ParameterError(f"--size {text!r}: give width and height in pixels, as 832x480")
     return int(parts[0]), int(parts[1])
+
+
+def _check_view_options(camera: Path | None, start: str | None, *, is_track: bool) -> None:
+    """Raise a ParameterError unless the options of an oblique view go together."""
+    if camera is not None and not is_track and start is None:
+        raise ParameterError("--camera: say where the object is at first, as --start 438,180,52")
+    if start is not None and (camera is None or is_track):
+        raise ParameterError("--start goes with --camera and a video: leave it out")
+
+
+def _given_track(path: Path, fps: float | None, size: str | None) -> Track:
+    """Return the track of a file."""
+    from gauge_envs.video import read_track
+
+    if fps is None:
+        raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
+    return read_track(path, fps=fps, size_px=_size(size))
+
+
+def _start(text: str | None) -> tuple[float, float, float]:
+    """Return centre and size of `438,180,52`."""
+    try:
+        x, y, size = (float(part) for part in (text or "").split(","))
+    except ValueError:
+        raise ParameterError(f"--start {text!r}: give the centre and the size in pixels, as 438,180,52") from None
+    if not (x >= 0.0 and y >= 0.0 and size > 0.0):
+        raise ParameterError(f"--start {text!r}: the centre must be in the picture, and the size more than 0")
+    return x, y, size

@@ -26,6 +26,9 @@ NOISE_FACTOR = 5.0
 LEAST_AREA, MOST_AREA = 0.35, 4.0
 """Range of the area of a patch, against that of the object, in which it can be the object."""
 
+CUT = 0.95
+"""Share of its usual area below which a patch at the border of the picture is a part of the object."""
+
 GATE = 1.6
 """Distance from the predicted place in which the object is looked for, in its sizes."""
 
@@ -92,6 +95,7 @@ class PatchFollower:
         self._area_px = area_px
         self._motion = _Motion(place=centre_px.astype(float))
         self._colour: NDArray[np.float64] | None = None
+        self._areas: list[float] = []
 
     def see(self, picture: Picture) -> Sight:
         """Return where the object is in the next frame."""
@@ -121,12 +125,17 @@ class PatchFollower:
             self._motion.update(None)
             return Sight(changed_share=total)
         score, _, label, colour = max(near, key=lambda one: one[0])
+        if self._is_cut(stats[label], mask.shape):
+            # The centre of the part that is left is not that of the object.
+            self._motion.update(None)
+            return Sight(changed_share=total)
         weights = np.where(labels == label, difference, 0.0)
         ys, xs = np.nonzero(weights)
         place = np.array([np.average(xs), np.average(ys)])
         self._motion.update(place)
         self._colour = colour if self._colour is None else 0.9 * self._colour + 0.1 * colour
         area = float(stats[label, cv2.CC_STAT_AREA])
+        self._areas.append(area)
         twins = sum(
             1
             for other in scored
@@ -142,6 +151,12 @@ class PatchFollower:
             twins=twins,
             changed_share=total - area / mask.size,
         )
+
+    def _is_cut(self, box: NDArray[np.int32], shape: tuple[int, ...]) -> bool:
+        """Return whether a patch at the border of the picture is smaller than the object was."""
+        left, top, width, height, area = (int(value) for value in box)
+        at_border = left == 0 or top == 0 or left + width == shape[1] or top + height == shape[0]
+        return at_border and bool(self._areas) and area < CUT * float(np.median(self._areas))
 
 
 def _mean_colour(

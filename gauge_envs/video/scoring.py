@@ -115,7 +115,9 @@ def score(
     return score_track(track_object(source, chosen), chosen, name=source.name)
 
 
-def score_track(track: Track, task: VideoTask, *, name: str = "track", seed: int = 0) -> VideoScore:
+def score_track(
+    track: Track, task: VideoTask, *, name: str = "track", seed: int = 0, scale_sigma: float | None = None
+) -> VideoScore:
     """Judge the motion of a track.
 
     Args:
@@ -123,6 +125,7 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track", seed: int
         task: The task.
         name: Name of the result.
         seed: Seed of the simulated tracks.
+        scale_sigma: Relative standard uncertainty of lengths; None for that of the task's first frame.
     """
     span = retained(track, task) if task.motion is not Motion.CRADLE else _all_found(track)
     metrics: Metrics = {}
@@ -138,7 +141,7 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track", seed: int
     if task.motion is Motion.PENDULUM and metrics:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
     rng = np.random.default_rng(seed)
-    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess)
+    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess, scale_sigma)
     return VideoScore(
         video=name,
         task=task.id,
@@ -247,10 +250,12 @@ def _intervals(
     rng: np.random.Generator,
     nominal: Metrics,
     guess: tuple[float, float] | None,
+    scale_sigma: float | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise = noise_px(track, span)
-    scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
+    if scale_sigma is None:
+        scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
     for _ in range(count):

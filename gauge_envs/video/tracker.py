@@ -21,6 +21,9 @@ __all__ = ["track_object"]
 PLATE_RADIUS_PX = 235.0
 """Radius of the turntable in the first frames [px], with its rim."""
 
+CRADLE_BALLS = 5
+"""Balls of the cradle."""
+
 LEAST_TWIN_FRAMES = 3
 """Fewest frames with a second object of the same size and colour that are no accident of a mask."""
 
@@ -100,9 +103,21 @@ def _surroundings(centre: NDArray[np.float64], size_px: float) -> Region:
 
 
 def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
-    """Return where the picture changes on purpose: around the object's first place, and the plate of a turntable."""
+    """Return where the picture changes on purpose.
+
+    That is around the object's first place, on the plate of a turntable, and where the balls of a cradle swing.
+    """
     width, height = REFERENCE_SIZE_PX
     rows, columns = np.mgrid[0:height, 0:width]
+    if task.motion is Motion.CRADLE:
+        assert task.pivot_px is not None and task.rest_px is not None
+        x, y = task.pivot_px
+        # The incoming ball hangs as many diameters to the left as there are balls before the last one.
+        first_x = x - (CRADLE_BALLS - 1) * task.size_px
+        reach = task.rest_px[1] - y + task.size_px
+        away = np.hypot(columns - np.clip(columns, first_x, x), rows - y)
+        swept: NDArray[np.bool_] = (away < reach) & (rows > y - task.size_px)
+        return swept
     centre, radius = np.array(task.centre_px), 1.2 * task.size_px
     if task.motion is Motion.TURN:
         assert task.pivot_px is not None

@@ -14,7 +14,8 @@ from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.model import Measurement, Tolerance
 from gauge_envs.checks.conformance.registry import check
 from gauge_envs.checks.conformance.scene_parts import ball, body, box, fixed_box, ground, strip_on_rod
-from gauge_envs.checks.rollout import DeclinedError, DriverPaths, states_now
+from gauge_envs.checks.rollout import DeclinedError, states_now
+from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, Contact, Cylinder, Hinge, Pose, Scene
 

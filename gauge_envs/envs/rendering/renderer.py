@@ -5,19 +5,21 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from ctypes.util import find_library
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.model import add_geoms
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import RenderError
 from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, Rope, Scene, SoftBody
 
-__all__ = ["SceneRenderer"]
+__all__ = ["FlatView", "SceneRenderer"]
 
 COLORS = {
     Motion.DYNAMIC: (0.90, 0.52, 0.17, 1.0),
@@ -31,6 +33,10 @@ AZIMUTH_DEG = 125.0
 FIELD_OF_VIEW_DEG = 40.0
 FLOOR_IN_VIEW_M = 0.6
 """Largest distance of the floor below all bodies at which the picture shows it [m]."""
+
+BACKDROP_M = 2.0
+"""Distance of the backdrop and of the camera of a parallel projection from the middle of the scene [m]."""
+BACKDROP_TEXELS = 512
 
 DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
@@ -60,6 +66,32 @@ def _graphics_context(width: int, height: int) -> Any:
     return context
 
 
+@dataclass(frozen=True, kw_only=True)
+class FlatView:
+    """Parallel projection of a scene, before a still backdrop: lengths in the picture do not depend on the depth.
+
+    Attributes:
+        centre_m: World point in the middle of the picture [m], shape [3].
+        right: Unit vector to the right of the picture, shape [3].
+        down: Unit vector down the picture, shape [3].
+        scale_m_per_px: Size of a pixel [m].
+        colors: Colour of bodies by name, red, green, blue and opacity from 0 to 1; others have their usual colour.
+        grain: Names of bodies with a grain on their surface.
+    """
+
+    centre_m: NDArray[np.float64]
+    right: NDArray[np.float64]
+    down: NDArray[np.float64]
+    scale_m_per_px: float
+    colors: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    grain: frozenset[str] = frozenset()
+
+    @property
+    def forward(self) -> NDArray[np.float64]:
+        """Unit vector into the picture, shape [3]."""
+        return np.cross(self.right, self.down)
+
+
 class SceneRenderer:
     """Renderer of a scene from poses and nodes, without physics.
 
@@ -68,12 +100,21 @@ class SceneRenderer:
         rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
         width: Picture width [pixels].
         height: Picture height [pixels].
+        view: Parallel projection; None for a camera that sees the whole experiment.
 
     Raises:
         RenderError: The machine has no OpenGL library; the message names the packages.
     """
 
-    def __init__(self, scene: Scene, rest_nodes_m: Mapping[str, NDArray[np.float64]], width: int, height: int) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        rest_nodes_m: Mapping[str, NDArray[np.float64]],
+        width: int,
+        height: int,
+        *,
+        view: FlatView | None = None,
+    ) -> None:
         self._context = _graphics_context(width, height)
         self._scene = scene
         self._viewport = mujoco.MjrRect(0, 0, width, height)
@@ -81,13 +122,16 @@ class SceneRenderer:
             Skin(body, rest_nodes_m[body.name]) for body in scene.deformables if isinstance(body, Cloth | SoftBody)
         ]
         self._lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
-        self._model = _visual_model(scene, self._skins, width, height)
+        self._view = view
+        self._model = _visual_model(scene, self._skins, width, height, view)
         self._data = mujoco.MjData(self._model)
         self._mocap_ids = {body.name: int(self._model.body(body.name).mocapid[0]) for body in scene.bodies}
         self._option = mujoco.MjvOption()
         segments = sum(len(rest_nodes_m[line.name]) for line in self._lines)
         self._drawing = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + len(scene.joints) + segments + 100)
         self._drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        if view is not None:
+            self._drawing.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0
         self._camera = _camera(scene)
         self._device = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
@@ -122,10 +166,26 @@ class SceneRenderer:
         for line in self._lines:
             for start, end in pairwise(nodes_m[line.name]):
                 self._draw_segment(start, end, line.radius_m, COLORS[Motion.DYNAMIC])
+        if self._view is not None:
+            self._look_along(self._view)
         pixels = np.empty((self._viewport.height, self._viewport.width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._viewport, self._drawing, self._device)
         mujoco.mjr_readPixels(pixels, None, self._viewport, self._device)
         return np.ascontiguousarray(pixels[::-1])
+
+    def _look_along(self, view: FlatView) -> None:
+        """Replace the camera of the drawing by a parallel projection."""
+        for camera in self._drawing.camera:
+            camera.pos[:] = view.centre_m - BACKDROP_M * view.forward
+            camera.forward[:] = view.forward
+            camera.up[:] = -view.down
+            camera.orthographic = 1
+            camera.frustum_center = 0.0
+            camera.frustum_width = 0.5 * self._viewport.width * view.scale_m_per_px
+            camera.frustum_top = 0.5 * self._viewport.height * view.scale_m_per_px
+            camera.frustum_bottom = -camera.frustum_top
+            camera.frustum_near = 0.01 * BACKDROP_M
+            camera.frustum_far = 3.0 * BACKDROP_M
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -143,15 +203,18 @@ class SceneRenderer:
         self._drawing.ngeom += 1
 
 
-def _visual_model(scene: Scene, skins: Sequence[Skin], width: int, height: int) -> mujoco.MjModel:
+def _visual_model(
+    scene: Scene, skins: Sequence[Skin], width: int, height: int, view: FlatView | None
+) -> mujoco.MjModel:
     """Return a model of shapes without physics: every body is a mocap body."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth = width
     spec.visual.global_.offheight = height
     spec.visual.global_.fovy = FIELD_OF_VIEW_DEG
-    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
-    spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
-    spec.visual.headlight.specular = [0.1, 0.1, 0.1]
+    # A parallel projection has even light, so that a colour does not depend on where a body is.
+    spec.visual.headlight.ambient = [0.45 if view is None else 0.9] * 3
+    spec.visual.headlight.diffuse = [0.45 if view is None else 0.1] * 3
+    spec.visual.headlight.specular = [0.1 if view is None else 0.0] * 3
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -174,7 +237,9 @@ def _visual_model(scene: Scene, skins: Sequence[Skin], width: int, height: int) 
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "table"
     # One checker square is 25 mm, the hole pitch of the real optical table.
     spec.add_material(name="table", textures=textures, texrepeat=[40, 40], texuniform=True, reflectance=0.0)
-    spec.worldbody.add_light(pos=[0.0, -1.0, 2.5], dir=[0.2, 0.5, -1.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    if view is None:
+        direction = [0.2, 0.5, -1.0]
+        spec.worldbody.add_light(pos=[0.0, -1.0, 2.5], dir=direction, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     for body in scene.bodies:
         frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
         for geom in add_geoms(spec, frame, body.name, body.shape):
@@ -183,12 +248,43 @@ def _visual_model(scene: Scene, skins: Sequence[Skin], width: int, height: int) 
                 geom.size = [0.0, 0.0, 0.05]
             else:
                 geom.rgba = COLORS[body.motion]
+            if view is not None and body.name in view.colors:
+                geom.rgba = view.colors[body.name]
+            if view is not None and body.name in view.grain:
+                geom.material = "grain"
+    if view is not None:
+        _add_backdrop(spec, view, width, height)
     for skin in skins:
         skin.add(spec, COLORS[Motion.DYNAMIC])
     model = spec.compile()
     for skin in skins:
         skin.place(model)
     return model
+
+
+def _add_backdrop(spec: mujoco.MjSpec, view: FlatView, width: int, height: int) -> None:
+    """Add a still plane with spots behind the scene, which fills the picture, and the material of grained bodies."""
+    for name, kind, brightness, contrast, blur in (
+        ("backdrop", mujoco.mjtTexture.mjTEXTURE_2D, 205.0, 14.0, 3),
+        ("grain", mujoco.mjtTexture.mjTEXTURE_2D, 205.0, 30.0, 2),
+    ):
+        spots = np.random.default_rng(0).normal(size=(BACKDROP_TEXELS, BACKDROP_TEXELS))
+        spectrum = np.fft.rfft2(spots)
+        cycles = np.hypot(np.fft.fftfreq(BACKDROP_TEXELS)[:, None], np.fft.rfftfreq(BACKDROP_TEXELS)[None, :])
+        smooth = np.fft.irfft2(spectrum * np.exp(-0.5 * (2.0 * np.pi * cycles * blur) ** 2))
+        grey = np.clip(brightness + contrast * smooth / smooth.std(), 0.0, 255.0).astype(np.uint8)
+        texture = spec.add_texture(name=name, type=kind, width=BACKDROP_TEXELS, height=BACKDROP_TEXELS, nchannel=3)
+        texture.data = np.repeat(grey[:, :, None], 3, axis=2).tobytes()
+        textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
+        textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+        spec.add_material(name=name, textures=textures, texrepeat=[1, 1], specular=0.0, reflectance=0.0)
+    plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, name="backdrop")
+    half = 0.55 * view.scale_m_per_px * np.array([width, height])
+    plane.size = [*half, 1.0]
+    plane.material = "backdrop"
+    plane.pos = view.centre_m + BACKDROP_M * view.forward
+    axes = np.column_stack([view.right, -view.down, -view.forward])
+    plane.quat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
 
 
 def _camera(scene: Scene) -> mujoco.MjvCamera:
