@@ -50,6 +50,10 @@ def video_score(
     overlay: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
     ] = None,
+    first_frame: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Picture that the model was given, to register the videos by it."),
+    ] = None,
     json_lines: Json = False,
 ) -> None:
     """Track the object in videos, fit the law of the task, and report its metrics with intervals.
@@ -67,6 +71,10 @@ def video_score(
         raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
     if is_track and overlay is not None:
         raise ParameterError("--overlay needs the video, and --track gives a track alone: leave out one of the two")
+    if is_track and first_frame is not None:
+        raise ParameterError(
+            "--first-frame registers a video, and --track gives a track alone: leave out one of the two"
+        )
     if size is not None and not is_track:
         raise ParameterError("--size goes with --track; a video states its own size")
     has_failed = False
@@ -76,7 +84,7 @@ def video_score(
             result = score_track(read_track(path, fps=fps, size_px=_size(size)), chosen, name=str(path))
         else:
             source = FileFrames(path, fps=fps)
-            result = score_track(track_object(source, chosen), chosen, name=str(path))
+            result = score_track(track_object(source, chosen, first_frame=first_frame), chosen, name=str(path))
             if overlay is not None:
                 overlay.mkdir(parents=True, exist_ok=True)
                 written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
@@ -94,6 +102,9 @@ def video_score(
 def video_report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with videos MODEL/TASK.mp4.")],
     out: Annotated[Path, typer.Option(help="Folder for the page and for results.json.")] = Path("video_report"),
+    first_frames: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder with the pictures that the models were given, TASK.png.")
+    ] = None,
 ) -> None:
     """Score the videos of many models, and write a page with a table and pictures of what was followed.
 
@@ -113,7 +124,8 @@ def video_report(
         for model, task, file in videos:
             progress.update(bar, description=f"{model}: {task}")
             try:
-                track = track_object(FileFrames(file), video_task(task))
+                first_frame = None if first_frames is None else first_frames / f"{task}.png"
+                track = track_object(FileFrames(file), video_task(task), first_frame=first_frame)
                 results[model, task] = score_track(track, video_task(task), name=f"{model}/{file.name}")
                 files[model, task] = file
             except VideoError as error:
