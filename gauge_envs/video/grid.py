@@ -32,7 +32,7 @@ class Registration:
         offset_x_px: Place of the left edge of the video on the grid [px].
         offset_y_px: Place of the top edge of the video on the grid [px].
         method: `stretch`: width and height are scaled each on its own; `crop` and `pad`: both by one factor, about the
-            middle; `first frame`: points of the given first frame were found again.
+            middle; `first frame`: freely, by the points of the given first frame.
         inliers: Points of the outline, or of the first frame, that agree.
         support: Share of the points that agree, 1.
         problem: Why the registration is doubtful; empty when it is not.

@@ -45,6 +45,9 @@ LEAST_INLIERS = 12
 LEAST_INLIER_SHARE = 0.4
 """Smallest share of the matched points that must agree."""
 
+SIMPLE_PX = 0.1
+"""Additional scatter of the points with which a simple scaling is as good as a free fit [px]."""
+
 LEAST_CONTRAST = 0.01
 """Smallest contrast of a point, 1: generated first frames are smoother than photographs."""
 
@@ -118,7 +121,7 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
     if count < LEAST_INLIERS or share < LEAST_INLIER_SHARE:
         text = f"only {count} of {len(good)} points of the given first frame are found again in the video"
         return replace(plain, inliers=count, support=share, problem=text)
-    return Registration(
+    free = Registration(
         scale_x=float(scale[0]),
         scale_y=float(scale[1]),
         offset_x_px=float(offset[0]),
@@ -127,6 +130,15 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
         inliers=count,
         support=share,
     )
+
+    def scatter_px(one: Registration) -> float:
+        places = seen[agree] * (one.scale_x, one.scale_y) + (one.offset_x_px, one.offset_y_px)
+        return float(np.sqrt(((places - wanted[agree]) ** 2).sum(axis=1).mean()))
+
+    # A simple way of scaling that fits the points as well is exact; a free fit has their scatter.
+    best = min(_candidates((picture.shape[1], picture.shape[0])), key=scatter_px)
+    is_simple = scatter_px(best) <= scatter_px(free) + SIMPLE_PX
+    return replace(best, inliers=count, support=share) if is_simple else free
 
 
 def stretched_picture(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -170,10 +182,11 @@ class _Scene:
         places = self.points[:, None, :] + distances[None, :, None] * self.normals[:, None, :]
         native = (places - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)
         inside = ((self.points - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)) / self._size
-        is_seen = ((inside > 0.0) & (inside < 1.0)).all(axis=1)
+        is_seen = np.asarray(((inside > 0.0) & (inside < 1.0)).all(axis=1))
         maps = (native * self._shrinkage - 0.5).astype(np.float32)
         values = cv2.remap(self._light, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return distances[1:-1], np.abs(values[:, 2:] - values[:, :-2]).astype(float), is_seen
+        strength = np.abs(values[:, 2:] - values[:, :-2]).astype(float)
+        return distances[1:-1], strength, is_seen
 
     def _move(self, one: Registration) -> NDArray[np.float64]:
         """Return the motion of the outline's points that brings it to the edges [px]: a shift and a factor per axis."""
