@@ -62,6 +62,10 @@ def video_score(
     overlay: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
     ] = None,
+    first_frame: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Picture that the model was given, to register the videos by it."),
+    ] = None,
     json_lines: Json = False,
 ) -> None:
     """Track the object in videos, fit the law of the task, and report its metrics with intervals.
@@ -76,13 +80,11 @@ def video_score(
     from gauge_envs.video.tracker import track_object
 
     chosen = video_task(task)
-    if overlay is not None and (is_track or camera is not None):
+    if (overlay or first_frame) and (is_track or camera):
         raise ParameterError(
-            "--overlay draws on a video that shows the first frame: leave out --track and --camera"
+            "--overlay and --first-frame go with a video that shows the first frame: leave out --track and --camera"
         )
-    if size is not None and not is_track:
-        raise ParameterError("--size goes with --track; a video states its own size")
-    _check_view_options(camera, start, is_track=is_track)
+    _check_view_options(camera, start, size, is_track=is_track)
     view = None if camera is None else read_plane_view(camera)
     has_failed = False
     for path in videos:
@@ -90,7 +92,10 @@ def video_score(
             track = _given_track(path, fps, size)
         else:
             source = FileFrames(path, fps=fps)
-            track = track_object(source, chosen if view is None else view.in_oblique_view(chosen, _start(start)))
+            if view is None:
+                track = track_object(source, chosen, first_frame=first_frame)
+            else:
+                track = track_object(source, view.in_oblique_view(chosen, _start(start)), is_registered=False)
         scale_sigma = None
         if view is not None:
             track, scale_sigma = view.on_reference_grid(track, chosen), view.scale_sigma
@@ -112,6 +117,9 @@ def video_score(
 def video_report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with videos MODEL/TASK.mp4.")],
     out: Annotated[Path, typer.Option(help="Folder for the page and for results.json.")] = Path("video_report"),
+    first_frames: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder with the pictures that the models were given, TASK.png.")
+    ] = None,
 ) -> None:
     """Score the videos of many models, and write a page with a table and pictures of what was followed.
 
@@ -131,7 +139,8 @@ def video_report(
         for model, task, file in videos:
             progress.update(bar, description=f"{model}: {task}")
             try:
-                track = track_object(FileFrames(file), video_task(task))
+                first_frame = None if first_frames is None else first_frames / f"{task}.png"
+                track = track_object(FileFrames(file), video_task(task), first_frame=first_frame)
                 results[model, task] = score_track(track, video_task(task), name=f"{model}/{file.name}")
                 files[model, task] = file
             except VideoError as error:
@@ -191,8 +200,10 @@ def _size(text: str | None) -> tuple[int, int]:
     return int(parts[0]), int(parts[1])
 
 
-def _check_view_options(camera: Path | None, start: str | None, *, is_track: bool) -> None:
-    """Raise a ParameterError unless the options of an oblique view go together."""
+def _check_view_options(camera: Path | None, start: str | None, size: str | None, *, is_track: bool) -> None:
+    """Raise a ParameterError unless the options of a view and of a track go together."""
+    if size is not None and not is_track:
+        raise ParameterError("--size goes with --track; a video states its own size")
     if camera is not None and not is_track and start is None:
         raise ParameterError("--camera: say where the object is at first, as --start 438,180,52")
     if start is not None and (camera is None or is_track):

@@ -11,7 +11,7 @@ import numpy as np
 
 from gauge_envs.errors import ResultFileError, VideoError
 from gauge_envs.report.videos import TITLES, short_text
-from gauge_envs.video import METRICS, VideoScore, video_task, video_tasks
+from gauge_envs.video import METRICS, Grade, VideoScore, video_task, video_tasks
 from gauge_envs.video.frames import FileFrames, opencv
 from gauge_envs.video.overlay import drawn_frames
 from gauge_envs.video.published import published_results
@@ -25,18 +25,29 @@ PICTURES = 6
 
 PICTURE_WIDTH_PX = 416
 
+LAYOUTS = {
+    "stretch": "width and height scaled each on its own",
+    "crop": "a crop of the first frame",
+    "pad": "the first frame with a border",
+    "first frame": "registered by points of the first frame",
+}
+"""How a video lies on the grid of the first frames, by the method of its registration."""
+
 STYLE = """
-:root { color-scheme: light dark; --line: #ccc; --quiet: #666; }
-@media (prefers-color-scheme: dark) { :root { --line: #444; --quiet: #aaa; }
-  body { background: #161616; color: #e8e8e8; } }
-body { font: 16px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; max-width: 76rem; margin: 1.5rem auto;
-  padding: 0 1rem; overflow-wrap: anywhere; }
+:root { color-scheme: light dark; --line: #ccc; --quiet: #666; --page: #fff; }
+@media (prefers-color-scheme: dark) { :root { --line: #444; --quiet: #aaa; --page: #161616; }
+  body { color: #e8e8e8; } }
+body { background: var(--page); font: 16px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
+  max-width: 76rem; margin: 1.5rem auto; padding: 0 1rem; overflow-wrap: anywhere; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 .scroll { overflow-x: auto; overflow-wrap: normal; white-space: nowrap; }
 table { border-collapse: collapse; } th, td { border-top: 1px solid var(--line);
   padding: .3rem .6rem; text-align: left; vertical-align: top; } td.n { font-variant-numeric: tabular-nums; }
 .quiet { color: var(--quiet); font-size: .9rem; } .invalid, .doubtful { color: var(--quiet); }
-.strip { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(13rem, 100%), 1fr)); gap: .3rem; }
+tr > :first-child { position: sticky; left: 0; background: var(--page); } th .quiet { font-weight: normal; }
+.strip { display: grid; grid-template-columns: repeat(6, 1fr); gap: .3rem; }
+@media (max-width: 60rem) { .strip { grid-template-columns: repeat(3, 1fr); } }
+@media (max-width: 30rem) { .strip { grid-template-columns: repeat(2, 1fr); } th, td { padding: .3rem; } }
 .strip img { width: 100%; height: auto; display: block; }
 """
 
@@ -91,7 +102,8 @@ def video_page(results: Mapping[tuple[str, str], VideoScore], files: Mapping[tup
         '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">',
         f"<title>Videos and the laws of motion</title><style>{STYLE}</style></head><body>",
         "<h1>Videos and the laws of motion</h1>",
-        "<p>Each value has the interval of 95 % of simulated tracks below it. Values of doubtful clips are grey.</p>",
+        "<p>Below each value: the interval of 95 % of simulated tracks, and the published value where the folder has "
+        "the name of a published model. Bold: nearest to the real value among the valid videos. Grey: doubtful.</p>",
         _table(models, rows, results),
         "<h2>Published models</h2>",
         '<p class="quiet">GAUGE, arXiv 2608.05948, Table 3. "negative" is with the negative prompt.</p>',
@@ -109,28 +121,53 @@ def video_page(results: Mapping[tuple[str, str], VideoScore], files: Mapping[tup
 def _table(
     models: Sequence[str], rows: Sequence[tuple[str, str]], results: Mapping[tuple[str, str], VideoScore]
 ) -> str:
+    published = published_results()
     head = "".join(f"<th>{escape(model)}</th>" for model in models)
     lines = []
     for task, name in rows:
-        cells = "".join(_cell(results.get((model, task)), name) for model in models)
-        real = short_text(video_task(task).real[name])
-        lines.append(f"<tr><td>{escape(task)}</td><td>{escape(TITLES[name])}</td><td class=n>{real}</td>{cells}</tr>")
-    body = "".join(lines)
-    return f'<div class="scroll"><table><tr><th>task</th><th>metric</th><th>real</th>{head}</tr>{body}</table></div>'
+        real = video_task(task).real[name]
+        valid = [one for model in models if (one := results.get((model, task))) and one.grade is Grade.VALID]
+        away = [abs(value - real) for one in valid if (value := one.metrics[name]) is not None]
+        cells = ""
+        for model in models:
+            known = published.get(model.replace("-", "_"), {})
+            cells += _cell(results.get((model, task)), name, known, real, min(away, default=-1.0))
+        lines.append(f"<tr>{_title(task, name, f'real {short_text(real)}')}{cells}</tr>")
+    return _scrolled(head, lines)
 
 
-def _cell(result: VideoScore | None, name: str) -> str:
+def _title(task: str, name: str, note: str = "") -> str:
+    """Return the first cell of a row, which stays in sight while the others scroll."""
+    below = "".join(f'<br><span class="quiet">{text}</span>' for text in (escape(TITLES[name]), note) if text)
+    return f"<th>{escape(task)}{below}</th>"
+
+
+def _scrolled(head: str, lines: Sequence[str]) -> str:
+    return f'<div class="scroll"><table><tr><th>task</th>{head}</tr>{"".join(lines)}</table></div>'
+
+
+def _cell(
+    result: VideoScore | None,
+    name: str,
+    published: Mapping[tuple[str, str], float | None],
+    real: float,
+    least_away: float,
+) -> str:
     if result is None:
         return "<td></td>"
+    grade = result.grade
     value, interval = result.metrics[name], result.uncertainty[name]
-    if value is None:
-        return f'<td class="{result.grade.value}">{result.grade.value}</td>'
-    span = (
-        ""
-        if interval is None
-        else f'<br><span class="quiet">{short_text(interval[0])} to {short_text(interval[1])}</span>'
-    )
-    return f'<td class="n {result.grade.value}">{short_text(value)}{span}</td>'
+    notes = [] if interval is None else [f"{short_text(interval[0])} to {short_text(interval[1])}"]
+    if grade is not Grade.VALID and value is not None:
+        notes.append(grade.value)
+    if (result.task, name) in published:
+        known = published[result.task, name]
+        notes.append(f"published {'&ndash;' if known is None else short_text(known)}")
+    text = grade.value if value is None else short_text(value)
+    if value is not None and grade is Grade.VALID and abs(value - real) <= least_away:
+        text = f"<b>{text}</b>"
+    below = "".join(f'<br><span class="quiet">{note}</span>' for note in notes)
+    return f'<td class="n {grade.value}">{text}{below}</td>'
 
 
 def _published_table(rows: Sequence[tuple[str, str]]) -> str:
@@ -140,13 +177,15 @@ def _published_table(rows: Sequence[tuple[str, str]]) -> str:
     for task, name in rows:
         values = (known.get((task, name)) for known in published.values())
         cells = "".join(f"<td class=n>{'&ndash;' if value is None else short_text(value)}</td>" for value in values)
-        lines.append(f"<tr><td>{escape(task)}</td><td>{escape(TITLES[name])}</td>{cells}</tr>")
-    return f'<div class="scroll"><table><tr><th>task</th><th>metric</th>{head}</tr>{"".join(lines)}</table></div>'
+        lines.append(f"<tr>{_title(task, name)}{cells}</tr>")
+    return _scrolled(head, lines)
 
 
 def _clip(model: str, result: VideoScore, file: Path) -> str:
     span = result.interval_frames
     frames = "no frame is retained" if span is None else f"frames {span[0]} to {span[1]} are retained"
+    if result.track.registration is not None:
+        frames += f"; {LAYOUTS[result.track.registration.method]}"
     reasons = "".join(f"<li>{escape(reason)}</li>" for reason in result.reasons)
     return (
         f"<p><b>{escape(model)}</b>: {result.grade.value}; {frames}</p><ul>{reasons}</ul>"

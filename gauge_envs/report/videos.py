@@ -77,6 +77,8 @@ def score_view(result: VideoScore, real: Mapping[str, float]) -> Group:
     span = result.interval_frames
     frames = "no frame is retained" if span is None else f"frames {span[0]} to {span[1]} are retained"
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
+    if result.track.registration is not None:
+        scale += f"; registered by {result.track.registration.method}"
     parts: list[Any] = [Text(f"{result.video}: {result.grade.value} for {result.task}; {frames}; {scale}")]
     parts += [Text(f"  {reason}") for reason in result.reasons]
     if rows:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.video.frames import Frames, Picture, opencv
+from gauge_envs.video.frames import Picture, opencv
 from gauge_envs.video.tasks import REFERENCE_SIZE_PX
 
 __all__ = ["Background", "Region", "background", "brightness", "noise_level"]
@@ -56,15 +57,15 @@ class Background:
         cv2.accumulateWeighted(picture, self._picture, ADAPTATION, mask=(~moving).astype(np.uint8))
 
 
-def background(frames: Frames, frame_count: int, occupied: Region) -> tuple[Background, bool]:
+def background(pictures: Iterator[Picture], frame_count: int, occupied: Region) -> tuple[Background, bool]:
     """Return the background of a video, and whether the object ever leaves its first place.
 
     The first frame shows the scene; only the object hides a part of it. That part is the median of the frames in which
     the middle of it has changed.
 
     Args:
-        frames: The video.
-        frame_count: Number of its frames.
+        pictures: Pictures of the video.
+        frame_count: Their number.
         occupied: Part of the first frame that the object and its shadow may hide.
     """
     cv2 = opencv()
@@ -72,7 +73,7 @@ def background(frames: Frames, frame_count: int, occupied: Region) -> tuple[Back
     stride = max(1, frame_count // MOST_SAMPLED)
     first: Picture | None = None
     parts = []
-    for number, picture in enumerate(frames.pictures()):
+    for number, picture in enumerate(pictures):
         if first is None:
             first = picture.copy()
         elif number % stride == 0:

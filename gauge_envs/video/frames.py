@@ -9,22 +9,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import MissingExtraError, VideoError
+from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE
-from gauge_envs.video.tasks import REFERENCE_SIZE_PX
+from gauge_envs.video.grid import Picture, Registration, opencv, stretched
 
-__all__ = ["ArrayFrames", "FileFrames", "Frames", "Picture", "opencv"]
-
-Picture: TypeAlias = NDArray[np.uint8]
-"""A picture on the reference grid, blue, green and red, shape [480, 832, 3]."""
+__all__ = ["ArrayFrames", "FileFrames", "Frames", "Picture", "opencv", "read_picture"]
 
 MOST_BYTES = 2000 * MEGABYTE
 """Largest size of a video file."""
+
+MOST_PICTURE_BYTES = 64 * MEGABYTE
+"""Largest size of a picture file."""
 
 MOST_SIDE_PX = 8192
 """Largest width and height of a video [px]: 8K."""
@@ -46,15 +46,32 @@ class Frames(ABC):
         name: Name for messages.
         fps: Frames per second.
         size_px: Width and height of the video itself [px].
+        stated_count: Number of frames that a file states; 0 where it states none.
     """
 
     name: str
     fps: float
     size_px: tuple[int, int]
+    stated_count: int = 0
 
     @abstractmethod
-    def pictures(self) -> Iterator[Picture]:
-        """Yield all pictures on the reference grid."""
+    def native(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield all pictures in their own size: blue, green and red, shape [height, width, 3]."""
+
+    @property
+    def times_s(self) -> NDArray[np.float64] | None:
+        """Times at which a file shows its frames [s], shape [frame_count]; None when they follow from the rate."""
+        return None
+
+    def pictures(self, registration: Registration | None = None) -> Iterator[Picture]:
+        """Yield all pictures on the reference grid.
+
+        Args:
+            registration: How they lie on the grid; width and height are scaled each on its own if None.
+        """
+        chosen = registration or stretched(self.size_px)
+        for picture in self.native():
+            yield chosen.applied(picture)
 
     def _check(self) -> None:
         width, height = self.size_px
@@ -86,39 +103,63 @@ class FileFrames(Frames):
         if path.stat().st_size > MOST_BYTES:
             raise VideoError(f"{path}: it is larger than {MOST_BYTES // MEGABYTE} MB; cut the clip to the event")
         cv2 = opencv()
-        capture = cv2.VideoCapture(str(path))
+        capture = self._opened()
         try:
             if not capture.isOpened():
                 raise VideoError(f"{path}: OpenCV cannot decode it; give an MP4 or WebM video")
             stated = float(capture.get(cv2.CAP_PROP_FPS))
+            self.stated_count = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
             self.size_px = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
         finally:
             capture.release()
         self.fps = stated if fps is None else fps
+        self._has_own_times = fps is None
+        self._times_s: list[float] = []
         self._check()
 
-    def pictures(self) -> Iterator[Picture]:
-        """Yield all pictures on the reference grid.
+    @property
+    def times_s(self) -> NDArray[np.float64] | None:
+        """Times at which the file shows its frames [s], shape [frame_count], known once it has been read.
+
+        None when the rate was given instead.
+        """
+        return np.array(self._times_s) if self._has_own_times and self._times_s else None
+
+    def native(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield all pictures in their own size.
 
         Raises:
             VideoError: There are too many frames, or none can be decoded.
         """
         cv2 = opencv()
-        capture = cv2.VideoCapture(self.name)
-        count = 0
+        capture = self._opened()
+        times: list[float] = []
         try:
             while True:
                 is_read, picture = capture.read()
                 if not is_read:
                     break
-                count += 1
-                if count > MOST_FRAMES:
+                times.append(0.001 * capture.get(cv2.CAP_PROP_POS_MSEC))
+                if len(times) > MOST_FRAMES:
                     raise VideoError(f"{self.name}: it has more than {MOST_FRAMES} frames; cut the clip to the event")
-                yield _on_reference_grid(picture)
+                yield picture
         finally:
             capture.release()
-        if not count:
+        if not times:
             raise VideoError(f"{self.name}: no frame can be decoded; give an MP4 or WebM video")
+        self._times_s = times
+
+    def _opened(self) -> Any:
+        cv2 = opencv()
+        logging = cv2.utils.logging
+        level = logging.getLogLevel()
+        # The error of this package says more than the warnings of OpenCV.
+        logging.setLogLevel(logging.LOG_LEVEL_ERROR)
+        try:
+            # Each thread of the decoder holds pictures of its own, which are large.
+            return cv2.VideoCapture(self.name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+        finally:
+            logging.setLogLevel(level)
 
 
 class ArrayFrames(Frames):
@@ -149,31 +190,24 @@ class ArrayFrames(Frames):
         self.size_px = (first.shape[1], first.shape[0])
         self._check()
 
-    def pictures(self) -> Iterator[Picture]:
-        """Yield all pictures on the reference grid."""
+    def native(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield all pictures in their own size."""
         for frame in self._frames:
-            yield _on_reference_grid(np.asarray(frame)[:, :, ::-1])
+            yield np.ascontiguousarray(np.asarray(frame)[:, :, ::-1])
 
 
-def opencv() -> Any:
-    """Return OpenCV.
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """Return a picture from a file: blue, green and red, shape [height, width, 3].
 
     Raises:
-        MissingExtraError: It is not installed.
+        VideoError: It is missing, too large or no picture.
     """
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtraError("OpenCV", "video", error) from error
-    return cv2
-
-
-def _on_reference_grid(picture: NDArray[np.uint8]) -> Picture:
-    """Return a picture with its width and height scaled to the reference grid, each on its own."""
+    if not path.is_file():
+        raise VideoError(f"{path}: there is no such file")
+    if path.stat().st_size > MOST_PICTURE_BYTES:
+        raise VideoError(f"{path}: it is larger than {MOST_PICTURE_BYTES // MEGABYTE} MB; give the first frame as PNG")
     cv2 = opencv()
-    width, height = REFERENCE_SIZE_PX
-    if picture.shape[:2] == (height, width):
-        return np.ascontiguousarray(picture)
-    is_larger = picture.shape[1] >= width
-    method = cv2.INTER_AREA if is_larger else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(picture, (width, height), interpolation=method))
+    picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise VideoError(f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG")
+    return np.asarray(picture)

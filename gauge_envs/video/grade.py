@@ -50,7 +50,8 @@ def grade_of(
     if span is None:
         missing = _runs(track.frames[~track.is_found])
         seen = f"; it was not found in frames {missing}" if missing else ""
-        return Grade.INVALID, (f"the object does not move{seen}",)
+        causes = [one.text for one in track.events if one.kind in ("registration", "file")]
+        return Grade.INVALID, (f"the object does not move{seen}", *causes)
     rows = np.arange(span[0], span[1] + 1)
     fatal, doubts = _missing_reasons(track, rows, task)
     if problem:
@@ -69,9 +70,10 @@ def grade_of(
         doubts.append(f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}")
     inside = [one for one in track.events if one.first_frame <= track.frames[span[1]]]
     fatal += [one.text for one in inside if one.is_fatal]
-    doubts += [one.text for one in inside if not one.is_fatal]
+    doubts += [one.text for one in inside if not (one.is_fatal or one.is_note)]
+    notes = [one.text for one in inside if one.is_note]
     grade = Grade.INVALID if fatal else Grade.DOUBTFUL if doubts else Grade.VALID
-    return grade, (*fatal, *doubts)
+    return grade, (*fatal, *doubts, *notes)
 
 
 def _missing_reasons(track: Track, rows: NDArray[np.intp], task: VideoTask) -> tuple[list[str], list[str]]:

@@ -47,7 +47,7 @@ def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
 
 def drawn_frames(source: Frames, result: VideoScore) -> Iterator[Picture]:
     """Yield the frames of a video on the reference grid, with the track drawn into them."""
-    for number, picture in enumerate(source.pictures()):
+    for number, picture in enumerate(source.pictures(result.track.registration)):
         yield _drawn(picture, result, number, result.interval_frames)
 
 
@@ -55,20 +55,22 @@ def _drawn(picture: Picture, result: VideoScore, number: int, span: tuple[int, i
     cv2 = opencv()
     drawn = picture.copy()
     track = result.track
-    for frame, place in zip(track.frames[: number + 1], track.points_px[: number + 1], strict=False):
+    # A frame that repeats a picture shows the place of the one before.
+    row = max(0, int(np.searchsorted(track.frames, number, side="right")) - 1)
+    for frame, place in zip(track.frames[: row + 1], track.points_px[: row + 1], strict=True):
         if np.isfinite(place).all():
             counts = span is not None and span[0] <= frame <= span[1]
             cv2.circle(drawn, (round(place[0]), round(place[1])), 2, COUNTED if counts else DROPPED, -1)
-    if number < len(track.frames) and np.isfinite(track.points_px[number]).all():
-        x, y = track.points_px[number]
+    if np.isfinite(track.points_px[row]).all():
+        x, y = track.points_px[row]
         cv2.drawMarker(drawn, (round(x), round(y)), MARKED, cv2.MARKER_CROSS, 22, 2)
     values = [f"{name} {value:.3g}" for name, value in result.metrics.items() if value is not None]
     is_counted = span is not None and span[0] <= number <= span[1]
     state = "counted" if is_counted else "dropped"
-    confidence = track.confidence[number] if number < len(track.confidence) else 0.0
-    lines = [f"frame {number}, {state}, confidence {confidence:.2f}", f"{result.grade.value}: {', '.join(values)}"]
-    for row, text in enumerate(lines):
-        place = (10, drawn.shape[0] - 30 + 20 * row)
+    seen = f"frame {number}, {state}, confidence {track.confidence[row]:.2f}"
+    lines = [seen, f"{result.grade.value}: {', '.join(values)}"]
+    for line, text in enumerate(lines):
+        place = (10, drawn.shape[0] - 30 + 20 * line)
         cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
         cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
     return drawn

@@ -86,11 +86,16 @@ class VideoScore:
         """Return the result without the track, JSON-ready."""
         names = ("video", "task", "grade", "reasons", "metrics", "uncertainty", "interval_frames", "scale_m_per_px")
         values: dict[str, Any] = json_ready({name: getattr(self, name) for name in (*names, "details")})
-        return values
+        registration = self.track.registration
+        return {**values, "registration": None if registration is None else registration.to_dict()}
 
 
 def score(
-    frames: Path | str | Sequence[NDArray[np.uint8]] | NDArray[np.uint8], fps: float | None = None, task: str = ""
+    frames: Path | str | Sequence[NDArray[np.uint8]] | NDArray[np.uint8],
+    fps: float | None = None,
+    task: str = "",
+    *,
+    first_frame: Path | None = None,
 ) -> VideoScore:
     """Track the object of a task through a video, and judge its motion.
 
@@ -98,6 +103,7 @@ def score(
         frames: A video file, or pictures in red, green and blue of shape [height, width, 3] and type uint8.
         fps: Frames per second; those that the file states if None.
         task: Id of a task, such as `SlopeSlider-2-wood`; see `gauge_envs.video.video_tasks`.
+        first_frame: Picture file that the model was given, by which the video is registered.
 
     Raises:
         UnknownNameError: There is no such task.
@@ -112,7 +118,8 @@ def score(
         raise VideoError("frames: state fps, the frames per second")
     else:
         source = ArrayFrames(frames, fps=fps)
-    return score_track(track_object(source, chosen), chosen, name=source.name)
+    track = track_object(source, chosen, first_frame=first_frame)
+    return score_track(track, chosen, name=source.name)
 
 
 def score_track(

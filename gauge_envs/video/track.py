@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.video.grid import Registration
 from gauge_envs.video.tasks import REFERENCE_SIZE_PX
 
 __all__ = ["Event", "Track", "read_track"]
@@ -29,11 +30,12 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `duplicated`, `camera` or `scene`.
+        kind: `duplicated`, `camera`, `scene`, `registration`, `cadence` or `file`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
         is_fatal: Whether the clip cannot be judged with this event inside of the retained interval.
+        is_note: Whether it is stated without lowering the grade.
     """
 
     kind: str
@@ -41,6 +43,7 @@ class Event:
     last_frame: int
     text: str
     is_fatal: bool = False
+    is_note: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,8 @@ class Track:
         confidence: Confidence from 0 to 1, shape [frame_count]; 0 where it was not found.
         size_ratio: Apparent size divided by that in the first frame, shape [frame_count]; NaN where unknown.
         events: What happened in the video.
+        clock_s: Times of the frames [s], shape [frame_count]; None where they follow from the rate.
+        registration: How the video lies on the grid; None for a track from a file.
     """
 
     frames: NDArray[np.int64]
@@ -62,6 +67,8 @@ class Track:
     confidence: NDArray[np.float64]
     size_ratio: NDArray[np.float64]
     events: tuple[Event, ...] = ()
+    clock_s: NDArray[np.float64] | None = None
+    registration: Registration | None = None
 
     @property
     def is_found(self) -> NDArray[np.bool_]:
@@ -71,7 +78,7 @@ class Track:
     @property
     def times_s(self) -> NDArray[np.float64]:
         """Times of the frames [s], shape [frame_count]."""
-        times: NDArray[np.float64] = self.frames / self.fps
+        times: NDArray[np.float64] = self.frames / self.fps if self.clock_s is None else self.clock_s
         return times
 
 

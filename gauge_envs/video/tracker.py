@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -10,8 +12,11 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.video.background import Region, background
+from gauge_envs.video.cadence import Cadence, read_cadence
 from gauge_envs.video.follow import DiskFollower, FaceFollower, PatchFollower, Sight
-from gauge_envs.video.frames import LEAST_FRAMES, Frames, Picture
+from gauge_envs.video.frames import LEAST_FRAMES, Frames, Picture, read_picture
+from gauge_envs.video.grid import Registration, stretched
+from gauge_envs.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.video.scene_watch import SceneWatch
 from gauge_envs.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.video.track import Event, Track
@@ -24,6 +29,9 @@ PLATE_RADIUS_PX = 235.0
 CRADLE_BALLS = 5
 """Balls of the cradle."""
 
+LOST_SHARE = 0.02
+"""Share of the stated frames that a sound file may lack: some count one too many."""
+
 LEAST_TWIN_FRAMES = 3
 """Fewest frames with a second object of the same size and colour that are no accident of a mask."""
 
@@ -32,44 +40,76 @@ class _Follower(Protocol):
     def see(self, picture: Picture) -> Sight: ...
 
 
-def track_object(frames: Frames, task: VideoTask) -> Track:
+def track_object(
+    frames: Frames, task: VideoTask, *, first_frame: Path | None = None, is_registered: bool = True
+) -> Track:
     """Return the track of the object of a task.
 
     Args:
-        frames: The video; its first frame is the task's known one, in any resolution or aspect.
+        frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
         task: The task.
+        first_frame: Picture that the model was given, on the whole grid; the video is registered by its points.
+        is_registered: Look for the task's first frame in the video. False for another view, of which `task` says where
+            the object starts.
 
     Raises:
-        VideoError: The video has too few frames, or cannot be decoded.
+        VideoError: The video has too few frames, or cannot be decoded, or the picture cannot be read.
     """
-    first: Picture | None = None
-    count = 0
-    for picture in frames.pictures():
-        first = picture.copy() if first is None else first
-        count += 1
-    if first is None or count < LEAST_FRAMES:
-        raise VideoError(f"{frames.name}: it has {count} frames; a motion needs at least {LEAST_FRAMES}")
-    follower = _follower(frames, count, first, task)
+    cadence = read_cadence(frames)
+    count = int(cadence.is_new.sum())
+    if count < LEAST_FRAMES:
+        lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
+        raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
+    registration = _registration(frames, task, first_frame) if is_registered else stretched(frames.size_px)
+
+    def pictures() -> Iterator[Picture]:
+        for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
+            if is_new:
+                yield registration.applied(picture)
+
+    first = next(pictures())
+    follower = _follower(pictures, count, first, task)
     watch = SceneWatch(first, _moving_part(task))
     sights = []
-    for picture in frames.pictures():
+    for picture in pictures():
         sights.append(follower.see(picture))
         watch.look(picture)
+    numbers = np.flatnonzero(cadence.is_new)
+    last = int(numbers[-1])
+    notes = [Event(kind="cadence", first_frame=0, last_frame=last, text=cadence.text, is_note=True)]
+    doubts = [Event(kind="registration", first_frame=0, last_frame=last, text=registration.problem)]
+    if _is_cut(frames, cadence):
+        text = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
+        doubts.append(Event(kind="file", first_frame=0, last_frame=last, text=text))
     return Track(
-        frames=np.arange(len(sights)),
-        fps=frames.fps,
+        frames=numbers,
+        fps=cadence.fps,
         points_px=np.array([(s.x_px, s.y_px) for s in sights]),
         confidence=np.array([s.confidence for s in sights]),
         size_ratio=np.array([s.size_ratio for s in sights]),
-        events=(*watch.events(), *_twin_events(sights)),
+        events=(*(one for one in (*doubts, *notes) if one.text), *watch.events(), *_twin_events(sights)),
+        clock_s=cadence.times_s,
+        registration=registration,
     )
 
 
-def _follower(frames: Frames, count: int, first: Picture, task: VideoTask) -> _Follower:
+def _is_cut(frames: Frames, cadence: Cadence) -> bool:
+    """Return whether a file holds fewer frames than it states."""
+    return frames.stated_count > len(cadence.is_new) * (1.0 + LOST_SHARE)
+
+
+def _registration(frames: Frames, task: VideoTask, first_frame: Path | None) -> Registration:
+    picture = next(frames.native())
+    if first_frame is None:
+        return registration_by_outline(picture, task)
+    return registration_by_first_frame(picture, read_picture(first_frame))
+
+
+def _follower(pictures: Callable[[], Iterator[Picture]], count: int, first: Picture, task: VideoTask) -> _Follower:
     centre = np.array(task.centre_px)
     if task.motion is Motion.TURN:
         return FaceFollower(first, centre_px=centre, size_px=task.size_px)
-    scene, _ = background(frames, count, _surroundings(centre, task.size_px))
+    scene, _ = background(pictures(), count, _surroundings(centre, task.size_px))
     if task.motion in (Motion.SLIDE, Motion.FALL):
         is_cube = task.motion is Motion.SLIDE
         area = task.size_px**2 * (1.08 if is_cube else math.pi / 4.0)

@@ -171,6 +171,7 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
     line = json.loads(outcome.stdout)
     assert set(line) == {
         "video", "task", "grade", "reasons", "metrics", "uncertainty", "interval_frames", "scale_m_per_px", "details",
+        "registration",
     }  # fmt: skip
     assert line["grade"] == "valid"
     assert is_close("a_m_s2", line["metrics"]["a_m_s2"], one.truth["a_m_s2"])
