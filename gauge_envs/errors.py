@@ -71,7 +71,10 @@ class BackendError(GaugeError, RuntimeError):
 
 
 class DatasetError(GaugeError, OSError):
-    """The dataset of real trials cannot be downloaded, read or stored; the message names the place and the cause."""
+    """Files of the benchmark cannot be downloaded, read or stored; the message names the place and the cause.
+
+    They are the dataset of real trials, and the inputs of the world-model track.
+    """
 
 
 class EpisodeError(GaugeError, RuntimeError):

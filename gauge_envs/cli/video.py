@@ -10,6 +10,7 @@ import typer
 from gauge_envs.cli.arguments import Json, ParametersOption, Wide, parsed_parameters, parsed_settings
 from gauge_envs.cli.output import (
     EXIT_FAILED,
+    counted,
     echo,
     plain_text,
     print_json_lines,
@@ -23,7 +24,7 @@ from gauge_envs.errors import ParameterError, VideoError
 if TYPE_CHECKING:
     from gauge_envs.video import Track
 
-__all__ = ["video_app", "video_list", "video_render", "video_report", "video_score"]
+__all__ = ["video_app", "video_list", "video_prompts", "video_render", "video_report", "video_score"]
 
 video_app = typer.Typer(help="Videos of world models, judged by the laws of motion.", no_args_is_help=True)
 
@@ -35,6 +36,31 @@ def video_list(json_lines: Json = False, wide: Wide = False) -> None:
     from gauge_envs.video import video_tasks
 
     print_table(task_table(task_rows(video_tasks())), json_lines=json_lines, wide=wide)
+
+
+@video_app.command("prompts")
+def video_prompts(
+    out: Annotated[Path, typer.Option(help="Folder for TASK.png, TASK.txt and a note.")] = Path("world_model_inputs"),
+    source: Annotated[
+        str | None,
+        typer.Option(metavar="URL|DIR", help="Copy of the benchmark's repository; by default its address on GitHub."),
+    ] = None,
+) -> None:
+    """Fetch the first frame and the prompt of each task from the benchmark's repository (3 MB).
+
+    Files that are there are checked and kept, so that the same command continues after an error.
+    """
+    from gauge_envs.video.prompts import SOURCE, fetch_inputs, input_files
+
+    with progress_bar(stderr_console()) as progress:
+        bar = progress.add_task("inputs", total=len(input_files()))
+
+        def advance(name: str) -> None:
+            progress.update(bar, advance=1, description=name)
+
+        written = fetch_inputs(out, source=source or SOURCE, advance=advance)
+    echo(out)
+    stderr_console().print(f"{counted(len(written), 'file')} written, {len(input_files()) + 1 - len(written)} kept")
 
 
 @video_app.command("score")
