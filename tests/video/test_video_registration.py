@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,9 @@ LAYOUTS = {
 }
 
 
+@cache
 def first_picture(task: str, seed: int = 1) -> NDArray[np.uint8]:
-    frame = clip(task, np.random.default_rng(seed), fps=6.0).frames[0]
+    frame = clip(task, np.random.default_rng(seed), fps=5.0).frames[0]
     return np.ascontiguousarray(frame[:, :, ::-1])
 
 

@@ -86,7 +86,8 @@ def test_a_film_on_disk_comes_with_its_exact_track(tmp_path: Path) -> None:
 def changes(task: str, rng: np.random.Generator) -> Mapping[str, float]:
     """Return random constants of a task."""
     if task.startswith("SlopeSlider"):
-        return {"cube.friction": float(rng.uniform(0.1, 0.45))}
+        # Below, the cube leaves the board in time; above, it chatters in MuJoCo and is too fast by up to 5 %.
+        return {"cube.friction": float(rng.uniform(0.2, 0.4))}
     if task.startswith("BouncingBall"):
         return {"ball.restitution": float(rng.uniform(0.3, 0.9)), "ball.mass_kg": float(rng.uniform(0.05, 0.3))}
     if task.startswith("Newtons"):

@@ -182,18 +182,19 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
 
 def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> None:
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
-    for model in ("fast", "slow"):
+    for model in ("seedance2", "slow"):
         (tmp_path / "videos" / model).mkdir(parents=True)
-    written(one, tmp_path / "videos" / "fast" / "SlopeSlider-2-metal.mp4")
+    written(one, tmp_path / "videos" / "seedance2" / "SlopeSlider-2-metal.mp4")
     (tmp_path / "videos" / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
     outcome = CliRunner().invoke(app, ["video", "report", str(tmp_path / "videos"), "--out", str(tmp_path / "page")])
     assert outcome.exit_code == 1
     page = (tmp_path / "page" / "index.html").read_text()
     (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
-    assert json.loads(line)["model"] == "fast"
+    assert json.loads(line)["model"] == "seedance2"
     assert page.count("<img ") == 6
-    # Published value of one of ten models.
-    assert "0.074" in page
+    # The published value stands below the one of the video, and in the table of the published models.
+    assert "published 0.074" in page
+    assert "<td class=n>0.074</td>" in page
     assert "http" not in page
     empty = CliRunner().invoke(app, ["video", "report", str(tmp_path / "page")])
     assert empty.exit_code == 2
