@@ -1,7 +1,7 @@
 """Measure every installed engine with its presets, and write the tables of `docs/engines/comparison.md`.
 
     python scripts/build_engine_table.py --results DIR                  measures what DIR lacks, then writes both files
-    python scripts/build_engine_table.py --results DIR --engine rapier  measures this engine only
+    python scripts/build_engine_table.py --results DIR --engine rapier  measures this engine only; ranks stay
     python scripts/build_engine_table.py --docs                         writes the page from `scoring/engines.json`
     python scripts/build_engine_table.py --check                        fails if the page is not current
 
@@ -237,6 +237,20 @@ def gather(results: Path, configurations: Sequence[tuple[str, str]]) -> dict[str
     }
 
 
+def merged(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the known data with the measured configurations in place of older ones.
+
+    Ranks compare all configurations, so they are kept where the measured ones lack any.
+    """
+    order = [(engine, preset) for engine in ENGINES for preset in presets_of(engine)]
+    rows = {(one["engine"], one["preset"]): one for one in (*known["configurations"], *measured["configurations"])}
+    is_complete = len(measured["configurations"]) == len(rows)
+    return {
+        "configurations": [rows[one] for one in order if one in rows],
+        "grades": measured["grades"] if is_complete else known["grades"],
+    }
+
+
 def folder_of(results: Path, engine: str, preset: str) -> Path:
     """Return the folder of a configuration."""
     return results / "-".join(filter(None, (engine, preset)))
@@ -393,9 +407,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for engine in options.engine or ENGINES:
             for preset in presets_of(engine):
                 measure(engine, preset, folder_of(options.results, engine, preset), VARIANTS)
-        present = [(engine, preset) for engine in ENGINES for preset in presets_of(engine)]
-        present = [one for one in present if (folder_of(options.results, *one) / "conformance.jsonl").is_file()]
-        data = json_ready(gather(options.results, present))
+        every = [(engine, preset) for engine in ENGINES for preset in presets_of(engine)]
+        present = [one for one in every if (folder_of(options.results, *one) / "conformance.jsonl").is_file()]
+        known = json.loads(DATA.read_text(encoding="utf-8"))
+        data = json_ready(merged(known, gather(options.results, present)))
         write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
     text = PAGE.read_text(encoding="utf-8")
     new = written(text, json.loads(DATA.read_text(encoding="utf-8")))
