@@ -22,7 +22,7 @@ from gauge_envs.cli.output import (
 from gauge_envs.errors import ParameterError, VideoError
 
 if TYPE_CHECKING:
-    from gauge_envs.video import Track
+    from gauge_envs.video import PlaneView, Track
 
 __all__ = ["video_app", "video_list", "video_prompts", "video_render", "video_report", "video_score"]
 
@@ -77,13 +77,8 @@ def video_score(
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures of a track [px], as 832x480.")
     ] = None,
     camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML file with the view of the plane of the motion.")
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,SIZE", help="With --camera: centre and size of the object in the first picture [px]."
-        ),
+        Path | None,
+        typer.Option(metavar="FILE", help="With --track: TOML or JSON file on how the camera sees the plane of motion."),
     ] = None,
     overlay: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
@@ -99,33 +94,25 @@ def video_score(
     Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.report.videos import score_view
-    from gauge_envs.video import Grade, score_track, video_task
+    from gauge_envs.video import Grade, read_camera, score_track, video_task
     from gauge_envs.video.frames import FileFrames
     from gauge_envs.video.overlay import save_overlay
-    from gauge_envs.video.plane import read_plane_view
     from gauge_envs.video.tracker import track_object
 
     chosen = video_task(task)
-    if (overlay or first_frame) and (is_track or camera):
-        raise ParameterError(
-            "--overlay and --first-frame go with a video that shows the first frame: leave out --track and --camera"
-        )
-    _check_view_options(camera, start, size, is_track=is_track)
-    view = None if camera is None else read_plane_view(camera)
+    if is_track and (overlay or first_frame):
+        raise ParameterError("--overlay and --first-frame need the video, and --track gives a track: leave out one of both")
+    if not is_track and (size or camera):
+        raise ParameterError("--size and --camera go with --track; a video shows the first frame and states its size")
+    view = None if camera is None else read_camera(camera)
     has_failed = False
     for path in videos:
         if is_track:
-            track = _given_track(path, fps, size)
+            track = _given_track(path, fps, size, view)
         else:
             source = FileFrames(path, fps=fps)
-            if view is None:
-                track = track_object(source, chosen, first_frame=first_frame)
-            else:
-                track = track_object(source, view.in_oblique_view(chosen, _start(start)), is_registered=False)
-        scale_sigma = None
-        if view is not None:
-            track, scale_sigma = view.on_reference_grid(track, chosen), view.scale_sigma
-        result = score_track(track, chosen, name=str(path), scale_sigma=scale_sigma)
+            track = track_object(source, chosen, first_frame=first_frame)
+        result = score_track(track, chosen, name=str(path), camera=view)
         if overlay is not None:
             overlay.mkdir(parents=True, exist_ok=True)
             written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
@@ -226,14 +213,25 @@ def _size(text: str | None) -> tuple[int, int]:
     return int(parts[0]), int(parts[1])
 
 
-def _check_view_options(camera: Path | None, start: str | None, size: str | None, *, is_track: bool) -> None:
-    """Raise a ParameterError unless the options of a view and of a track go together."""
-    if size is not None and not is_track:
-        raise ParameterError("--size goes with --track; a video states its own size")
-    if camera is not None and not is_track and start is None:
-        raise ParameterError("--camera: say where the object is at first, as --start 438,180,52")
-    if start is not None and (camera is None or is_track):
-        raise ParameterError("--start goes with --camera and a video: leave it out")
+def _given_track(path: Path, fps: float | None, size: str | None, view: PlaneView | None) -> Track:
+    """Return the track of a file; its pixels are those of its camera file unless a size is stated."""
+    from gauge_envs.video import read_track
+
+    if fps is None:
+        raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
+    return read_track(path, fps=fps, size_px=view.size_px if view is not None and size is None else _size(size))
+
+
+def _size(text: str | None) -> tuple[int, int]:
+    """Return width and height of `832x480`; the reference grid when nothing is stated."""
+    from gauge_envs.video.tasks import REFERENCE_SIZE_PX
+
+    if text is None:
+        return REFERENCE_SIZE_PX
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
+        raise ParameterError(f"--size {text!r}: give width and height in pixels, as 832x480")
+    return int(parts[0]), int(parts[1])
 
 
 def _given_track(path: Path, fps: float | None, size: str | None) -> Track:
@@ -243,14 +241,3 @@ def _given_track(path: Path, fps: float | None, size: str | None) -> Track:
     if fps is None:
         raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
     return read_track(path, fps=fps, size_px=_size(size))
-
-
-def _start(text: str | None) -> tuple[float, float, float]:
-    """Return centre and size of `438,180,52`."""
-    try:
-        x, y, size = (float(part) for part in (text or "").split(","))
-    except ValueError:
-        raise ParameterError(f"--start {text!r}: give the centre and the size in pixels, as 438,180,52") from None
-    if not (x >= 0.0 and y >= 0.0 and size > 0.0):
-        raise ParameterError(f"--start {text!r}: the centre must be in the picture, and the size more than 0")
-    return x, y, size

@@ -122,9 +122,7 @@ def score(
     return score_track(track, chosen, name=source.name)
 
 
-def score_track(
-    track: Track, task: VideoTask, *, name: str = "track", seed: int = 0, scale_sigma: float | None = None
-) -> VideoScore:
+def score_track(track: Track, task: VideoTask, *, name: str = "track", seed: int = 0) -> VideoScore:
     """Judge the motion of a track.
 
     Args:
@@ -132,7 +130,6 @@ def score_track(
         task: The task.
         name: Name of the result.
         seed: Seed of the simulated tracks.
-        scale_sigma: Relative standard uncertainty of lengths; None for that of the task's first frame.
     """
     span = retained(track, task) if task.motion is not Motion.CRADLE else _all_found(track)
     metrics: Metrics = {}
@@ -148,7 +145,7 @@ def score_track(
     if task.motion is Motion.PENDULUM and metrics:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
     rng = np.random.default_rng(seed)
-    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess, scale_sigma)
+    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess)
     return VideoScore(
         video=name,
         task=task.id,
@@ -257,12 +254,10 @@ def _intervals(
     rng: np.random.Generator,
     nominal: Metrics,
     guess: tuple[float, float] | None,
-    scale_sigma: float | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise = noise_px(track, span)
-    if scale_sigma is None:
-        scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
+    scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
     for _ in range(count):

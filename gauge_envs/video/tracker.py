@@ -15,7 +15,7 @@ from gauge_envs.video.background import Region, background
 from gauge_envs.video.cadence import Cadence, read_cadence
 from gauge_envs.video.follow import DiskFollower, FaceFollower, PatchFollower, Sight
 from gauge_envs.video.frames import LEAST_FRAMES, Frames, Picture, read_picture
-from gauge_envs.video.grid import Registration, stretched
+from gauge_envs.video.grid import Registration
 from gauge_envs.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.video.scene_watch import SceneWatch
 from gauge_envs.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
@@ -40,17 +40,13 @@ class _Follower(Protocol):
     def see(self, picture: Picture) -> Sight: ...
 
 
-def track_object(
-    frames: Frames, task: VideoTask, *, first_frame: Path | None = None, is_registered: bool = True
-) -> Track:
+def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = None) -> Track:
     """Return the track of the object of a task.
 
     Args:
         frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
         task: The task.
         first_frame: Picture that the model was given, on the whole grid; the video is registered by its points.
-        is_registered: Look for the task's first frame in the video. False for another view, of which `task` says where
-            the object starts.
 
     Raises:
         VideoError: The video has too few frames, or cannot be decoded, or the picture cannot be read.
@@ -60,7 +56,7 @@ def track_object(
     if count < LEAST_FRAMES:
         lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
         raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
-    registration = _registration(frames, task, first_frame) if is_registered else stretched(frames.size_px)
+    registration = _registration(frames, task, first_frame)
 
     def pictures() -> Iterator[Picture]:
         for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
