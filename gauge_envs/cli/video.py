@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +20,9 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 from gauge_envs.errors import ParameterError, VideoError
+
+if TYPE_CHECKING:
+    from gauge_envs.video import Start
 
 __all__ = ["video_app", "video_list", "video_report", "video_score"]
 
@@ -47,6 +51,18 @@ def video_score(
     size: Annotated[
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures of a track [px], as 832x480.")
     ] = None,
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="TOML or JSON file: how a recording of your own sees the plane of the motion."
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y[,SIZE]", help="Centre of the object in the first frame of such a video, its size [px]."
+        ),
+    ] = None,
     overlay: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
     ] = None,
@@ -57,7 +73,7 @@ def video_score(
     Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.report.videos import score_view
-    from gauge_envs.video import Grade, read_track, score_track, video_task
+    from gauge_envs.video import Grade, read_camera, read_track, score_track, video_task
     from gauge_envs.video.frames import FileFrames
     from gauge_envs.video.overlay import save_overlay
     from gauge_envs.video.tracker import track_object
@@ -69,14 +85,21 @@ def video_score(
         raise ParameterError("--overlay needs the video, and --track gives a track alone: leave out one of the two")
     if size is not None and not is_track:
         raise ParameterError("--size goes with --track; a video states its own size")
+    if is_track and start is not None:
+        raise ParameterError("--start is where the object of a video is, and --track has its track: leave out one")
+    view = None if camera is None else read_camera(camera)
+    beginning = None if start is None else _start(start)
     has_failed = False
     for path in videos:
         if is_track:
             assert fps is not None
-            result = score_track(read_track(path, fps=fps, size_px=_size(size)), chosen, name=str(path))
+            # Pixels of a track are those of its camera file unless --size states others.
+            size_px = view.size_px if view is not None and size is None else _size(size)
+            result = score_track(read_track(path, fps=fps, size_px=size_px), chosen, name=str(path), camera=view)
         else:
             source = FileFrames(path, fps=fps)
-            result = score_track(track_object(source, chosen), chosen, name=str(path))
+            track = track_object(source, chosen, camera=view, start=beginning)
+            result = score_track(track, chosen, name=str(path), camera=view)
             if overlay is not None:
                 overlay.mkdir(parents=True, exist_ok=True)
                 written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
@@ -129,6 +152,19 @@ def video_report(
     echo(page)
     if broken:
         raise typer.Exit(EXIT_FAILED)
+
+
+def _start(text: str) -> Start:
+    """Return the place and size of `640,360,25`."""
+    from gauge_envs.video import Start
+
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (2, 3) or not all(math.isfinite(value) for value in values):
+        raise ParameterError(f"--start {text!r}: give the centre and perhaps the size in pixels, as 640,360,25")
+    return Start(x_px=values[0], y_px=values[1], size_px=values[2] if len(values) == 3 else None)
 
 
 def _size(text: str | None) -> tuple[int, int]:

@@ -6,8 +6,11 @@ Example:
     ['SlopeSlider-2-wood', 'SlopeSlider-2-plastic']
 """
 
+from gauge_envs.video.camera_file import read_camera
 from gauge_envs.video.grade import Grade
+from gauge_envs.video.plane import PlaneView
 from gauge_envs.video.scoring import METRICS, VideoScore, score, score_track
+from gauge_envs.video.start import Start
 from gauge_envs.video.tasks import Motion, VideoTask, video_task, video_tasks
 from gauge_envs.video.track import Event, Track, read_track
 
@@ -16,9 +19,12 @@ __all__ = [
     "Event",
     "Grade",
     "Motion",
+    "PlaneView",
+    "Start",
     "Track",
     "VideoScore",
     "VideoTask",
+    "read_camera",
     "read_track",
     "score",
     "score_track",

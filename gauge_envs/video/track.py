@@ -29,7 +29,7 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `duplicated`, `camera` or `scene`.
+        kind: `duplicated`, `camera`, `scene` or `start`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
