@@ -8,7 +8,7 @@ Example:
 
 from gauge_envs.video.camera_file import read_camera
 from gauge_envs.video.grade import Grade
-from gauge_envs.video.plane import PlaneView
+from gauge_envs.video.plane import Lens, PlaneView, PointPairs, Pose
 from gauge_envs.video.scoring import METRICS, VideoScore, score, score_track
 from gauge_envs.video.start import Start
 from gauge_envs.video.tasks import Motion, VideoTask, video_task, video_tasks
@@ -18,8 +18,11 @@ __all__ = [
     "METRICS",
     "Event",
     "Grade",
+    "Lens",
     "Motion",
     "PlaneView",
+    "PointPairs",
+    "Pose",
     "Start",
     "Track",
     "VideoScore",

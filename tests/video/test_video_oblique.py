@@ -213,7 +213,7 @@ def test_the_recorded_pendulum_has_its_period(tmp_path: Path) -> None:
     frames = np.round(recorded["time_s"][used] * 18).astype(np.int64)
     result = score_track(_track(_seen(view, world), frames, 18), video_task("Pendulum-metal"), camera=view)
     assert all(_holds(result, {"pd_s": 1.201}))
-    # The published 1.06 s is another amplitude: this swing is 15 % slower than a small one of the same length.
+    # The published 1.06 s is another amplitude: this swing is about 16 % slower than a small one of the same length.
     assert not any(_holds(result, {"pd_s": 1.06}))
 
 
@@ -234,6 +234,6 @@ def test_the_recorded_slide_on_a_turning_board_is_not_that_of_a_fixed_one(tmp_pa
     world = np.column_stack([recorded["x_mm"], np.full(len(slides), 385.0), recorded["z_mm"]])[slides] / 1e3
     frames = np.round(recorded["time_s"][slides] * 25).astype(np.int64)
     result = score_track(_track(_seen(view, world), frames, 25), video_task("SlopeSlider-2-metal"), camera=view)
-    # Subtask 3: a motor turns the board from 15 degrees on, where friction nearly holds the cube. 2.67 m/s^2 is subtask 2.
+    # Subtask 3: a motor turns the board, and the slide starts at 15 degrees. 2.67 m/s^2 is subtask 2, at 30 degrees.
     interval = result.uncertainty["a_m_s2"]
-    assert interval is not None and 0.0 < interval[0] and interval[1] < 2.67
+    assert interval is not None and interval[0] > 0.0 and interval[1] < 2.67
