@@ -38,7 +38,7 @@ class ObliqueClip:
 
 
 def oblique_clip(name: str, rng: np.random.Generator, *, is_drawn: bool = True) -> ObliqueClip:
-    """Return a clip of a task from a random camera, 25 to 45 degrees off the normal of the plane."""
+    """Return a clip of a task from a random camera, 20 to 43 degrees off the normal of the plane."""
     task = video_task(name)
     place, truth, duration_s, motion = _motion(name, rng)
     true_view = replace(_camera(task.motion, rng), **motion)

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 
 cv2 = pytest.importorskip("cv2")
 
+from oblique import FPS, SIZE_PX, ObliqueClip, oblique_clip  # noqa: E402
+from typer.testing import CliRunner  # noqa: E402
+
+from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import VideoError  # noqa: E402
 from gauge_envs.video import (  # noqa: E402
     Grade,
@@ -26,7 +30,6 @@ from gauge_envs.video import (  # noqa: E402
 )
 from gauge_envs.video.plane import Pose  # noqa: E402
 from gauge_envs.video.tasks import REFERENCE_SIZE_PX  # noqa: E402
-from tests.video.oblique import FPS, SIZE_PX, ObliqueClip, oblique_clip  # noqa: E402
 
 TASKS = ("SlopeSlider-2-metal", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal")
 FACTS = Path(__file__).parents[2] / "scoring" / "facts" / "recordings"
@@ -127,6 +130,23 @@ def test_a_damaged_camera_file_is_an_error(text: str, message: str, tmp_path: Pa
     file.write_text(text, encoding="utf-8")
     with pytest.raises(VideoError, match=message):
         read_camera(file)
+
+
+def test_the_command_takes_a_track_and_a_camera(tmp_path: Path) -> None:
+    clip = oblique_clip("BouncingBall-rubber", np.random.default_rng(0), is_drawn=False)
+    camera, track = tmp_path / "camera.toml", tmp_path / "fall.csv"
+    camera.write_text(LENS_AND_POSE + LEVEL, encoding="utf-8")
+    rows = [f"{frame},{x},{y}" for frame, (x, y) in enumerate(clip.places_px)]
+    track.write_text("\n".join(["frame,x,y", *rows]), encoding="utf-8")
+    arguments = ["video", "score", str(track), "--task", clip.task, "--camera", str(camera), "--track", "--fps", "50"]
+    outcome = CliRunner().invoke(app, [*arguments, "--json"])
+    by_hand = score_track(
+        _track(clip.places_px, np.arange(len(rows)), FPS), video_task(clip.task), camera=read_camera(camera)
+    )
+    # Pixels of the track are those of the camera file.
+    assert json.loads(outcome.stdout)["metrics"] == pytest.approx(by_hand.metrics)
+    outcome = CliRunner().invoke(app, [*arguments, "--start", "1,2"])
+    assert outcome.exit_code == 2 and "--start" in outcome.output
 
 
 # --- known motions ---------------------------------------------------------------------------------------------------
