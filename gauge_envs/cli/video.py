@@ -78,7 +78,7 @@ def video_score(
     ] = None,
     camera: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="With --track: TOML or JSON file on how the camera sees the plane of motion."),
+        typer.Option(metavar="FILE", help="With --track: TOML or JSON file on how the camera sees the plane."),
     ] = None,
     overlay: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
@@ -101,7 +101,7 @@ def video_score(
 
     chosen = video_task(task)
     if is_track and (overlay or first_frame):
-        raise ParameterError("--overlay and --first-frame need the video, and --track gives a track: leave out one of both")
+        raise ParameterError("--overlay and --first-frame need the video, and --track has none: leave out one of both")
     if not is_track and (size or camera):
         raise ParameterError("--size and --camera go with --track; a video shows the first frame and states its size")
     view = None if camera is None else read_camera(camera)
@@ -220,24 +220,3 @@ def _given_track(path: Path, fps: float | None, size: str | None, view: PlaneVie
     if fps is None:
         raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
     return read_track(path, fps=fps, size_px=view.size_px if view is not None and size is None else _size(size))
-
-
-def _size(text: str | None) -> tuple[int, int]:
-    """Return width and height of `832x480`; the reference grid when nothing is stated."""
-    from gauge_envs.video.tasks import REFERENCE_SIZE_PX
-
-    if text is None:
-        return REFERENCE_SIZE_PX
-    parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
-        raise ParameterError(f"--size {text!r}: give width and height in pixels, as 832x480")
-    return int(parts[0]), int(parts[1])
-
-
-def _given_track(path: Path, fps: float | None, size: str | None) -> Track:
-    """Return the track of a file."""
-    from gauge_envs.video import read_track
-
-    if fps is None:
-        raise ParameterError("--track: a track states no frame rate: give it, as --fps 30")
-    return read_track(path, fps=fps, size_px=_size(size))

@@ -6,7 +6,9 @@ Example:
     ['SlopeSlider-2-wood', 'SlopeSlider-2-plastic']
 """
 
+from gauge_envs.video.camera_file import read_camera
 from gauge_envs.video.grade import Grade
+from gauge_envs.video.plane import Lens, PlaneView, PointPairs, Pose
 from gauge_envs.video.scoring import METRICS, VideoScore, score, score_track
 from gauge_envs.video.tasks import Motion, VideoTask, video_task, video_tasks
 from gauge_envs.video.track import Event, Track, read_track
@@ -15,10 +17,15 @@ __all__ = [
     "METRICS",
     "Event",
     "Grade",
+    "Lens",
     "Motion",
+    "PlaneView",
+    "PointPairs",
+    "Pose",
     "Track",
     "VideoScore",
     "VideoTask",
+    "read_camera",
     "read_track",
     "score",
     "score_track",

@@ -22,6 +22,7 @@ from gauge_envs.video.laws import (
     fit_damped_oscillation,
     momentum_transfer,
 )
+from gauge_envs.video.plane import PlaneView, frontal_task, frontal_track
 from gauge_envs.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.video.track import Track
 from gauge_envs.video.tracker import track_object
@@ -122,7 +123,9 @@ def score(
     return score_track(track, chosen, name=source.name)
 
 
-def score_track(track: Track, task: VideoTask, *, name: str = "track", seed: int = 0) -> VideoScore:
+def score_track(
+    track: Track, task: VideoTask, *, name: str = "track", seed: int = 0, camera: PlaneView | None = None
+) -> VideoScore:
     """Judge the motion of a track.
 
     Args:
@@ -130,7 +133,37 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track", seed: int
         task: The task.
         name: Name of the result.
         seed: Seed of the simulated tracks.
+        camera: How the recording sees the plane of the motion; None for the known first frame.
+
+    Raises:
+        VideoError: The camera file of a pendulum or a cradle lacks the pivot, or that of a cradle the length.
     """
+    if camera is not None and track.is_found.any():
+        return _score_in_plane(track, task, camera, name, seed)
+    return _score(track, task, name, seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Oblique:
+    """A recording as it was seen: the track on the reference grid, and the view that makes metres of it."""
+
+    track: Track
+    view: PlaneView
+
+
+def _score_in_plane(track: Track, task: VideoTask, view: PlaneView, name: str, seed: int) -> VideoScore:
+    """Judge a track in the plane of its motion."""
+    swings = task.motion in (Motion.PENDULUM, Motion.CRADLE)
+    if swings and view.pivot_m is None:
+        raise VideoError(f"{name}: {task.id} needs motion.pivot_m in the camera file: the pivot about which it swings")
+    if task.motion is Motion.CRADLE and view.length_m is None:
+        raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
+    frontal = frontal_task(view, track, task)
+    result = _score(frontal_track(view, track, frontal), frontal, name, seed, _Oblique(track=track, view=view))
+    return replace(result, track=track)
+
+
+def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Oblique | None = None) -> VideoScore:
     span = retained(track, task) if task.motion is not Motion.CRADLE else _all_found(track)
     metrics: Metrics = {}
     details: Metrics = {}
@@ -145,7 +178,7 @@ def score_track(track: Track, task: VideoTask, *, name: str = "track", seed: int
     if task.motion is Motion.PENDULUM and metrics:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
     rng = np.random.default_rng(seed)
-    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess)
+    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess, oblique)
     return VideoScore(
         video=name,
         task=task.id,
@@ -254,27 +287,36 @@ def _intervals(
     rng: np.random.Generator,
     nominal: Metrics,
     guess: tuple[float, float] | None,
+    oblique: _Oblique | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
-    noise = noise_px(track, span)
+    seen = track if oblique is None else oblique.track
+    noise = noise_px(seen, span)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
     for _ in range(count):
-        points = track.points_px + rng.normal(0.0, noise, track.points_px.shape) + _slow_noise(track, rng)
-        if task.pivot_px is not None and task.motion is not Motion.TURN:
-            points = points + rng.normal(0.0, task.pivot_sigma_px, 2)
+        points = seen.points_px + rng.normal(0.0, noise, seen.points_px.shape) + _slow_noise(seen, rng)
+        sample = replace(seen, points_px=points, size_ratio=np.full(len(points), np.nan))
+        judged = task
+        if oblique is not None:
+            # Calibration and pivot replace the stated scale: they are drawn anew within their uncertainty.
+            view = oblique.view.drawn(rng)
+            judged = frontal_task(view, sample, task, scale_m_per_px=task.scale_m_per_px)
+            sample = frontal_track(view, sample, judged)
+        elif task.pivot_px is not None and task.motion is not Motion.TURN:
+            sample = replace(sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2))
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = min(len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3))))
-        scale = task.scale_m_per_px * (1.0 + rng.normal(0.0, scale_sigma))
+        scale = judged.scale_m_per_px * (1.0 if oblique is not None else 1.0 + rng.normal(0.0, scale_sigma))
         try:
-            metrics, _ = _metrics(replace(track, points_px=points), task, (first, last), scale, guess)
+            metrics, _ = _metrics(sample, judged, (first, last), scale, guess)
         except ParameterError:
             continue
         for name, value in metrics.items():
             found.setdefault(name, []).append(value)
     tail = 50.0 * (1.0 - COVERAGE)
-    return {
+    intervals = {
         # Noise lengthens accelerations only, so an error of 0 lies below all simulated ones.
         name: (
             min(nominal[name], float(np.percentile(values, tail))),
@@ -283,3 +325,8 @@ def _intervals(
         for name, values in found.items()
         if len(values) >= count // 2
     }
+    if oblique is not None and "de_n" in intervals:
+        # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
+        high = intervals["de_n"][1]
+        intervals["de_n"] = (max(0.0, min(nominal["de_n"], 2.0 * nominal["de_n"] - high)), high)
+    return intervals
