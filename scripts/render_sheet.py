@@ -1,6 +1,9 @@
-"""Draw the contact sheets of the README: first, middle and last frame of one variant of each family.
+"""Draw contact sheets: first, middle and last frame of several variants.
 
-Usage: python scripts/render_sheet.py rigid|deformable [OUT.png]
+`rigid` and `deformable`, those of the README, show one variant of each family in MuJoCo. `genesis_fling` shows the
+fabrics of TextileFlinging in Genesis.
+
+Usage: python scripts/render_sheet.py rigid|deformable|genesis_fling [OUT.png]
 """
 
 from __future__ import annotations
@@ -41,13 +44,19 @@ SHEETS = {
         "StickStack-soft": 4.0,
         "CantileverBeam-soft": 0.5,
     },
+    "genesis_fling": {
+        f"TextileFlinging-{fabric}": 1.4 for fabric in ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
+    },
 }
 """Variants, and the time of the last picture [s]."""
 
+BACKENDS = {"genesis_fling": "genesis"}
+"""Engine of a sheet; MuJoCo for the others."""
 
-def frames(name: str, seconds: float) -> list[np.ndarray]:
+
+def frames(name: str, seconds: float, backend: str) -> list[np.ndarray]:
     """Return the first, middle and last picture of the first seconds of an episode."""
-    env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=480, height=360)
+    env = gymnasium.make(f"GAUGE/{name}", backend=backend, render_mode="rgb_array", width=480, height=360)
     env.reset(seed=0)
     zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
     last = min(env.unwrapped.experiment.frame_count - 1, round(30 * seconds))
@@ -68,7 +77,7 @@ def main() -> None:
     figure, axes = plt.subplots(rows, 6, figsize=(12, 1.65 * rows), layout="constrained")
     for index, (name, seconds) in enumerate(SHEETS[sheet].items()):
         row, column = divmod(index, 2)
-        for offset, picture in enumerate(frames(name, seconds)):
+        for offset, picture in enumerate(frames(name, seconds, BACKENDS.get(sheet, "mujoco"))):
             axis = axes[row, 3 * column + offset]
             axis.imshow(picture)
             axis.set_axis_off()

@@ -230,7 +230,7 @@ class ClothPart(DeformablePart):
         if settings.body_friction and self.touches():
             self._add_friction(scene)
         if settings.self_contact == "scene" and not self._touch_each_other():
-            # Genesis always collides particles, which takes a third of a step.
+            # Genesis always collides particles, which takes more than a third of a step.
             solver._kernel_solve_collision = lambda _: None
         for sheet in sheets:
             if sheet.held:
