@@ -1,7 +1,7 @@
 """Draw the contact sheets of the documentation: first, middle and last picture of each episode.
 
 python scripts/render_sheet.py rigid
-python scripts/render_sheet.py flinging --backend genesis --out docs/images/flinging_genesis.png
+python scripts/render_sheet.py flinging --backend genesis --out docs/images/genesis_fling.png
 """
 
 from __future__ import annotations

@@ -124,6 +124,9 @@ def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[in
     while start + 1 < established and along[start + 1] - before <= RELEASED_PX:
         start += 1
     end = len(rows) - 1
+    if task.motion is Motion.FALL and rows[-1] < len(track.frames) - 1:
+        # A ball that is lost has often hit the ground, and the last frame that shows it may contain that.
+        end -= 1
     for row in range(established, len(rows) - 1):
         # The reversal of a fall is sharp. The frame next to an impact may lie after it.
         if task.motion is Motion.FALL and along[row + 1] - along[row] < -REVERSAL_PX:

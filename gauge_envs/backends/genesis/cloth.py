@@ -3,7 +3,9 @@
 Genesis's solver has no multipliers: each iteration closes a spring by the share 1 / (w + a), with the inverse masses w
 and the compliance a over the squared step. In equilibrium, with one iteration, the spring's force is therefore its
 extension over (w h^2 + compliance). With the compliance 1 / k - w h^2 the stiffness is k, at every step. The same
-iteration is then the semi-implicit Euler method, which neither damps nor gains energy if the step is short enough.
+iteration is then the semi-implicit Euler method with forces at x + h v, where the step would lead without them. A
+vibration w decays at the rate w^2 h / 2, as with a viscosity of the relaxation time h, and grows only if (w h)^2
+exceeds 4 / 3.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from numpy.typing import NDArray
 from gauge_envs.backends.genesis.coupling import couple_only_marked_geoms, coupled_geoms, driven_places, touching_bodies
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.parts import DeformablePart, Motions
-from gauge_envs.backends.genesis.pbd_settings import CLOTH_CELL_M, SettingsPBD, cloth_cell_m, spring_stiffnesses
+from gauge_envs.backends.genesis.pbd_settings import CLOTH_CELL_M, SettingsPBD, cloth_cell_m
+from gauge_envs.backends.genesis.pbd_springs import grid_springs, grid_stiffnesses, inverse_masses
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.errors import ParameterError
@@ -86,7 +89,7 @@ class _Sheet:
             return
         with _mesh_kept():
             self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
-        springs = self._springs()
+        springs = grid_springs(self.grid)
         self.entity._edges = springs.astype(gs.np_int)
         self.entity._edges_len_rest = self._lengths_m(springs).astype(gs.np_float)
         self.entity._particles = self.rest_m.astype(gs.np_float)
@@ -104,18 +107,6 @@ class _Sheet:
             inside = np.flatnonzero(inward <= attachment.region.depth_m + 1e-4 * size)
             held |= dict.fromkeys(inside.tolist(), attachment)
         return held
-
-    def _springs(self) -> NDArray[np.intp]:
-        """Return the ends of springs along the grid's lines and along both diagonals of each cell, shape [count, 2]."""
-        counts = tuple(round(size / cell) for size, cell in zip(self.cloth.size_m, self.grid.cell_m, strict=True))
-        index = np.arange((counts[0] + 1) * (counts[1] + 1)).reshape(counts[0] + 1, counts[1] + 1)
-        pairs = (
-            (index[:-1], index[1:]),
-            (index[:, :-1], index[:, 1:]),
-            (index[:-1, :-1], index[1:, 1:]),
-            (index[1:, :-1], index[:-1, 1:]),
-        )
-        return np.concatenate([np.stack([first.ravel(), second.ravel()], axis=-1) for first, second in pairs])
 
     def _lengths_m(self, springs: NDArray[np.intp]) -> NDArray[np.float64]:
         ends = self.grid.plane_m[springs]
@@ -138,10 +129,8 @@ class _Sheet:
         springs = np.asarray(self.entity._edges, dtype=np.intp)
         if self._settings.stiffness == "nominal":
             return np.full(len(springs), 1.0 / self.cloth.stretch_stiffness_n_per_m)
-        inverse = 1.0 / self.masses_kg()
-        inverse[list(self.held)] = 0.0
-        lag = inverse[springs].sum(axis=1) * self._settings.timestep_s**2
-        compliances = 1.0 / self._spring_stiffnesses(springs) - lag
+        lag = inverse_masses(self.masses_kg(), self.held)[springs].sum(axis=1) * self._settings.timestep_s**2
+        compliances = 1.0 / grid_stiffnesses(self.cloth, self.grid, springs) - lag
         if np.any(compliances <= 0.0):
             raise ParameterError(
                 f"Genesis setting 'timestep_s' is {self._settings.timestep_s:.4g} s, and a spring of cloth "
@@ -149,24 +138,6 @@ class _Sheet:
                 "step: choose a smaller timestep_s or a larger cell_m"
             )
         return compliances
-
-    def _spring_stiffnesses(self, springs: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the stiffness of each spring [N/m]; those on the border of the cloth belong to half a cell."""
-        along, diagonal = spring_stiffnesses(self.cloth)
-        step = np.abs(np.diff(self.grid.plane_m[springs], axis=1))[:, 0]
-        stiffnesses = np.empty(len(springs))
-        cell = self.grid.cell_m
-        for axis in range(2):
-            other = 1 - axis
-            rows = step[:, other] < 1e-9 * cell[other]
-            width = np.full(rows.sum(), cell[other])
-            places = np.abs(self.grid.plane_m[springs[rows, 0], other])
-            width[places > 0.5 * self.cloth.size_m[other] - 1e-6 * cell[other]] *= 0.5
-            stiffnesses[rows] = along * width / cell[axis]
-        crossing = (step > 1e-9 * min(cell)).all(axis=1)
-        # On a square cell this is the diagonal's stiffness; on others it keeps the shear stiffness.
-        stiffnesses[crossing] = diagonal * (cell[0] ** 2 + cell[1] ** 2) / (2.0 * cell[0] * cell[1])
-        return stiffnesses
 
 
 @contextmanager
@@ -228,6 +199,11 @@ class ClothPart(DeformablePart):
         """Return the friction of the rigid bodies that collide with cloth, by name."""
         return touching_bodies(self._scene, self.names)
 
+    def _touch_each_other(self) -> bool:
+        """Return whether the scene's contacts have cloth with cloth."""
+        names = set(self.names)
+        return any(names & {*contact.first} and names & {*contact.second} for contact in self._scene.contacts)
+
     def add(self, scene: Any) -> None:
         """Add the entities."""
         couple_only_marked_geoms(scene)
@@ -253,6 +229,9 @@ class ClothPart(DeformablePart):
             _call_before(solver, "_kernel_solve_bending", kernels.exact_hinges)
         if settings.body_friction and self.touches():
             self._add_friction(scene)
+        if settings.self_contact == "scene" and not self._touch_each_other():
+            # Genesis always collides particles, which takes more than a third of a step.
+            solver._kernel_solve_collision = lambda _: None
         for sheet in sheets:
             if sheet.held:
                 sheet.entity.fix_particles(np.array(list(sheet.held)))

@@ -6,17 +6,15 @@ from collections.abc import Mapping
 from math import ceil
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from gauge_envs.backends.genesis.pbd_springs import longest_timestep_s
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.cells import CellSize
-from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.scene import Cloth, Cylinder, Scene, Sphere
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-__all__ = ["CLOTH_CELL_M", "SettingsPBD", "cloth_cell_m", "longest_timestep_s", "pbd_presets", "spring_stiffnesses"]
+__all__ = ["CLOTH_CELL_M", "SettingsPBD", "cloth_cell_m", "pbd_presets"]
 
 CLOTH_CELL_M = 0.025
 """Edge of the cells of a cloth [m]."""
@@ -29,9 +27,6 @@ FINEST_CELL_M = 0.005
 
 SHORTEST_STEPS = 20
 """Least number of steps in 1/180 s."""
-
-STIFFNESS_LIMIT = 0.5
-"""Largest stiffness of a spring over the one that closes it in a single step; above, cloth oscillates or diverges."""
 
 
 class SettingsPBD(SettingsGenesis):
@@ -54,6 +49,8 @@ class SettingsPBD(SettingsGenesis):
         bending_relaxation: Share of the correction of a hinge.
         air_resistance: Drag of a particle over its squared speed [kg/m].
         body_friction: Apply Coulomb's friction between cloth and rigid bodies, which Genesis leaves out.
+        self_contact: Collide the particles of cloth with each other: `scene`, where the scene's contacts have cloth
+            with cloth, or `always`, as Genesis does.
     """
 
     solver: Literal["PBD"] = "PBD"
@@ -68,6 +65,7 @@ class SettingsPBD(SettingsGenesis):
     bending_relaxation: float = Field(default=1.0, gt=0.0)
     air_resistance: float = Field(default=0.0, ge=0.0)
     body_friction: bool = True
+    self_contact: Literal["scene", "always"] = "scene"
 
     @model_validator(mode="after")
     def _stiffness_fits(self) -> SettingsPBD:
@@ -99,6 +97,7 @@ def pbd_presets(scene: Scene) -> Mapping[str, SettingsPBD]:
         bending_relaxation=0.1,
         air_resistance=1e-3,
         body_friction=False,
+        self_contact="always",
     )
     return {
         "default": SettingsPBD(preset="default", timestep_s=DRIVE_INTERVAL_S / steps),
@@ -124,33 +123,3 @@ def cloth_cell_m(scene: Scene) -> float:
     shapes = [rigid[name].shape for name in touching]
     radii = [shape.radius_m for shape in shapes if isinstance(shape, Cylinder | Sphere)]
     return max(FINEST_CELL_M, min([CLOTH_CELL_M, *(CELL_PER_RADIUS * radius for radius in radii)]))
-
-
-def spring_stiffnesses(cloth: Cloth) -> tuple[float, float]:
-    """Return the stiffnesses of springs along the grid and of those along diagonals on a square grid [N/m].
-
-    With springs k along the grid and s along both diagonals of each cell, the sheet's shear stiffness is s, and its
-    stretch stiffness with free transverse edges is k + k s / (k + s).
-    """
-    stretch, shear = cloth.stretch_stiffness_n_per_m, cloth.shear_stiffness_n_per_m
-    free = stretch - 2.0 * shear
-    return 0.5 * (free + float(np.sqrt(free**2 + 4.0 * stretch * shear))), shear
-
-
-def longest_timestep_s(cloth: Cloth, *, cell_m: float) -> float:
-    """Return the longest time step [s] of stiffness `effective`.
-
-    A spring k between free masses m1 and m2 closes in one step h if k (1 / m1 + 1 / m2) h^2 = 1. The corners have a
-    quarter of the mass of other nodes.
-    """
-    along, diagonal = spring_stiffnesses(cloth)
-    masses = cloth.areal_density_kg_per_m2 * ClothGrid(cloth, cell_m).vertex_areas_m2()
-    mass = float(masses.max())
-    pairs: NDArray[np.float64] = np.array(
-        [
-            diagonal * (4.0 / mass + 1.0 / mass),
-            0.5 * along * (4.0 / mass + 2.0 / mass),
-            along * (2.0 / mass + 1.0 / mass),
-        ]
-    )
-    return float(np.sqrt(STIFFNESS_LIMIT / pairs.max()))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.optimize import curve_fit
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.scene import Attachment, Cloth, Motion, Region
+from gauge_envs.scene import Attachment, Cloth, Contact, Motion, Pose, Region, Scene
 
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
@@ -19,11 +22,17 @@ from gauge_envs.backends.genesis.deformables import unsupported_deformables
 from gauge_envs.backends.genesis.pbd_settings import (
     SettingsPBD,
     cloth_cell_m,
-    longest_timestep_s,
     pbd_presets,
+)
+from gauge_envs.backends.genesis.pbd_springs import (
+    grid_springs,
+    grid_stiffnesses,
+    longest_timestep_s,
     spring_stiffnesses,
 )
+from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.checks.conformance import Status, run_checks
+from gauge_envs.checks.conformance.scene_parts import clamped, sheet
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 
@@ -120,6 +129,27 @@ def test_the_default_step_is_below_the_longest_one(fabric: str) -> None:
     assert settings.timestep_s <= 1 / 3600 * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize("fabric", FABRICS)
+def test_the_longest_step_is_stable_for_the_fastest_vibration(fabric: str) -> None:
+    """A vibration w of the iteration has the characteristic polynomial z^2 - 2 (1 - q) z + (1 - q), q = (w h)^2."""
+    cloth = cloth_of(fabric)
+    grid = ClothGrid(cloth, 0.025)
+    springs = grid_springs(grid)
+    ends = grid.plane_m[springs]
+    directions = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1, keepdims=True)
+    rows = np.zeros((len(springs), 2 * len(grid.plane_m)))
+    for axis in range(2):
+        rows[np.arange(len(springs)), 2 * springs[:, 0] + axis] = -directions[:, axis]
+        rows[np.arange(len(springs)), 2 * springs[:, 1] + axis] = directions[:, axis]
+    root_mass = np.sqrt(np.repeat(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2(), 2))
+    scaled = np.sqrt(grid_stiffnesses(cloth, grid, springs))[:, None] * rows / root_mass
+    fastest = float(np.linalg.norm(scaled, ord=2)) ** 2
+    share = fastest * longest_timestep_s(cloth, cell_m=0.025) ** 2
+    roots = np.roots([1.0, -2.0 * (1.0 - share), 1.0 - share])
+    assert np.abs(roots).max() < 1.0
+    assert share < 4.0 / 3.0
+
+
 def test_cells_are_small_enough_for_narrow_bodies() -> None:
     assert cloth_cell_m(load_experiment("TextileFlinging-satin").scene) == 0.025
     assert cloth_cell_m(load_experiment("TextileStretching-satin").scene) == pytest.approx(1.4 * 0.005)
@@ -138,6 +168,55 @@ def test_effective_stiffness_needs_one_whole_iteration(changes: dict[str, object
     scene = load_experiment("TextileFlinging-satin").scene
     with pytest.raises(ParameterError, match=field):
         backend("genesis").build(scene, changes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate_hz", [3600, 7200])
+def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
+    """A hanging strip bobs at w = (pi / 2 L) sqrt(K_s / rho), and its amplitude falls at the rate w^2 h / 2."""
+    length_m, width_m, density, stretch = 0.3, 0.075, 0.2, 110.0
+    pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
+    strip = sheet(pose, (length_m, width_m), areal_density=density, stretch_n_per_m=stretch, bend_n_m=1e-4)
+    simulation = backend("genesis").build(
+        clamped(strip, Region(axis="x", side="high"), duration_s=0.8), {"timestep_s": 1 / rate_hz}
+    )
+    heights = []
+    for _ in range(144):
+        simulation.advance(1 / 180)
+        heights.append(simulation.nodes("cloth")[:, 2].mean())
+    simulation.close()
+    times = np.arange(1, 145) / 180
+
+    def bob(t: NDArray[np.float64], rest: float, size: float, decay: float, w: float, phase: float) -> Any:
+        return rest + size * np.exp(-decay * t) * np.cos(w * t + phase)
+
+    w = np.pi / (2 * length_m) * np.sqrt(stretch / density)
+    found, _ = curve_fit(bob, times, np.array(heights), p0=[np.mean(heights), 5e-4, 2.0, w, 0.0], maxfev=20000)
+    assert found[3] == pytest.approx(w, rel=0.02)
+    assert found[2] == pytest.approx(0.5 * found[3] ** 2 / rate_hz, rel=0.02)
+
+
+@pytest.mark.slow
+def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
+    """A sheet falls on another that falls more slowly, with no body beside them."""
+    square = replace(cloth_of("leather"), size_m=(0.1, 0.1), mass_kg=0.02, thickness_m=4e-3)
+    lower = replace(square, name="lower", pose=Pose(position_m=(0.0, 0.0, 1.0)))
+    upper = replace(square, name="upper", pose=Pose(position_m=(0.0, 0.0, 1.01)))
+    contact = Contact(first=("lower",), second=("upper",), friction=0.3, restitution=0.0)
+    gaps = []
+    for contacts in ((contact,), ()):
+        scene = Scene(bodies=(), deformables=(lower, upper), contacts=contacts, duration_s=0.2)
+        simulation = backend("genesis").build(scene)
+        positions, velocities = simulation._model.parts[0].state()
+        velocities[len(positions) // 2 :, 2] = -0.2
+        simulation._model.parts[0].restore((positions, velocities))
+        for _ in range(18):
+            simulation.advance(1 / 180)
+        gaps.append((simulation.nodes("upper") - simulation.nodes("lower"))[:, 2])
+        simulation.close()
+    assert gaps[0].min() > 3.5e-3
+    # 10 mm less 0.1 s at 0.2 m/s.
+    assert gaps[1] == pytest.approx(-0.01, abs=1e-9)
 
 
 def test_cloth_that_genesis_cannot_simulate_is_declined() -> None:
