@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends import backend_for
 from gauge_envs.evaluation.single_shot import (
     bootstrap_interval,
-    first_impact,
+    impacts,
     perturbed_start,
     shot_error,
 )
@@ -40,7 +40,7 @@ HALF_WIDTH_M = 0.0524
 WORLDS = 50
 """Tosses that are built at once."""
 
-FRICTIONS = (0.10, 0.14, 0.18, 0.22, 0.26)
+FRICTIONS = (0.12, 0.16, 0.20, 0.24, 0.28)
 RESTITUTIONS = (0.0, 0.125, 0.25, 0.4)
 FloatArray = NDArray[np.float64]
 
@@ -101,15 +101,21 @@ def toss(
             yield trial, times_s, state[:, :3], Rotation.from_quat(state[:, 3:7], scalar_first=True)
 
 
+Toss = tuple[int, FloatArray, FloatArray, Rotation]
+
+
+def row_of(one: Toss) -> dict[str, Any]:
+    """Return the errors and the impacts of one simulated toss."""
+    trial, times_s, positions_m, rotations = one
+    body = load_experiment(NAME).scene.body("cube")
+    struck = impacts(body, HALF_WIDTH_M, times_s, positions_m, rotations)
+    error = asdict(shot_error(shots().shot(trial), times_s, positions_m, rotations))
+    return error | {"impacts": [asdict(impact) for impact in struck]}
+
+
 def rows(engine: str, trials: Sequence[int], **keywords: Any) -> list[dict[str, Any]]:
-    """Return errors and the first impact of each simulated toss."""
-    data, body = shots(), load_experiment(NAME).scene.body("cube")
-    found = []
-    for trial, times_s, positions_m, rotations in toss(engine, trials, **keywords):
-        impact = first_impact(body, HALF_WIDTH_M, times_s, positions_m, rotations)
-        row = asdict(shot_error(data.shot(trial), times_s, positions_m, rotations))
-        found.append(row | {"impact": None if impact is None else asdict(impact)})
-    return found
+    """Return errors and impacts of each simulated toss."""
+    return [row_of(one) for one in toss(engine, trials, **keywords)]
 
 
 def write(out: Path, name: str, content: Any) -> None:
@@ -126,8 +132,9 @@ def run(options: argparse.Namespace) -> None:
     settings |= {"preset": options.preset} if options.preset else {}
     trials = shots().trials(options.half)[:: options.every]
     start = time.perf_counter()
-    found = rows(options.engine, trials, settings=settings, constants=constants)
+    tosses = list(toss(options.engine, trials, settings=settings, constants=constants))
     wall_s = time.perf_counter() - start
+    found = [row_of(one) for one in tosses]
     name = options.name or f"run-{options.engine}-{options.preset or 'default'}"
     head = {"engine": options.engine, "preset": options.preset or "default", "changes": changes, "wall_s": wall_s}
     write(options.out, name, head | {"rows": found})
@@ -204,8 +211,8 @@ def recorded(options: argparse.Namespace) -> None:
     for trial in range(len(data)):
         shot = data.shot(trial)
         rotations = Rotation.from_quat(shot.quaternions, scalar_first=True)
-        impact = first_impact(body, HALF_WIDTH_M, shot.times_s, shot.positions_m, rotations)
-        found.append({"trial": trial, "impact": None if impact is None else asdict(impact)})
+        struck = impacts(body, HALF_WIDTH_M, shot.times_s, shot.positions_m, rotations)
+        found.append({"trial": trial, "impacts": [asdict(impact) for impact in struck]})
     write(options.out, "recorded", {"rows": found})
 
 
@@ -256,9 +263,9 @@ def report(options: argparse.Namespace) -> None:
 
 
 def _impact_cells(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    impacts = [row["impact"] for row in found if row["impact"] is not None]
+    struck = [impact for row in found for impact in row["impacts"]]
     for kind in ("corner", "edge", "face"):
-        some = [impact for impact in impacts if impact["kind"] == kind]
+        some = [impact for impact in struck if impact["kind"] == kind]
         if len(some) < 5:
             yield f"{len(some)}"
             continue

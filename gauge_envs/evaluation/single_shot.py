@@ -29,11 +29,11 @@ from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 __all__ = [
-    "FirstImpact",
+    "Impact",
     "ShotError",
     "bootstrap_interval",
     "energies_j",
-    "first_impact",
+    "impacts",
     "perturbed_start",
     "shot_error",
     "upper_face",
@@ -45,7 +45,7 @@ SLIP_WINDOW_S = 0.1
 """Last part of a trajectory over which the slip is measured [s]."""
 
 CONTACT_M = 0.006
-"""Height of the lowest corner below which a first impact can begin [m]; recorded corners dip to -4 mm."""
+"""Height of a corner below which it can strike [m]; recorded corners dip to -4 mm."""
 
 BESIDE_M = 0.004
 """Height above the lowest corner up to which a corner takes part in an impact [m]."""
@@ -54,7 +54,9 @@ CLEAR_S = 0.014
 """Time before and after an impact at which velocities are read [s]: two frames at 148 Hz."""
 
 VERTICES = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-KINDS = {1: "corner", 2: "edge", 4: "face"}
+
+LEAST_APPROACH_M_PER_S = 0.4
+"""Least normal speed of a corner that strikes [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -155,29 +157,33 @@ def _rates(times_s: FloatArray, positions_m: FloatArray, rotations: Rotation) ->
 
 
 @dataclass(frozen=True)
-class FirstImpact:
-    """First impact of a cube.
+class Impact:
+    """One impact of a cube on a table.
 
     Attributes:
-        kind: `corner`, `edge` or `face`: what touches first.
-        time_s: Time at which the lowest corner is lowest [s].
-        restitution: Normal speed of the touching corners after over before the impact.
+        kind: `corner`, `edge` or `face`: how many corners touch the table, one, two, or more.
+        time_s: Time at which the striking corner stops falling [s].
+        approach_m_per_s: Normal speed of the striking corner before.
+        restitution: Normal speed of that corner after over before.
         energy_lost: Share of the kinetic energy before the impact that it takes.
     """
 
     kind: str
     time_s: float
+    approach_m_per_s: float
     restitution: float
     energy_lost: float
 
 
-def first_impact(
+def impacts(
     body: RigidBody, half_width_m: float, times_s: FloatArray, positions_m: FloatArray, rotations: Rotation
-) -> FirstImpact | None:
-    """Return the first impact of a cube on z = 0; None if it has none that its speed shows.
+) -> list[Impact]:
+    """Return the impacts of a cube on z = 0, in the order of time.
 
-    Velocities are those between samples, `CLEAR_S` before and after the lowest point of the lowest corner. An impact
-    counts if the touching corners approach with 0.2 m/s or more.
+    An impact is where a corner near the table stops falling that approached with `LEAST_APPROACH_M_PER_S` or more. Its
+    speeds are those between samples, `CLEAR_S` before and after, carried to the impact with gravity.
+    A corner that turns about a resting edge falls with 0.7 of it. Impacts that follow within twice that time belong to
+    the first one, whose corner strikes fastest.
 
     Args:
         body: The cube.
@@ -187,31 +193,37 @@ def first_impact(
         rotations: Orientations, body to world, T of them.
     """
     corners_m = positions_m[:, None] + np.einsum("tij,vj->tvi", rotations.as_matrix(), half_width_m * VERTICES)
-    lowest_m = corners_m[:, :, 2].min(axis=1)
-    near = lowest_m[1:-1] < CONTACT_M
-    turns = near & (lowest_m[1:-1] <= lowest_m[:-2]) & (lowest_m[1:-1] < lowest_m[2:])
-    if not turns.any():
-        return None
-    at = 1 + int(np.argmax(turns))
-    gap = max(1, round(CLEAR_S / float(times_s[1] - times_s[0])))
-    before, after = at - gap, at + gap
-    if before < 1 or after + 1 >= len(times_s):
-        return None
-    heights_m = corners_m[at, :, 2]
-    touching = heights_m < heights_m.min() + BESIDE_M
-    normal = np.diff(corners_m[:, touching, 2].mean(axis=1)) / np.diff(times_s)
-    if normal[before - 1] > -0.2:
-        return None
+    heights_m = corners_m[:, :, 2]
+    step_s = float(times_s[1] - times_s[0])
+    normal = np.diff(heights_m, axis=0) / step_s
     velocity, rate_body = _rates(times_s, positions_m, rotations)
-    inertia = body_mass_properties(body)[1]
     kinetic = 0.5 * body.mass_kg * np.sum(velocity**2, axis=1)
-    kinetic = kinetic + 0.5 * np.einsum("ti,ij,tj->t", rate_body, inertia, rate_body)
-    return FirstImpact(
-        kind=KINDS.get(int(touching.sum()), "other"),
-        time_s=float(times_s[at]),
-        restitution=float(-normal[after] / normal[before - 1]),
-        energy_lost=float(1.0 - kinetic[after] / kinetic[before - 1]),
-    )
+    kinetic = kinetic + 0.5 * np.einsum("ti,ij,tj->t", rate_body, body_mass_properties(body)[1], rate_body)
+    gap = max(1, round(CLEAR_S / step_s))
+    found: list[Impact] = []
+    fall = GRAVITY_M_PER_S2 * (gap + 0.5) * step_s
+    free_at = gap + 1
+    for at in range(gap + 1, len(times_s) - gap - 1):
+        if at < free_at:
+            continue
+        approach = fall - normal[at - gap - 1]
+        stops = (heights_m[at] < CONTACT_M) & (normal[at - 1] < 0.0) & (normal[at] > 0.25 * normal[at - 1])
+        stops &= approach > LEAST_APPROACH_M_PER_S
+        if not stops.any():
+            continue
+        corner = int(np.argmax(np.where(stops, approach, 0.0)))
+        touching = int(np.sum(heights_m[at] < heights_m[at].min() + BESIDE_M))
+        found.append(
+            Impact(
+                kind={1: "corner", 2: "edge"}.get(touching, "face"),
+                time_s=float(times_s[at]),
+                approach_m_per_s=float(approach[corner]),
+                restitution=float((normal[at + gap, corner] + fall) / approach[corner]),
+                energy_lost=float(1.0 - kinetic[at + gap] / kinetic[at - gap - 1]),
+            )
+        )
+        free_at = at + 2 * gap
+    return found
 
 
 def perturbed_start(body: RigidBody, nuisances: ShotNuisances, *, seed: int) -> RigidBody:

@@ -19,7 +19,7 @@ from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.jitter import jittered
 
 __all__ = ["check_requests", "run_many"]
 
@@ -114,10 +114,7 @@ def run_many(
             anything runs.
     """
     place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
-    runs = [
-        _Run(replace(request, jitter=Jitter()) if request.repeats > 1 and request.jitter is None else request)
-        for request in requests
-    ]
+    runs = [_Run(replace(request, jitter=request.scatter)) for request in requests]
     if out is not None:
         _check_writable(out)
     return _all_results(runs, place, out, notify if resume else None)
