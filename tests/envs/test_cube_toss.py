@@ -15,6 +15,7 @@ from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.single_shot import with_trial
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.single_shot import single_shots
+from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_repeats
 from gauge_envs.runs.request import RunRequest
 
@@ -87,6 +88,16 @@ def test_worlds_and_repeats_toss_one_trial_each() -> None:
         *_, truncated, infos = worlds.step(np.zeros(2, dtype=np.int64))
     assert [score.rmse for score in infos["score"]] == [result.score.rmse for result in results]
     worlds.close()
+
+
+def test_stored_repeats_are_found_again(tmp_path) -> None:
+    request = RunRequest(NAME, seed=1, repeats=2)
+    first = list(run_many([request], isolate=False, out=tmp_path))
+    notes: list[str] = []
+    again = list(run_many([request], isolate=False, out=tmp_path, resume=True, notify=notes.append))
+    assert [result.jitter for result in again] == [{"trial": 1}, {"trial": 2}]
+    assert [result.created for result in again] == [result.created for result in first]
+    assert not notes
 
 
 @pytest.mark.parametrize("engine", ENGINES)
