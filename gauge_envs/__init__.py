@@ -7,7 +7,8 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
 
     env = gym.make("GAUGE/SlopeSlider-2-wood")
 
-and seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`.
+and seven control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`. `beyond_variants` lists
+experiments of other sources, which are registered too.
 
 The registration needs only names. Engines, SciPy and pydantic are imported at first use.
 """
@@ -21,7 +22,7 @@ from gymnasium.envs.registration import register, registry
 
 from gauge_envs.envs.control.tasks import register_control_tasks
 from gauge_envs.errors import GaugeError
-from gauge_envs.experiments.variants import Variant, find_variant, variants
+from gauge_envs.experiments.variants import Variant, beyond_variants, find_variant, variants
 
 if TYPE_CHECKING:
     from gauge_envs.envs.env import GaugeEnv
@@ -44,6 +45,7 @@ __all__ = [
     "ScoreEpisode",
     "Trajectory",
     "Variant",
+    "beyond_variants",
     "find_variant",
     "load_experiment",
     "load_experiment_file",
@@ -90,7 +92,7 @@ def __dir__() -> list[str]:
 
 def register_all() -> None:
     """Register every variant and `GAUGE/Asset` with Gymnasium; `import gauge_envs` calls this."""
-    for name in (*(variant.name for variant in variants()), "Asset"):
+    for name in (*(variant.name for variant in (*variants(), *beyond_variants())), "Asset"):
         if f"GAUGE/{name}" not in registry:
             register(
                 id=f"GAUGE/{name}",

@@ -25,7 +25,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_wheel_carries_the_data(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    assert sum(name.startswith("gauge_envs/tasks/") and name.endswith(".toml") for name in names) == 22
+    assert sum(name.startswith("gauge_envs/tasks/") and name.endswith(".toml") for name in names) >= 23
+    assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.npz" in names
+    assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.LICENSE" in names
     assert "gauge_envs/scoring/published/engine_results.csv" in names
     assert "gauge_envs/scoring/bands/SlopeSlider-2-wood.csv" in names
     assert "gauge_envs/py.typed" in names

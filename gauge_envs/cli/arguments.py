@@ -12,7 +12,7 @@ import typer
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.variants import Variant, find_variant, variants
+from gauge_envs.experiments.variants import Variant, beyond_variants, find_variant, variants
 from gauge_envs.references.imported import DataSource
 
 __all__ = [
@@ -82,16 +82,19 @@ def is_glob(pattern: str) -> bool:
 def matching_variants(pattern: str) -> list[Variant]:
     """Return the variants of an id or a pattern, with or without `GAUGE/`.
 
+    A pattern matches the benchmark; only one that matches nothing there matches the variants beyond it.
+
     Raises:
         UnknownNameError: No variant matches; the message offers the nearest name.
     """
     if not is_glob(pattern):
         return [find_variant(pattern)]
     stem = pattern.removeprefix("GAUGE/")
-    found = [variant for variant in variants() if fnmatchcase(variant.name, stem)]
-    if not found:
-        raise UnknownNameError("experiment", pattern, (variant.name for variant in variants()))
-    return found
+    for known in (variants(), beyond_variants()):
+        found = [variant for variant in known if fnmatchcase(variant.name, stem)]
+        if found:
+            return found
+    raise UnknownNameError("experiment", pattern, (variant.name for variant in (*variants(), *beyond_variants())))
 
 
 def matching_subjects(pattern: str) -> Sequence[Variant | str]:

@@ -53,12 +53,14 @@ def list_(
 
 
 def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
+    from gauge_envs.experiments.variants import beyond_variants
     from gauge_envs.report import control_summary
 
     families = len({row["family"] for row in rows})
     console = stdout_console()
     if with_control:
         console.print(control_summary())
+        console.print(f"Beyond the benchmark: {', '.join(variant.id for variant in beyond_variants())}")
     console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
 
 

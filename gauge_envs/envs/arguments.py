@@ -18,13 +18,22 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.single_shot import shots_of, with_trial
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy, checked_proxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter, jittered
 
-__all__ = ["EnvArguments", "EnvKeywords", "check_support", "jitter_option", "jittered_experiment", "plain_spec"]
+__all__ = [
+    "EnvArguments",
+    "EnvKeywords",
+    "check_support",
+    "jitter_option",
+    "jittered_experiment",
+    "plain_spec",
+    "start_of",
+]
 
 
 @dataclass(frozen=True)
@@ -159,7 +168,7 @@ def jitter_option(options: Mapping[str, Any]) -> Jitter | TrialStart | None:
     trial = options.get("trial")
     if trial is not None:
         if isinstance(trial, bool) or not isinstance(trial, int | np.integer):
-            raise ParameterError(f"option 'trial' is {trial!r}, expected the number of an imported trial, from 0")
+            raise ParameterError(f"option 'trial' is {trial!r}, expected the number of a trial, from 0")
         if options.get("jitter"):
             raise ParameterError("options 'jitter' and 'trial' both state a start: give one of them")
         return TrialStart(int(trial))
@@ -178,7 +187,7 @@ def jittered_experiment(
 
     Args:
         experiment: The experiment.
-        jitter: Standard deviations of the start, or the trial; None keeps the start.
+        jitter: Standard deviations of the start, or the imported or single-shot trial; None keeps the start.
         seed: Seed of the random numbers.
         backend: Name of the engine that will build the scene.
 
@@ -188,12 +197,26 @@ def jittered_experiment(
     """
     if jitter is None:
         return experiment
-    if isinstance(jitter, TrialStart):
+    if isinstance(jitter, TrialStart) and shots_of(experiment) is not None:
+        moved = with_trial(experiment, jitter.trial)
+    elif isinstance(jitter, TrialStart):
         moved = replace(experiment, scene=trial_scene(experiment, jitter.trial))
     else:
         moved = replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed))
     check_support(moved, backend)
     return moved
+
+
+def start_of(experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed: int) -> Jitter | TrialStart | None:
+    """Return the start of an episode: what was asked for, else for single-shot trials the one that the seed selects.
+
+    Args:
+        experiment: The experiment.
+        jitter: Standard deviations or trial that were asked for, or None.
+        seed: Seed of the episode; it selects trial `seed` modulo the number of trials.
+    """
+    shots = shots_of(experiment)
+    return jitter if jitter is not None or shots is None else TrialStart(seed % len(shots))
 
 
 def check_support(experiment: Experiment, backend: str) -> None:

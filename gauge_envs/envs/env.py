@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment
+from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment, start_of
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.rendering.lazy import Pictures
@@ -128,7 +128,8 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             options: `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real trial
                 scatter; a `Jitter` states other standard deviations. `{"trial": 3}` starts from the positions and
                 velocities of imported trial 3, see `gauge_envs.envs.trial_start.trial_scene`. The scene is then built
-                anew, which takes as long as making the environment.
+                anew, which takes as long as making the environment. An experiment with single-shot trials starts from
+                one of them without an option too: from trial `seed` modulo their number.
 
         Raises:
             EpisodeError: The environment is closed.
@@ -138,10 +139,12 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         self._check_open("reset")
         super().reset(seed=seed)
         self.seed_used = 0 if seed is None else seed
-        jitter = jitter_option(options or {})
+        jitter = start_of(self.experiment, jitter_option(options or {}), seed=self.seed_used)
         if jitter is not None or self.jitter is not None:
             experiment = jittered_experiment(self.experiment, jitter, seed=self.seed_used, backend=self.backend_name)
             self._free()
+            if experiment.trial is not None:
+                self.band = self.arguments.band(experiment)
             self._build(experiment)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)

@@ -115,7 +115,8 @@ class Episode:
         self.fault: str | None = None
         self._backend = backend
         self._world = world
-        self._later_frames = LATER_FRAMES if band is not None and band.grade is not BandGrade.LAW else 0
+        is_aligned = band is not None and band.grade is not BandGrade.LAW and experiment.trial is None
+        self._later_frames = LATER_FRAMES if is_aligned else 0
         self._later, self._later_limit = 0, self._later_frames
         self._last_view: tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]] | None = None
         driven_frames = experiment.frame_count + self._later_frames
@@ -141,6 +142,7 @@ class Episode:
             "reference_source": experiment.reference_source.value,
             "drivers": experiment.drivers.value,
             **({"edited": True} if experiment.edited else {}),
+            **({} if experiment.trial is None else {"trial": experiment.trial}),
         }
         frames, bodies = experiment.frame_count, len(experiment.recorded)
         sample_count = (frames - 1 + self._later_frames) * SAMPLES_PER_FRAME + 1

@@ -13,7 +13,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
-from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment
+from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment, start_of
 from gauge_envs.envs.base import EngineEnvironment
 from gauge_envs.envs.episode import Episode, Observation, advance_together, run_on_together
 from gauge_envs.envs.no_reward import warn_without_reward
@@ -24,6 +24,7 @@ from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.references.bands import Band
 from gauge_envs.scene.jitter import Jitter
 
 __all__ = ["GaugeVectorEnv", "ScoreEpisodes", "scored_vector_env"]
@@ -115,11 +116,15 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
     def _build(self, experiments: Sequence[Experiment]) -> None:
         self.worlds = self._engine.build_worlds([one.scene for one in experiments], self._settings)
         self.episodes = [
-            Episode(one, world, band=self.band, marker_proxy=self.arguments.proxy, backend=self.backend_name)
+            Episode(one, world, band=self._band_of(one), marker_proxy=self.arguments.proxy, backend=self.backend_name)
             for one, world in zip(experiments, self.worlds.worlds, strict=True)
         ]
         self._running: dict[int, Episode] = {}
         self._observations: list[Observation] = []
+
+    def _band_of(self, experiment: Experiment) -> Band | None:
+        """Return the band of a world: that of the calibrated start, or of the single-shot trial that it starts as."""
+        return self.band if experiment.trial is None else self.arguments.band(experiment)
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -130,7 +135,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             seed: Seed of the engine and of the first world's jitter; each next world has one more. Or the seed of each
                 world; the engine takes the first. None is 0.
             options: See `GaugeEnv.reset`. With `{"jitter": True}` each world has a start of its own; `{"trial": 3}`
-                starts every world from imported trial 3.
+                starts every world from imported trial 3. With single-shot trials each world starts from its seed's one.
 
         Raises:
             ParameterError: There is no such option, the scene has no start that can be jittered, or the number of seeds
@@ -142,9 +147,11 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         super().reset(seed=seeds[0])
         self.seeds_used = seeds
         jitter = jitter_option(options or {})
-        if jitter is not None or self.jitter is not None:
+        starts = [start_of(self.experiment, jitter, seed=one) for one in seeds]
+        if starts[0] is not None or self.jitter is not None:
             experiments = [
-                jittered_experiment(self.experiment, jitter, seed=one, backend=self.backend_name) for one in seeds
+                jittered_experiment(self.experiment, start, seed=one, backend=self.backend_name)
+                for start, one in zip(starts, seeds, strict=True)
             ]
             self._free()
             self._build(experiments)

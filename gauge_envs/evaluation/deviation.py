@@ -95,8 +95,9 @@ def band_deviations(
     simulated = band.project(frames)
     errors = band_errors(band, band_baseline(experiment, band), sensitivities).with_projection(band, frames)
     raw = Deviation(values=simulated - band.mean, rmse=trajectory_rmse(simulated, band.mean), errors=errors)
-    # The mean of a law is exact from frame 0 on. A shift of time would only hide a drift.
-    if band.grade is BandGrade.LAW:
+    # The mean of a law is exact from frame 0 on, and a single-shot trial is measured from there. A shift of time would
+    # only hide a drift.
+    if band.grade is BandGrade.LAW or experiment.trial is not None:
         return Deviations(raw=raw, aligned=None, release_offset_s=None, primary="rmse")
     projected = band.project(values)
     offset_s, rmse = release_offset(times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from gauge_envs.evaluation.laws import Straight, free_flight, slide
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.single_shot import shots_of
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import (
@@ -18,6 +19,7 @@ from gauge_envs.references.published import (
     law_for,
     uncontacted_band,
 )
+from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -25,7 +27,7 @@ __all__ = ["band_grade", "load_band", "reference_band"]
 
 
 def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
-    """Return the band that an experiment is scored against: its measured band, or else that of a law.
+    """Return the band that an experiment is scored against: its trial or measured band, or else that of a law.
 
     `reference_source` of the experiment selects the bundled band or that of the imported trials.
 
@@ -38,6 +40,9 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
     """
     if experiment.reference is not None:
         return experiment.reference.band
+    shots = shots_of(experiment)
+    if shots is not None and experiment.trial is not None:
+        return shots.band(experiment.trial, experiment.frame_count)
     band = load_band(experiment.name, experiment.reference_source)
     if band is not None and (use_withheld or band.withheld is None):
         return band
@@ -86,6 +91,8 @@ def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | N
 
 def band_grade(variant: str, source: DataSource = DataSource.BUNDLED) -> BandGrade:
     """Return the grade of the band that a variant is scored against; a withheld band does not count."""
+    if single_shots(variant) is not None:
+        return BandGrade.TRIALS
     band = load_band(variant, source)
     if band is not None and band.withheld is None:
         return band.grade

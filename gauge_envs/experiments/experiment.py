@@ -81,6 +81,7 @@ class Experiment:
         file_sha256: Hash of the task file, or of an experiment file and the files that it names.
         asset: File that states the scene; None if the task file states it.
         reference: Reference of an experiment file; None for a variant of the package.
+        trial: Single-shot trial whose measured start the scene has, and which scores it; None without such trials.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Experiment:
     file_sha256: str
     asset: Asset | None = None
     reference: Reference | None = None
+    trial: int | None = None
 
     @property
     def id(self) -> str:

@@ -10,12 +10,18 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment, TaskExperiment, driver_provenance
 from gauge_envs.experiments.scene_builder import Parameters, SceneBuilder, parameter_overrides
 from gauge_envs.experiments.scene_source import is_experiment_file, with_asset
+from gauge_envs.experiments.single_shot import with_trial
 from gauge_envs.experiments.task_files import task_sha256, task_spec
+from gauge_envs.experiments.task_format import Placement
 from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.experiments.variants import Variant, find_variant, task_path
 from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
+from gauge_envs.references.single_shot import single_shots
 
 __all__ = ["load_experiment", "load_experiment_from_asset", "resolve_experiment"]
+
+START_KEYS = set(Placement.model_fields)
+"""Overrides that state the start of a body."""
 
 
 def load_experiment(
@@ -35,7 +41,8 @@ def load_experiment(
         reference: `bundled` scores against the band or law of the package, `imported` against the imported trials.
 
     Returns:
-        The experiment. Its `drivers` are `imported` only where the imported trials show a driven body.
+        The experiment. Its `drivers` are `imported` only where the imported trials show a driven body. One with
+        single-shot trials starts as trial 0, unless overrides state a start.
 
     Raises:
         UnknownNameError: There is no such variant.
@@ -72,6 +79,8 @@ def load_experiment(
         reference_source=_data_source(variant, "reference", reference),
         file_sha256=task_sha256(variant.family),
     )
+    if single_shots(variant.name) is not None and not {key.rpartition(".")[2] for key in overrides} & START_KEYS:
+        experiment = with_trial(experiment, 0)
     if _data_source(variant, "drivers", drivers) is DataSource.BUNDLED:
         return experiment
     recorded = recorded_drivers(variant.name, scene.drivers)

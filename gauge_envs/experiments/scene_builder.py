@@ -193,6 +193,7 @@ class SceneBuilder:
                 mass_kg=mass,
                 linear_velocity_m_per_s=linear,
                 angular_velocity_rad_per_s=angular,
+                inertia_kg_m2=self.constants.get(name, {}).get("inertia_kg_m2"),
             )
 
     def _velocities(self, name: str, pose: Pose) -> tuple[Vector, Vector]:

@@ -18,7 +18,7 @@ from gauge_envs.errors import TaskFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.tables import PROVENANCES
 from gauge_envs.experiments.task_format import SubtaskSpec, TaskSpec
-from gauge_envs.experiments.variants import Variant, task_path, unreadable_task_files, variants
+from gauge_envs.experiments.variants import Variant, beyond_variants, task_path, unreadable_task_files, variants
 from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, read_regular, toml_document
 from gauge_envs.scene import Plane
 
@@ -66,7 +66,7 @@ def _check_scenes(path: Path, spec: TaskSpec) -> None:
 def task_file_faults() -> dict[str, TaskFileError]:
     """Return the errors of all wrong task files, by family; by path for a file whose family cannot be read."""
     faults = {str(error.file): error for error in unreadable_task_files()}
-    for family in dict.fromkeys(variant.family for variant in variants()):
+    for family in dict.fromkeys(variant.family for variant in (*variants(), *beyond_variants())):
         try:
             task_spec(family)
         except TaskFileError as error:

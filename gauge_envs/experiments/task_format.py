@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable, UnitVector
-from gauge_envs.experiments.variants import Variant
+from gauge_envs.experiments.variants import Collection, Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel
@@ -91,10 +91,15 @@ class Substituted(FileModel):
 
 
 class RigidConstants(FileModel):
-    """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment."""
+    """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment.
+
+    Attributes:
+        inertia_kg_m2: Moment of inertia about every axis through the centre; without it the density is uniform.
+    """
 
     mass_kg: Positive
     density_kg_per_m3: Positive | None = None
+    inertia_kg_m2: Positive | None = None
     friction: NonNegative | None = None
     restitution: Fraction | None = None
 
@@ -268,9 +273,15 @@ class SubtaskSpec(FileModel):
 
 
 class TaskSpec(FileModel):
-    """One task file; its keys are in this order."""
+    """One task file; its keys are in this order.
+
+    Attributes:
+        collection: `gauge` for an experiment of the benchmark, `beyond` for one of other sources, which lists, counts
+            and averages of the benchmark leave out.
+    """
 
     family: str
+    collection: Collection = Collection.GAUGE
     title: str
     group: Group
     summary: str

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,25 @@ from typing import Any
 from gauge_envs.errors import TaskFileError, UnknownNameError
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
 
-__all__ = ["Variant", "find_variant", "task_files", "task_path", "unreadable_task_files", "variants"]
+__all__ = [
+    "Collection",
+    "Variant",
+    "beyond_variants",
+    "find_variant",
+    "task_files",
+    "task_path",
+    "unreadable_task_files",
+    "variants",
+]
+
+
+class Collection(StrEnum):
+    """Where an experiment is from."""
+
+    GAUGE = "gauge"
+    """The GAUGE benchmark."""
+    BEYOND = "beyond"
+    """Real measurements of other authors; no count and no average of the benchmark contains them."""
 
 
 @dataclass(frozen=True, order=True)
@@ -71,6 +90,8 @@ def _header(raw: dict[str, Any]) -> str:
         raise ValueError("materials: a list of names is expected")
     if not isinstance(subtasks, dict):
         raise ValueError("subtasks: a table is expected")
+    if raw.get("collection", Collection.GAUGE) not in tuple(Collection):
+        raise ValueError(f"collection: one of {', '.join(Collection)} is expected")
     return family
 
 
@@ -107,23 +128,37 @@ def task_path(family: str) -> Path:
 
 @cache
 def variants() -> tuple[Variant, ...]:
-    """Return all variants, in the order of the task files; a file is validated when one of its variants is loaded."""
+    """Return all variants of the benchmark, in the order of the task files.
+
+    A file is validated when one of its variants is loaded.
+    """
+    return _variants_of(Collection.GAUGE)
+
+
+@cache
+def beyond_variants() -> tuple[Variant, ...]:
+    """Return the variants beyond the benchmark, in the order of the task files."""
+    return _variants_of(Collection.BEYOND)
+
+
+def _variants_of(collection: Collection) -> tuple[Variant, ...]:
     return tuple(
         Variant(family, subtask, material)
         for family, (_, raw) in _headers().items()
+        if raw.get("collection", Collection.GAUGE) == collection
         for subtask in raw.get("subtasks") or {None: None}
         for material in raw["materials"]
     )
 
 
 def find_variant(name: str) -> Variant:
-    """Return the variant of a name or Gymnasium id.
+    """Return the variant of a name or Gymnasium id, of the benchmark or beyond it.
 
     Raises:
         UnknownNameError: There is no such variant.
         TaskFileError: The task file of its family cannot be read.
     """
-    by_name = {variant.name: variant for variant in variants()}
+    by_name = {variant.name: variant for variant in (*variants(), *beyond_variants())}
     try:
         return by_name[name.removeprefix("GAUGE/")]
     except KeyError:

@@ -125,6 +125,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
         "trial_count": None if shown is None else shown.trial_count,
+        "single_shot": experiment.trial is not None,
         "source": None if shown is None else shown.source,
         "imported": experiment.reference_source is DataSource.IMPORTED,
         "is_import_available": has_import(experiment.name),
@@ -143,6 +144,8 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
         "recorded": body.name in experiment.recorded,
     }
     values = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
+    if values.get("inertia_kg_m2", 0.0) is None:
+        del values["inertia_kg_m2"]
     shape = values.pop("shape", None)
     if shape is not None:
         described["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
@@ -255,13 +258,16 @@ def _general_facts(values: Mapping[str, Any]) -> dict[str, str]:
     observable, reference = values["observable"], values["reference"]
     grade = BandGrade(reference["grade"])
     trials = f", {reference['trial_count']} trials" if reference["trial_count"] else ""
+    note = GRADE_NOTES[grade]
+    if reference["single_shot"]:
+        trials, note = "", "one real trial with the same start; each trial has its own"
     withheld = reference["withheld"] is not None
     return {
         "evaluates": ", ".join(values["evaluates"]),
         "sources": "; ".join(f"{key}: {text}" for key, text in values["source"].items()),
         "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
         "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
-        "grade": f"{grade.value}{trials} ({GRADE_NOTES[grade]})" + (", recording withheld" * withheld),
+        "grade": f"{grade.value}{trials} ({note})" + (", recording withheld" * withheld),
         "reference": reference["source"] or reference["law"] or "none",
         **_asset_facts(values),
         **_band_facts(values),
@@ -299,7 +305,9 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
         facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
     if reference["sigma_source"] is not None:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
-    if reference["normalized_by_baseline"] is False:
+    if reference["single_shot"]:
+        facts["normalized"] = "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
+    elif reference["normalized_by_baseline"] is False:
         facts["normalized"] = "no: the published baseline is of another span of the motion"
     if reference["withheld"] is not None:
         facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of, versions_of
-from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.arguments import check_support, start_of
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.runs.episodes import planned_result, run_episode, run_repeats
@@ -19,7 +19,7 @@ from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.jitter import jittered
 
 __all__ = ["check_requests", "run_many"]
 
@@ -114,10 +114,7 @@ def run_many(
             anything runs.
     """
     place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
-    runs = [
-        _Run(replace(request, jitter=Jitter()) if request.repeats > 1 and request.jitter is None else request)
-        for request in requests
-    ]
+    runs = [_Run(replace(request, jitter=request.scatter)) for request in requests]
     if out is not None:
         _check_writable(out)
     return _all_results(runs, place, out, notify if resume else None)
@@ -193,9 +190,11 @@ class _Run:
             notify: Receives a sentence for each file that cannot be taken; None takes no files.
         """
         request = self._request
+        seeds = range(request.seed, request.seed + request.repeats)
+        starts = [start_of(self._calibrated, request.jitter, seed=seed) for seed in seeds]
         planned = [
-            planned_result(request, self._calibrated, seed=request.seed + number, jitter=request.jitter)
-            for number in range(request.repeats)
+            planned_result(request, self._calibrated, seed=seed, jitter=start)
+            for seed, start in zip(seeds, starts, strict=True)
         ]
         if out is None:
             yield from place.episodes(request, planned)
@@ -237,7 +236,8 @@ def _episodes(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Resu
         outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
         return _not_run(planned, outcome, str(error)), True
     try:
-        return ([run_episode(request)] if request.jitter is None else run_repeats(request)), True
+        is_single = request.jitter is None and request.repeats == 1
+        return ([run_episode(request)] if is_single else run_repeats(request)), True
     except GaugeError as error:
         outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
         return _not_run(planned, outcome, str(error)), True

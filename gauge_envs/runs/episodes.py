@@ -13,7 +13,7 @@ import numpy as np
 
 from gauge_envs.backends import backend_for
 from gauge_envs.backends.base import Worlds
-from gauge_envs.envs.arguments import EnvArguments, jittered_experiment
+from gauge_envs.envs.arguments import EnvArguments, jittered_experiment, start_of
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode, advance_together, run_on_together
 from gauge_envs.envs.trial_start import TrialStart
@@ -125,28 +125,38 @@ def run_repeats(request: RunRequest) -> list[Result]:
     The repeats are worlds of one simulation if the engine supports that; else simulations that are stepped in turn.
 
     Args:
-        request: The run; without a `jitter` it has the default `Jitter`.
+        request: The run; without a `jitter` it has the default `Jitter`, or the single-shot trial of each seed.
 
     Returns:
-        Results in the order of their seeds. All are scored against the reference of the calibrated start.
+        Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
+        against its own single-shot trial.
 
     Raises:
         UnknownNameError: No such backend.
         ParameterError: A parameter or a setting is out of range, or the scene has no start that can be jittered.
         UnsupportedSceneError: The backend cannot build the scene.
     """
-    jitter = request.jitter or Jitter()
     experiment = request.experiment()
     engine = backend_for(request.backend, experiment.model_file)
     band = request.band(experiment)
     seeds = range(request.seed, request.seed + request.repeats)
-    runs = [jittered_experiment(experiment, jitter, seed=seed, backend=request.backend) for seed in seeds]
+    starts = [start_of(experiment, request.jitter, seed=seed) or Jitter() for seed in seeds]
+    runs = [
+        jittered_experiment(experiment, start, seed=seed, backend=request.backend)
+        for start, seed in zip(starts, seeds, strict=True)
+    ]
     worlds = engine.build_worlds([run.scene for run in runs], request.settings)
     try:
         start = time.perf_counter()
         worlds.reset(request.seed)
         episodes = [
-            Episode(run, world, band=band, marker_proxy=request.proxy, backend=request.backend)
+            Episode(
+                run,
+                world,
+                band=band if run.trial is None else request.band(run),
+                marker_proxy=request.proxy,
+                backend=request.backend,
+            )
             for run, world in zip(runs, worlds.worlds, strict=True)
         ]
         run_together(episodes, worlds)
@@ -159,7 +169,7 @@ def run_repeats(request: RunRequest) -> list[Result]:
                 engine_versions=engine.versions(),
                 wall_s=share_s,
             )
-            for seed, episode in zip(seeds, episodes, strict=True)
+            for seed, jitter, episode in zip(seeds, starts, episodes, strict=True)
         ]
     finally:
         worlds.close()

@@ -14,6 +14,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
 from gauge_envs.experiments.scene_source import is_experiment_file
 from gauge_envs.experiments.variants import Variant, find_variant
+from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene.jitter import Jitter
 
 __all__ = ["RunRequest"]
@@ -59,6 +60,14 @@ class RunRequest(EnvArguments):
             raise ParameterError(f"jitter is {self.jitter!r}, expected None or a gauge_envs.Jitter")
         if isinstance(self.variant, str) and not is_experiment_file(Path(self.variant)):
             object.__setattr__(self, "variant", find_variant(self.variant))
+
+    @property
+    def scatter(self) -> Jitter | None:
+        """The jitter that applies: the default one for repeats, unless they are single-shot trials with own starts."""
+        if self.jitter is not None or self.repeats == 1:
+            return self.jitter
+        has_starts = isinstance(self.variant, Variant) and single_shots(self.variant.name) is not None
+        return None if has_starts else Jitter()
 
     def calibrated_experiment(self) -> Experiment:
         """Load the experiment with calibrated parameters, which exists also if the parameters are wrong.

@@ -47,7 +47,7 @@ class ContactMode(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class RigidBody:
-    """Rigid body of uniform density.
+    """Rigid body of uniform density, unless it states its moment of inertia.
 
     Attributes:
         name: Unique name in the scene.
@@ -58,6 +58,8 @@ class RigidBody:
         linear_velocity_m_per_s: Velocity of the body origin at the start [m/s], in the world frame. Only dynamic bodies
             have one.
         angular_velocity_rad_per_s: Angular velocity at the start [rad/s], in the world frame.
+        inertia_kg_m2: Moment of inertia about every axis through the centre of mass [kg m^2], of a body whose three
+            moments are equal, as those of a hollow cube; None is that of uniform density.
     """
 
     name: str
@@ -67,6 +69,7 @@ class RigidBody:
     mass_kg: float
     linear_velocity_m_per_s: Vector = (0.0, 0.0, 0.0)
     angular_velocity_rad_per_s: Vector = (0.0, 0.0, 0.0)
+    inertia_kg_m2: float | None = None
 
     @property
     def starts_at_rest(self) -> bool:

@@ -6,10 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from gauge_envs.scene.bodies import Region
+from gauge_envs.scene.bodies import Region, RigidBody
 from gauge_envs.scene.geometry import Box, Capsule, Compound, ConvexUnion, Cylinder, Ellipsoid, Part, Shape, Sphere
 
-__all__ = ["TOUCHING_M", "grid", "hull_faces", "mass_properties", "nodes_in", "prism", "tetrahedra"]
+__all__ = [
+    "TOUCHING_M",
+    "body_mass_properties",
+    "grid",
+    "hull_faces",
+    "mass_properties",
+    "nodes_in",
+    "prism",
+    "tetrahedra",
+]
 
 GRID_SPACING_M = 0.02
 """Edge length of exported grids of cloth and soft bodies [m]; no physical constant depends on it."""
@@ -123,6 +132,15 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], 
     if isinstance(shape, Compound):
         return _compound_properties(shape, mass_kg)
     return np.zeros(3), np.zeros((3, 3))
+
+
+def body_mass_properties(body: RigidBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the centre of mass and the inertia of a rigid body, as `mass_properties` does of a uniform solid.
+
+    A body that states `inertia_kg_m2` has this moment about every axis through its centre.
+    """
+    centre, inertia = mass_properties(body.shape, body.mass_kg)
+    return centre, inertia if body.inertia_kg_m2 is None else body.inertia_kg_m2 * np.eye(3)
 
 
 def _compound_properties(shape: Compound, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -28,7 +28,7 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.geometry import Plane
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
     from gauge_envs.scene.drivers import Driver
@@ -200,7 +200,7 @@ class Scene:
             # One elastic hit adds twice the driver's speed.
             total += 0.5 * body.mass_kg * (2.0 * driven + float(np.linalg.norm(linear))) ** 2
             if angular.any():
-                inertia = mass_properties(body.shape, body.mass_kg)[1]
+                inertia = body_mass_properties(body)[1]
                 spin = body.pose.rotation.apply(angular, inverse=True)
                 total += 0.5 * float(spin @ inertia @ spin)
         return 1.25 * total
@@ -215,7 +215,7 @@ def _velocity_of_mass(body: RigidBody) -> tuple[NDArray[np.float64], NDArray[np.
     """Return the start velocity of a body's centre of mass [m/s] and its angular velocity [rad/s], shape [3] each."""
     linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
     if angular.any():
-        linear += np.cross(angular, body.pose.rotation.apply(mass_properties(body.shape, body.mass_kg)[0]))
+        linear += np.cross(angular, body.pose.rotation.apply(body_mass_properties(body)[0]))
     return linear, angular
 
 

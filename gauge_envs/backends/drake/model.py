@@ -20,7 +20,7 @@ from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.drake.shapes import collision_parts, corner_parts, proximity_properties
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Contact, Hinge, Motion, Pose, RigidBody, Scene
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["Model", "build_model", "rigid_transform"]
 
@@ -98,7 +98,7 @@ def _add_body(plant: Any, instance: Any, body: RigidBody, hinge: Hinge | None, d
         reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
         inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg, float(np.sqrt(2.5) * reach_m))
         return plant.AddRigidBody(body.name, instance, inertia)
-    centre, moments = mass_properties(body.shape, body.mass_kg)
+    centre, moments = body_mass_properties(body)
     inertia = SpatialInertia.MakeFromCentralInertia(body.mass_kg, centre, _rotational_inertia(moments))
     added = plant.AddRigidBody(body.name, instance, inertia)
     if hinge is not None:

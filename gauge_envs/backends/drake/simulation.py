@@ -15,7 +15,7 @@ from gauge_envs.backends.drake.model import build_model
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.scene import Hinge, Motion, Pose, Scene, Tether
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["SimulationDrake"]
 
@@ -47,7 +47,7 @@ class SimulationDrake(Simulation):
             if body.motion is Motion.FIXED
         }
         self._driven = [body.name for body in scene.bodies if body.motion is Motion.KINEMATIC]
-        self._centres = {body.name: mass_properties(body.shape, body.mass_kg)[0] for body in scene.dynamic_bodies}
+        self._centres = {body.name: body_mass_properties(body)[0] for body in scene.dynamic_bodies}
         self.reset(0)
 
     def reset(self, seed: int) -> None:

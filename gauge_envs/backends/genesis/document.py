@@ -14,7 +14,7 @@ import numpy as np
 from gauge_envs.backends.genesis.contacts import MIN_FRICTION, Constants, Layer, layers_of_bodies
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Sphere
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["COUPLED_BIT", "body_label", "document"]
 
@@ -105,7 +105,7 @@ def _add_body(
         inertia = mass_kg * _reach_m(body) ** 2 * np.eye(3)
     else:
         mass_kg = body.mass_kg
-        centre_m, inertia = mass_properties(body.shape, body.mass_kg)
+        centre_m, inertia = body_mass_properties(body)
     order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     ElementTree.SubElement(
         element,

@@ -31,7 +31,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.meshes import prism
+from gauge_envs.scene.meshes import body_mass_properties, prism
 
 __all__ = [
     "CONES",
@@ -269,6 +269,11 @@ def _add_body(
             geom.mass = body.mass_kg * volume / sum(volumes)
     else:
         geoms[0].mass = body.mass_kg
+    if body.inertia_kg_m2 is not None:
+        frame.explicitinertial = True
+        frame.mass = body.mass_kg
+        frame.ipos = body_mass_properties(body)[0]
+        frame.inertia = [body.inertia_kg_m2] * 3
     return geoms
 
 

@@ -28,7 +28,7 @@ from gauge_envs.scene import (
     Scene,
     Sphere,
 )
-from gauge_envs.scene.meshes import mass_properties, prism
+from gauge_envs.scene.meshes import body_mass_properties, prism
 
 __all__ = ["RigidIndex", "Solids", "add_bodies", "keep_apart"]
 
@@ -87,7 +87,7 @@ def add_bodies(
 
 
 def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None) -> int:
-    centre, inertia = mass_properties(body.shape, body.mass_kg)
+    centre, inertia = body_mass_properties(body)
     given = {
         "xform": warp_transform(body.pose),
         "mass": body.mass_kg,

@@ -31,7 +31,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.meshes import mass_properties, prism
+from gauge_envs.scene.meshes import body_mass_properties, prism
 
 __all__ = ["Model", "Part", "build_model", "physx_pose"]
 
@@ -114,7 +114,7 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
             shape.contact_offset, shape.rest_offset = settings.contact_offset_m, settings.rest_offset_m
             shape.patch_radius, shape.min_patch_radius = settings.patch_radius_m, settings.min_patch_radius_m
             component.attach(shape)
-        centre_m, inertia = mass_properties(body.shape, body.mass_kg)
+        centre_m, inertia = body_mass_properties(body)
         parts[body.name] = Part(component, centre_m)
         if body.motion is not Motion.FIXED:
             _set_mass(component, body, centre_m, inertia)

@@ -16,7 +16,7 @@ from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["DRIVEN_MASS_KG", "BulletWorld"]
 
@@ -106,7 +106,7 @@ class BulletWorld:
 
     def frame(self, body: RigidBody) -> Frame:
         """Return the mass properties of a body."""
-        centre_m, inertia = mass_properties(body.shape, body.mass_kg)
+        centre_m, inertia = body_mass_properties(body)
         moments, axes = np.diag(inertia), np.eye(3)
         if np.abs(inertia - np.diag(moments)).max() > 1e-12 * np.abs(inertia).max():
             moments, axes = np.linalg.eigh(inertia)

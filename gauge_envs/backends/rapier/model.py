@@ -15,7 +15,7 @@ from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, 
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Shape, Sphere
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["MASS_UNIT_KG", "BodyLayout", "build_world", "isometry"]
 
@@ -112,7 +112,7 @@ def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.Rig
         return rapier.RigidBody.fixed().position(isometry(body.pose)), np.zeros(3)
     if body.motion is Motion.KINEMATIC:
         return rapier.RigidBody.kinematic_velocity_based().position(isometry(body.pose)), np.zeros(3)
-    centre_m, inertia = mass_properties(body.shape, body.mass_kg)
+    centre_m, inertia = body_mass_properties(body)
     spin = np.array(body.angular_velocity_rad_per_s)
     # Rapier's velocity is that of the centre of mass.
     speed = body.linear_velocity_m_per_s + np.cross(spin, body.pose.rotation.apply(centre_m))

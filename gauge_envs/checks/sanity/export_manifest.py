@@ -15,7 +15,7 @@ from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.experiments.export.urdf import BodyFile, body_files
 from gauge_envs.files import json_ready, versions
 from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["COLUMNS", "FORMAT", "MANIFEST", "MOTION", "VERSION", "ExportedScene", "manifest", "scenes"]
 
@@ -131,7 +131,7 @@ def manifest(chosen: Sequence[ExportedScene]) -> dict[str, Any]:
 
 
 def _body(body: RigidBody, file: BodyFile, constants: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    centre, inertia = mass_properties(body.shape, body.mass_kg)
+    centre, inertia = body_mass_properties(body)
     volume = body.shape.volume_m3
     return {
         "name": body.name,

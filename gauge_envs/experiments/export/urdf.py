@@ -17,7 +17,7 @@ from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.experiments.export.assets import shape_to_obj
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, RigidBody, Scene, Shape, Sphere, Vector
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["BodyFile", "body_files"]
 
@@ -64,13 +64,13 @@ def body_files(scene: Scene) -> dict[str, BodyFile]:
         if not isinstance(joint, Hinge):
             raise UnsupportedSceneError("URDF has no tethers: export the scene as MJCF or USD")
         hinges[joint.body] = joint
-    shared: dict[tuple[Shape, float, Motion], BodyFile] = {}
+    shared: dict[tuple[Shape, float, float | None, Motion], BodyFile] = {}
     files = {}
     for body in scene.bodies:
         if body.name in hinges:
             files[body.name] = _hinged(body, hinges[body.name])
             continue
-        key = (body.shape, body.mass_kg, body.motion)
+        key = (body.shape, body.mass_kg, body.inertia_kg_m2, body.motion)
         known = shared.setdefault(key, _free(body))
         files[body.name] = BodyFile(
             file=known.file,
@@ -135,7 +135,7 @@ def _add_link(robot: ElementTree.Element, body: RigidBody, offset_m: Vector) -> 
     """Add the link of a body whose origin is at an offset in the link's frame; return its meshes by path."""
     link = ElementTree.SubElement(robot, "link", name=body.name)
     if body.mass_kg > 0.0:
-        centre, inertia = mass_properties(body.shape, body.mass_kg)
+        centre, inertia = body_mass_properties(body)
         inertial = ElementTree.SubElement(link, "inertial")
         ElementTree.SubElement(inertial, "origin", xyz=_text(vector(centre + offset_m)), rpy="0 0 0")
         ElementTree.SubElement(inertial, "mass", value=_text((body.mass_kg,)))

@@ -32,7 +32,7 @@ from gauge_envs.scene.usd.driven import driven_body
 from gauge_envs.scene.usd.joints import is_welded, joint_prims, read_joint
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
-from gauge_envs.scene.usd.solids import mass_kg, solid_of
+from gauge_envs.scene.usd.solids import inertia_kg_m2, mass_kg, solid_of
 from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
 from gauge_envs.scene.usd.velocities import read_velocities
 
@@ -310,7 +310,14 @@ class _Reader:
             raise source.fault(prim, "is a collider that moves without a rigid body: make it a kinematic body")
         else:
             pose = pose_at(self.start)
-        body = RigidBody(name=name, shape=solid.shape, motion=motion, pose=pose, mass_kg=mass)
+        body = RigidBody(
+            name=name,
+            shape=solid.shape,
+            motion=motion,
+            pose=pose,
+            mass_kg=mass,
+            inertia_kg_m2=inertia_kg_m2(source, prim),
+        )
         if motion is Motion.DYNAMIC:
             linear, angular = read_velocities(source, prim, frame, pose, solid.shape)
             body = replace(body, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(angular))

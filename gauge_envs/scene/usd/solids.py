@@ -18,7 +18,7 @@ from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.usd.layer import FloatArray
 from gauge_envs.scene.usd.source import Frame, Source, StoredValue, single
 
-__all__ = ["Solid", "mass_kg", "solid_of"]
+__all__ = ["Solid", "inertia_kg_m2", "mass_kg", "solid_of"]
 
 OFF_CENTRE_M = 1e-9
 """Largest distance of a collider's centre from its body's origin if it counts as centred [m]."""
@@ -237,7 +237,8 @@ def mass_kg(
     """Return the given mass of a body, or density times volume [kg]; 0 for fixed and driven bodies without both.
 
     Raises:
-        AssetError: A dynamic body has neither mass nor density, or its inertia is not that of uniform density.
+        AssetError: A dynamic body has neither mass nor density, or its inertia is neither that of `gauge:inertia_kg_m2`
+            nor that of uniform density.
     """
     api = UsdPhysics.MassAPI(body)
     given = _authored(source, api.GetMassAttr(), source.kilograms)
@@ -291,9 +292,24 @@ def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim],
     return densities[0] * shape.volume_m3
 
 
+def inertia_kg_m2(source: Source, body: Usd.Prim) -> float | None:
+    """Return the moment of inertia that a body states in `gauge:inertia_kg_m2` [kg m^2], or None.
+
+    Raises:
+        AssetError: It is not positive.
+    """
+    attribute = body.GetAttribute("gauge:inertia_kg_m2")
+    value = source.number(attribute) if attribute else None
+    if value is not None and not value > 0.0:
+        raise source.fault(attribute, f"is {value}: a positive moment of inertia is expected")
+    return value
+
+
 def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame: Frame, mass: float) -> None:
-    """Check that a given centre of mass and given moments of inertia are those of uniform density."""
+    """Check that a given centre of mass and given moments of inertia are those of the body."""
     centre, inertia = mass_properties(solid.shape, mass)
+    moment = inertia_kg_m2(source, api.GetPrim())
+    inertia = inertia if moment is None else moment * np.eye(3)
     # UsdPhysics gives both in the prim's frame.
     centre, inertia = solid.rotation @ centre + solid.offset_m, solid.rotation @ inertia @ solid.rotation.T
     radius = float(np.sqrt(np.trace(inertia) / 2.0 / mass))
@@ -310,8 +326,9 @@ def _check_uniform(source: Source, api: UsdPhysics.MassAPI, solid: Solid, frame:
     rotation = np.eye(3) if axes is None or not axes.any() else Rotation.from_quat(axes, scalar_first=True).as_matrix()
     stated = rotation @ np.diag(moments * source.kilograms * source.metres**2) @ rotation.T
     if np.abs(stated - inertia).max() > UNEVEN * np.abs(inertia).max():
-        uniform = ", ".join(f"{moment:.6g}" for moment in np.linalg.eigvalsh(inertia))
+        known = ", ".join(f"{value:.6g}" for value in np.linalg.eigvalsh(inertia))
+        origin = "uniform density" if moment is None else "gauge:inertia_kg_m2"
         raise source.fault(
             api.GetDiagonalInertiaAttr(),
-            f"contradicts uniform density, whose moments are ({uniform}) kg m^2: remove it or correct it",
+            f"contradicts {origin}, whose moments are ({known}) kg m^2: remove it or correct it",
         )

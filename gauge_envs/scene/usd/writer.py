@@ -254,7 +254,11 @@ class _Writer:
         if body.motion is not Motion.FIXED:
             rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
             rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
-            record_written(mass, UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(body.mass_kg).Get())
+            api = UsdPhysics.MassAPI.Apply(prim)
+            record_written(mass, api.CreateMassAttr(body.mass_kg).Get())
+            if body.inertia_kg_m2 is not None:
+                _custom(prim, "inertia_kg_m2", Double, body.inertia_kg_m2)
+                api.CreateDiagonalInertiaAttr(Gf.Vec3f(body.inertia_kg_m2))
             if not body.starts_at_rest:
                 write_velocities(rigid, body)
         for geometry in self._geometry(prim.GetPath(), body.shape):

@@ -1,0 +1,300 @@
+"""Real tosses of a cube on every engine: errors, their floor, impacts, and the constants that fit best.
+
+    python benchmarks/cube_toss.py run ENGINE OUT [--preset NAME] [--half judge] [--every 1] [--set KEY=VALUE ...]
+    python benchmarks/cube_toss.py floor ENGINE OUT        error between two starts within the measurement
+    python benchmarks/cube_toss.py fit ENGINE OUT          errors on a grid of friction and restitution, even tosses
+    python benchmarks/cube_toss.py recorded OUT            impacts of the recorded tosses
+    python benchmarks/cube_toss.py report OUT              the tables of docs/cube_toss.md
+
+Each command but the last writes JSON files into the folder OUT. Odd tosses judge; constants are fitted on even ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends import backend_for
+from gauge_envs.evaluation.single_shot import (
+    bootstrap_interval,
+    impacts,
+    perturbed_start,
+    shot_error,
+)
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.references.single_shot import SingleShots, single_shots
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+NAME = "CubeToss-acrylic"
+HALF_WIDTH_M = 0.0524
+WORLDS = 50
+"""Tosses that are built at once."""
+
+FRICTIONS = (0.12, 0.16, 0.20, 0.24, 0.28)
+RESTITUTIONS = (0.0, 0.125, 0.25, 0.4)
+FloatArray = NDArray[np.float64]
+
+
+def shots() -> SingleShots:
+    """Return the recorded tosses."""
+    found = single_shots(NAME)
+    assert found is not None
+    return found
+
+
+def toss(
+    engine: str,
+    trials: Sequence[int],
+    *,
+    settings: Mapping[str, Any] | None = None,
+    constants: Mapping[str, float] | None = None,
+    floor: bool = False,
+) -> Iterator[tuple[int, FloatArray, FloatArray, Rotation]]:
+    """Yield trial, times, positions and orientations of simulated tosses, 180 samples a second for 1 s.
+
+    Args:
+        engine: Name of the backend.
+        trials: Numbers of the trials.
+        settings: Settings of the engine.
+        constants: Constants that replace the calibrated ones, as `cube.friction`.
+        floor: Whether each toss starts with an error of the size of that of the measured start.
+    """
+    experiment = load_experiment(NAME, dict(constants or {}))
+    count = round(experiment.scene.duration_s / SAMPLE_INTERVAL_S)
+    times_s = SAMPLE_INTERVAL_S * np.arange(count + 1)
+    for begin in range(0, len(trials), WORLDS):
+        chunk = trials[begin : begin + WORLDS]
+        scenes = [with_trial(experiment, trial).scene for trial in chunk]
+        if floor:
+            nuisances = shots().sidecar.nuisances
+            scenes = [
+                replace(
+                    scene,
+                    bodies=tuple(
+                        perturbed_start(body, nuisances, seed=trial) if body.name == "cube" else body
+                        for body in scene.bodies
+                    ),
+                )
+                for trial, scene in zip(chunk, scenes, strict=True)
+            ]
+        worlds = backend_for(engine, None).build_worlds(scenes, dict(settings or {}))
+        worlds.reset(0)
+        states = np.empty((count + 1, len(chunk), 13))
+        for number in range(count + 1):
+            if number:
+                worlds.advance(SAMPLE_INTERVAL_S)
+            for place, world in enumerate(worlds.worlds):
+                states[number, place] = world.body_states(("cube",))[0]
+        worlds.close()
+        for place, trial in enumerate(chunk):
+            state = states[:, place]
+            yield trial, times_s, state[:, :3], Rotation.from_quat(state[:, 3:7], scalar_first=True)
+
+
+Toss = tuple[int, FloatArray, FloatArray, Rotation]
+
+
+def row_of(one: Toss) -> dict[str, Any]:
+    """Return the errors and the impacts of one simulated toss."""
+    trial, times_s, positions_m, rotations = one
+    body = load_experiment(NAME).scene.body("cube")
+    struck = impacts(body, HALF_WIDTH_M, times_s, positions_m, rotations)
+    error = asdict(shot_error(shots().shot(trial), times_s, positions_m, rotations))
+    return error | {"impacts": [asdict(impact) for impact in struck]}
+
+
+def rows(engine: str, trials: Sequence[int], **keywords: Any) -> list[dict[str, Any]]:
+    """Return errors and impacts of each simulated toss."""
+    return [row_of(one) for one in toss(engine, trials, **keywords)]
+
+
+def write(out: Path, name: str, content: Any) -> None:
+    """Write one JSON file."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write the errors of an engine."""
+    changes = {key: json.loads(value) for key, value in (text.split("=", 1) for text in options.set)}
+    constants = {key: value for key, value in changes.items() if key.startswith("cube.")}
+    settings = {key: value for key, value in changes.items() if key not in constants}
+    settings |= {"preset": options.preset} if options.preset else {}
+    trials = shots().trials(options.half)[:: options.every]
+    start = time.perf_counter()
+    tosses = list(toss(options.engine, trials, settings=settings, constants=constants))
+    wall_s = time.perf_counter() - start
+    found = [row_of(one) for one in tosses]
+    name = options.name or f"run-{options.engine}-{options.preset or 'default'}"
+    head = {"engine": options.engine, "preset": options.preset or "default", "changes": changes, "wall_s": wall_s}
+    write(options.out, name, head | {"rows": found})
+    print(name, len(found), round(wall_s, 1), {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm")})
+
+
+def floor(options: argparse.Namespace) -> None:
+    """Write the errors between a toss and one with a start within the measurement."""
+    trials = shots().trials("judge")[:: options.every]
+    plain = {trial: rest for trial, *rest in toss(options.engine, trials)}
+    found = []
+    for trial, times_s, positions_m, rotations in toss(options.engine, trials, floor=True):
+        _, reference_m, turned = plain[trial]
+        shot = replace(
+            shots().shot(trial),
+            times_s=times_s,
+            positions_m=reference_m,
+            quaternions=turned.as_quat(scalar_first=True),
+        )
+        found.append(asdict(shot_error(shot, times_s, positions_m, rotations)))
+    write(options.out, f"floor-{options.engine}", {"engine": options.engine, "rows": found})
+    print(options.engine, {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm", "rest_deg")})
+
+
+def fit(options: argparse.Namespace) -> None:
+    """Write the errors on a grid of constants."""
+    trials = shots().trials("fit")[:: options.every]
+    settings = {"preset": options.preset} if options.preset else {}
+    grid = []
+    for friction in FRICTIONS:
+        for restitution in RESTITUTIONS:
+            constants = {"cube.friction": friction, "cube.restitution": restitution}
+            found = rows(options.engine, trials, constants=constants, settings=settings)
+            grid.append({"friction": friction, "restitution": restitution, "losses": [loss(row) for row in found]})
+            print(options.engine, friction, restitution, round(float(np.mean(grid[-1]["losses"])), 4), flush=True)
+    write(options.out, f"fit-{options.engine}-{options.preset or 'default'}", {"engine": options.engine, "grid": grid})
+
+
+def loss(row: Mapping[str, float]) -> float:
+    """Return the mean position error in half widths plus the mean rotation error in radians."""
+    return row["mean_mm"] / (1e3 * HALF_WIDTH_M) + float(np.radians(row["mean_deg"]))
+
+
+def best_constants(grid: Sequence[Mapping[str, Any]], draws: int = 1000) -> dict[str, list[float]]:
+    """Return friction and restitution of the least mean loss, each with its 95 % bootstrap interval over tosses.
+
+    The loss on the grid is interpolated by a product of splines; each resample of the tosses has its own minimum.
+    """
+    from scipy.interpolate import RectBivariateSpline
+
+    losses = np.array([entry["losses"] for entry in grid]).reshape(len(FRICTIONS), len(RESTITUTIONS), -1)
+    friction = np.linspace(FRICTIONS[0], FRICTIONS[-1], 81)
+    restitution = np.linspace(RESTITUTIONS[0], RESTITUTIONS[-1], 81)
+
+    def minimum(columns: NDArray[np.int_]) -> tuple[float, float]:
+        surface = RectBivariateSpline(FRICTIONS, RESTITUTIONS, losses[:, :, columns].mean(axis=2), kx=2, ky=2)
+        place = np.unravel_index(np.argmin(surface(friction, restitution)), (81, 81))
+        return float(friction[place[0]]), float(restitution[place[1]])
+
+    count = losses.shape[2]
+    draw = np.random.default_rng(0)
+    found = np.array([minimum(draw.integers(0, count, count)) for _ in range(draws)])
+    best = minimum(np.arange(count))
+    return {
+        name: [best[index], *np.percentile(found[:, index], [2.5, 97.5]).tolist()]
+        for index, name in enumerate(("friction", "restitution"))
+    }
+
+
+def recorded(options: argparse.Namespace) -> None:
+    """Write the first impacts of all recorded tosses."""
+    data, body = shots(), load_experiment(NAME).scene.body("cube")
+    found = []
+    for trial in range(len(data)):
+        shot = data.shot(trial)
+        rotations = Rotation.from_quat(shot.quaternions, scalar_first=True)
+        struck = impacts(body, HALF_WIDTH_M, shot.times_s, shot.positions_m, rotations)
+        found.append({"trial": trial, "impacts": [asdict(impact) for impact in struck]})
+    write(options.out, "recorded", {"rows": found})
+
+
+def median(found: Sequence[Mapping[str, Any]], key: str) -> float:
+    """Return the rounded median of one error."""
+    return round(float(np.median([row[key] for row in found])), 2)
+
+
+def quartiles(found: Sequence[Mapping[str, Any]], key: str) -> str:
+    """Return the median of one error with its quartiles."""
+    low, middle, high = np.percentile([row[key] for row in found], [25, 50, 75])
+    return f"{middle:.1f} ({low:.1f} to {high:.1f})"
+
+
+def report(options: argparse.Namespace) -> None:
+    """Print the tables of the page."""
+    print("| engine | preset | tosses | 0.3 s, mm | 0.3 s, degrees | at rest, mm | at rest, degrees | same face |")
+    print("|---|---|---|---|---|---|---|---|")
+    keys = ("early_mm", "early_deg", "rest_mm", "rest_deg")
+    for file in (*sorted(options.out.glob("run-*.json")), *sorted(options.out.glob("floor-*.json"))):
+        content = json.loads(file.read_text())
+        found = content["rows"]
+        label = "floor" if file.name.startswith("floor") else content["preset"]
+        if content.get("changes"):
+            label += f", {content['changes']}"
+        cells = [content["engine"], label, str(len(found)), *(quartiles(found, key) for key in keys)]
+        same = 100 * float(np.mean([row["same_face"] for row in found]))
+        print(f"| {' | '.join(cells)} | {same:.0f} % |")
+    print("\n| engine | mean error, mm | mean error, degrees | loss | slip at rest, mm/s |\n|---|---|---|---|---|")
+    for file in sorted(options.out.glob("run-*.json")):
+        content = json.loads(file.read_text())
+        found = content["rows"]
+        cells = [f"{file.stem.removeprefix('run-')}"]
+        for values in ([row["mean_mm"] for row in found], [row["mean_deg"] for row in found], [*map(loss, found)]):
+            low, high = bootstrap_interval(values, np.mean)
+            cells.append(f"{np.mean(values):.3g} [{low:.3g}, {high:.3g}]")
+        print(f"| {' | '.join([*cells, quartiles(found, 'slip_mm_per_s')])} |")
+    print("\n| | corner: number, e, energy lost | edge | face |\n|---|---|---|---|")
+    for file in (options.out / "recorded.json", *sorted(options.out.glob("run-*.json"))):
+        if file.is_file():
+            print(f"| {file.stem} | {' | '.join(_impact_cells(json.loads(file.read_text())['rows']))} |")
+    print("\n| engine | best friction | best restitution | tosses |\n|---|---|---|---|")
+    for file in sorted(options.out.glob("fit-*.json")):
+        grid = json.loads(file.read_text())["grid"]
+        best = best_constants(grid)
+        texts = [f"{value:.3f} [{low:.3f}, {high:.3f}]" for value, low, high in best.values()]
+        print(f"| {file.stem.removeprefix('fit-')} | {' | '.join(texts)} | {len(grid[0]['losses'])} |")
+
+
+def _impact_cells(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    struck = [impact for row in found for impact in row["impacts"]]
+    for kind in ("corner", "edge", "face"):
+        some = [impact for impact in struck if impact["kind"] == kind]
+        if len(some) < 5:
+            yield f"{len(some)}"
+            continue
+        texts = []
+        for key in ("restitution", "energy_lost"):
+            values = [impact[key] for impact in some]
+            low, high = bootstrap_interval(values)
+            texts.append(f"{np.median(values):.2f} [{low:.2f}, {high:.2f}]")
+        yield f"{len(some)}, {', '.join(texts)}"
+
+
+def main() -> None:
+    """Run one of the commands."""
+    parser = argparse.ArgumentParser(description="Real tosses of a cube on every engine.")
+    commands = parser.add_subparsers(required=True)
+    for function in (run, floor, fit, recorded, report):
+        command = commands.add_parser(function.__name__)
+        command.set_defaults(function=function)
+        if function in (run, floor, fit):
+            command.add_argument("engine")
+        command.add_argument("out", type=Path)
+        command.add_argument("--preset")
+        command.add_argument("--half", choices=("fit", "judge"), default="judge")
+        command.add_argument("--every", type=int, default=1)
+        command.add_argument("--set", nargs="*", default=[])
+        command.add_argument("--name")
+    options = parser.parse_args()
+    options.function(options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,252 @@
+"""Single-shot trials: recordings that each have a start of their own, so that no mean over them exists.
+
+A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and a sidecar
+`<variant>.toml` with their source and nuisances. `scoring/README.md` describes both files. The recordings are corrected
+by the nuisances when they are read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PositiveInt
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from gauge_envs.errors import ParameterError, ReferenceFileError
+from gauge_envs.files import MEGABYTE, npz_arrays, read_regular
+from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
+from gauge_envs.scene.geometry import NonNegative, Positive
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = ["Half", "ShotNuisances", "ShotSidecar", "SingleShot", "SingleShots", "single_shots"]
+
+FloatArray = NDArray[np.float64]
+Half = Literal["fit", "judge"]
+
+QUATERNION_UNIT = 1.0 / 32767.0
+"""Value of one count of a stored quaternion."""
+
+MOST_BYTES = 16 * MEGABYTE
+"""Largest size of a file of recordings, packed or not."""
+
+
+class ShotNuisances(FileModel):
+    """Errors of a recording that no engine can answer for, fitted on the half of the trials that is not scored.
+
+    Attributes:
+        length_scale: Factor on recorded lengths and speeds, from the acceleration in free flight.
+        length_scale_std_error: Standard error of it.
+        height_offset_m: Height that is added after the scale, so that the resting body touches z = 0.
+        velocity_lag_s: Time by which a recorded velocity is late: half an interval for backward differences.
+        position_noise_m: Standard deviation of a position in free flight about a parabola.
+        rotation_noise_deg: Standard deviation of a rotation angle, per axis, in free flight about a constant rate.
+        rest_height_std_m: Standard deviation of the rest height over the trials.
+        rest_tilt_deg: Root mean square of the angle between the upper face and the horizontal at rest.
+        start_velocity_std_m_per_s: Standard error of each start velocity.
+        start_angular_velocity_std_rad_per_s: Standard error of each start angular velocity.
+    """
+
+    length_scale: Positive
+    length_scale_std_error: Positive
+    height_offset_m: float
+    velocity_lag_s: NonNegative
+    position_noise_m: Positive
+    rotation_noise_deg: Positive
+    rest_height_std_m: Positive
+    rest_tilt_deg: Positive
+    start_velocity_std_m_per_s: Positive
+    start_angular_velocity_std_rad_per_s: Positive
+
+
+class ShotSidecar(FileModel):
+    """What is known about the recordings of a variant.
+
+    Attributes:
+        body: Name of the recorded body.
+        trial_count: Number of trials.
+        rate_hz: Frames a second of the recordings.
+        position_unit_m: Value of one count of a stored position.
+        fit: Rule of the half that constants and nuisances may be fitted on; the other half judges.
+        source: Where the recordings are from, one sentence.
+        source_sha256: Hash of the file that the script has read.
+        licence: File in the same folder with the licence of the recordings.
+        nuisances: Errors of the recordings.
+    """
+
+    body: str
+    trial_count: PositiveInt
+    rate_hz: Positive
+    position_unit_m: Positive
+    fit: Literal["even"]
+    source: str
+    source_sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    licence: str
+    nuisances: ShotNuisances
+
+
+ARRAYS: dict[str, tuple[int | str, ...]] = {
+    "source_number": ("N",),
+    "first": ("N+1",),
+    "position": ("T", 3),
+    "quaternion": ("T", 4),
+    "start_velocity": ("N", 3),
+    "start_angular_velocity_body": ("N", 3),
+}
+"""Arrays of a file of N recordings with T frames in all; `first` are the first rows of each, and T."""
+
+
+@dataclass(frozen=True, eq=False)
+class SingleShot:
+    """One recorded trial of a rigid body, in SI units in the world frame, corrected by the nuisances.
+
+    Attributes:
+        trial: Number of the trial, from 0.
+        source_number: Number of the trial in the source.
+        times_s: Times of the frames, from 0, shape [T].
+        positions_m: Positions of the body origin, shape [T, 3].
+        quaternions: Orientations w x y z, body to world, shape [T, 4].
+        velocity_m_per_s: Velocity at the first frame, shape [3].
+        angular_velocity_rad_per_s: Angular velocity at the first frame in the world frame, shape [3].
+    """
+
+    trial: int
+    source_number: int
+    times_s: FloatArray
+    positions_m: FloatArray
+    quaternions: FloatArray
+    velocity_m_per_s: FloatArray
+    angular_velocity_rad_per_s: FloatArray
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last frame [s]."""
+        return float(self.times_s[-1])
+
+    def poses_at(self, times_s: FloatArray) -> tuple[FloatArray, Rotation]:
+        """Return the recorded poses at other times; after the last frame the body keeps its last pose.
+
+        Between frames, positions are a cubic spline without kinks at the frames and rotations have a constant rate.
+
+        Args:
+            times_s: Times [s], shape [Q].
+
+        Returns:
+            Positions [m], shape [Q, 3], and orientations.
+        """
+        held = np.clip(times_s, 0.0, self.duration_s)
+        rotation = Slerp(self.times_s, Rotation.from_quat(self.quaternions, scalar_first=True))(held)
+        return CubicSpline(self.times_s, self.positions_m)(held), rotation
+
+
+@dataclass(frozen=True, eq=False)
+class SingleShots:
+    """All recorded trials of a variant.
+
+    Attributes:
+        variant: Name of the variant.
+        sidecar: What is known about them.
+        arrays: Content of the file of recordings.
+    """
+
+    variant: str
+    sidecar: ShotSidecar
+    arrays: dict[str, NDArray[Any]]
+
+    def __len__(self) -> int:
+        return self.sidecar.trial_count
+
+    def trials(self, half: Half) -> tuple[int, ...]:
+        """Return the trials that constants may be fitted on, or those that judge: even and odd numbers."""
+        return tuple(range(0 if half == "fit" else 1, len(self), 2))
+
+    def shot(self, trial: int) -> SingleShot:
+        """Return one trial.
+
+        Raises:
+            ParameterError: There is no such trial.
+        """
+        if not 0 <= trial < len(self):
+            raise ParameterError(f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}")
+        data, nuisances = self.arrays, self.sidecar.nuisances
+        rows = slice(*(int(row) for row in data["first"][trial : trial + 2]))
+        positions_m = self.sidecar.position_unit_m * nuisances.length_scale * data["position"][rows].astype(np.float64)
+        positions_m[:, 2] += nuisances.height_offset_m
+        quaternions = QUATERNION_UNIT * data["quaternion"][rows].astype(np.float64)
+        quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+        start = Rotation.from_quat(quaternions[0], scalar_first=True)
+        return SingleShot(
+            trial=trial,
+            source_number=int(data["source_number"][trial]),
+            times_s=np.arange(len(positions_m)) / self.sidecar.rate_hz,
+            positions_m=positions_m,
+            quaternions=quaternions,
+            velocity_m_per_s=data["start_velocity"][trial].astype(np.float64),
+            # Recordings state the rate about the axes of the body, scenes about those of the world.
+            angular_velocity_rad_per_s=start.apply(data["start_angular_velocity_body"][trial].astype(np.float64)),
+        )
+
+    def band(self, trial: int, frame_count: int) -> Band:
+        """Return the band of one trial: its positions at the frames, and the uncertainty of measuring them.
+
+        Args:
+            trial: Number of the trial.
+            frame_count: Number of 30 Hz frames of an episode.
+
+        Raises:
+            ParameterError: There is no such trial.
+        """
+        shot, body, nuisances = self.shot(trial), self.sidecar.body, self.sidecar.nuisances
+        times_s = np.arange(frame_count) / FRAME_RATE_HZ
+        mean = 1e3 * shot.poses_at(times_s)[0]
+        sigma = 1e3 * float(np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m))
+        return Band(
+            grade=BandGrade.TRIALS,
+            unit="mm",
+            coordinates=tuple(f"{body}.{axis}" for axis in "xyz"),
+            projection=np.eye(3),
+            mean=mean,
+            sigma=np.full_like(mean, sigma),
+            measured=times_s <= shot.duration_s,
+            trial_count=1,
+            source=f"trial {trial} of {self.sidecar.source}",
+            sigma_source=SigmaSource.MEASUREMENT,
+            uncertainty=np.full_like(mean, sigma),
+            normalized_by_baseline=False,
+        )
+
+
+def single_shots(variant: str) -> SingleShots | None:
+    """Return the recorded single-shot trials of a variant, or None.
+
+    Raises:
+        ReferenceFileError: A file is damaged.
+    """
+    return _read(scoring_folder("single_shot") / f"{variant}.npz", variant)
+
+
+@cache
+def _read(file: Path, variant: str) -> SingleShots | None:
+    if not file.is_file():
+        return None
+    sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
+    try:
+        arrays = npz_arrays(read_regular(file, MOST_BYTES), ARRAYS, MOST_BYTES)
+    except (OSError, ValueError) as error:
+        raise ReferenceFileError(file, None, f"cannot be read: {error}") from None
+    shapes = {name: array.shape for name, array in arrays.items()}
+    count, frames = sidecar.trial_count, len(arrays.get("position", ()))
+    counts = {"N": count, "N+1": count + 1, "T": frames}
+    expected = {
+        name: tuple(entry if isinstance(entry, int) else counts[entry] for entry in shape)
+        for name, shape in ARRAYS.items()
+    }
+    if shapes != expected:
+        raise ReferenceFileError(file, None, f"has arrays {shapes}, expected {expected}")
+    return SingleShots(variant, sidecar, arrays)
