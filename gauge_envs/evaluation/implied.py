@@ -29,6 +29,9 @@ LEAST_SAMPLES = 4
 LEAST_INCLINE = 0.05
 """Sine of the slope below which a body that slides is not driven by its weight."""
 
+LARGEST_DAMPING_RATIO = 0.5
+"""Damping ratio above which a body creeps: each half swing is less than a sixth of the one before."""
+
 STEEPEST_INCLINE = 0.999
 """Largest sine of the slope of a slide: a steeper path is a fall, in which nothing presses on the body."""
 
@@ -304,7 +307,11 @@ def _ringing(band: Band, times_s: FloatArray, values: FloatArray) -> list[Implie
     real = _real_ringing(band, level_mm)
     units = {"frequency": "Hz", "decay_rate": "1/s", "droop": "mm"}
     found = []
+    # What creeps to its place has no frequency: the fit then describes the creep by any one.
+    creeps = simulated.damping_ratio > LARGEST_DAMPING_RATIO
     for name, (value, error) in _constants_of(simulated).items():
+        if creeps and name != "droop":
+            continue
         trials = np.array([_constants_of(one)[name][0] for one in real])
         scatter = float(np.std(trials, ddof=1)) if len(trials) > 1 else None
         found.append(
