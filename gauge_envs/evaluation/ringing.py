@@ -17,8 +17,8 @@ LEAST_SAMPLES = 12
 """Smallest number of samples that determine the five constants of the law with their uncertainty."""
 
 HIGHER_MODES_S = 0.15
-"""Time after the release that is left out [s]: the second bending mode of a beam is six times as fast as the first, so
-that it makes as many swings in a fifth of a swing of the slowest beam."""
+"""Time after the release that is left out [s]: about the first swing of the recorded beam, which holds the most of
+higher bending modes."""
 
 PADDING = 8
 """Length of the spectrum that starts the fit, over that of the signal."""
@@ -50,7 +50,7 @@ class Ringing:
 def fit_ringing(times_s: FloatArray, heights_mm: FloatArray, *, level_mm: float) -> Ringing | None:
     """Fit one damped swing to heights after a release.
 
-    The first 0.15 s are left out. They hold higher bending modes, which decay first.
+    The first 0.15 s are left out: one sinusoid does not describe higher bending modes.
 
     Args:
         times_s: Times after the release, evenly spaced [s], shape [sample_count].

@@ -1,4 +1,4 @@
-"""Releases of a silicone beam: the bands are what the facts give, the swing is that of beam theory, the task is built."""
+"""Releases of a silicone beam: bands are what the facts give, and the swing is that of beam theory."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_what_does_not_swing_has_no_fit() -> None:
 
 @pytest.mark.parametrize("load", LOADS_KG)
 def test_the_recorded_swing_is_that_of_beam_theory_with_the_fitted_modulus(load: str) -> None:
-    """Within 4 %: theory leaves out shear, the clamp's hold on the width, the load's size and 2 mm of a marker's place."""
+    """Within 4 %: theory leaves out shear, the clamp's hold on the width, and the size of the load."""
     band = band_of(load)
     values = np.zeros((len(band.mean), band.projection.shape[1]))
     values[:, [5, 8]] = band.mean
