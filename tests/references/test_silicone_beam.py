@@ -18,6 +18,8 @@ from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.evaluation.ringing import fit_ringing
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 LOADS_KG = {"0g": 0.0, "52g": 0.052, "101g": 0.101}
@@ -166,3 +168,20 @@ def test_the_load_is_part_of_the_scene(load: str, bodies: set[str]) -> None:
     assert set(scene.markers.bodies) == bodies
     total_kg = sum(body.mass_kg for body in scene.deformables)
     assert total_kg == pytest.approx(DENSITY * WIDTH_M**2 * LENGTH_M + LOADS_KG[load], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_mujoco_swings_between_the_beam_theories_with_and_without_shear() -> None:
+    """At a Poisson ratio of 0.3, where the default mesh does not lock; the clamp restrains part of the shear."""
+    overrides = {"beam.poisson_ratio": 0.3}
+    score = run_episode(RunRequest(name_of("0g"), backend="mujoco", parameters=overrides)).score
+    assert score is not None
+    found = {one.parameter: one.value for one in score.implied}
+    load_n_per_m = GRAVITY * DENSITY * WIDTH_M**2
+    bending_mm = 1e3 * load_n_per_m * LENGTH_M**4 / (8.0 * STIFFNESS_N_M2)
+    shear_modulus_pa = MODULUS_PA / 2.6
+    shear_mm = 1e3 * load_n_per_m * LENGTH_M**2 / (2.0 * 5.0 / 6.0 * shear_modulus_pa * WIDTH_M**2)
+    assert bending_mm < found["droop"] < bending_mm + shear_mm
+    # The stiffness of a swing is that of its droop, to first order.
+    rigid_hz = euler_bernoulli_hz(0.0)
+    assert rigid_hz * math.sqrt(bending_mm / (bending_mm + shear_mm)) < found["frequency"] < rigid_hz
