@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.evaluation.metrics import oscillation_period
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact, recognized
+from gauge_envs.evaluation.ringing import Ringing, fit_ringing
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
@@ -28,6 +29,9 @@ LEAST_SAMPLES = 4
 LEAST_INCLINE = 0.05
 """Sine of the slope below which a body that slides is not driven by its weight."""
 
+LARGEST_DAMPING_RATIO = 0.5
+"""Damping ratio above which a body creeps: each half swing is less than a sixth of the one before."""
+
 STEEPEST_INCLINE = 0.999
 """Largest sine of the slope of a slide: a steeper path is a fall, in which nothing presses on the body."""
 
@@ -37,7 +41,7 @@ class ImpliedParameter:
     """One parameter that a trajectory implies.
 
     Attributes:
-        parameter: `friction`, `restitution`, `release_time`, `period` or `decay_rate`.
+        parameter: `friction`, `restitution`, `release_time`, `period`, `decay_rate`, `frequency` or `droop`.
         unit: Unit of all numbers; `1` for a ratio.
         value: Value that the simulated trajectory implies.
         uncertainty: Standard uncertainty of `value`, from the misfit of the law.
@@ -65,7 +69,7 @@ def implied_parameters(
     values: FloatArray,
     release_offset_s: float | None = None,
 ) -> tuple[ImpliedParameter, ...]:
-    """Return the parameters that a trajectory of a single undriven body implies.
+    """Return the parameters that a trajectory of a single undriven body, or a ringing of markers, implies.
 
     Args:
         experiment: The experiment.
@@ -75,9 +79,13 @@ def implied_parameters(
         release_offset_s: Release offset of the score [s]; None without one.
     """
     single = experiment.score.observable is Observable.POSITION and len(experiment.recorded) == 1
-    if not single or experiment.scene.drivers:
+    rings = experiment.score.observable is Observable.MARKER_POSITION and experiment.score.period_axis is not None
+    if not (single or rings) or experiment.scene.drivers:
         return ()
-    found: list[ImpliedParameter] = []
+    if rings:
+        found = [] if band is None else _ringing(band, times_s, values)
+        return tuple(_rounded(one) for one in found)
+    found = []
     if band is not None:
         last_s = float(np.flatnonzero(np.isfinite(band.mean).any(axis=1))[-1]) / FRAME_RATE_HZ
         seen = times_s <= last_s + 1e-6
@@ -90,7 +98,11 @@ def implied_parameters(
             found.append(_release_time(band, release_offset_s))
     if experiment.score.period_axis is not None or "pd" in experiment.score.metrics:
         found += _swing(experiment, times_s, values)
-    return tuple(replace(one, value=_reported(one.value), uncertainty=_reported(one.uncertainty)) for one in found)
+    return tuple(_rounded(one) for one in found)
+
+
+def _rounded(one: ImpliedParameter) -> ImpliedParameter:
+    return replace(one, value=_reported(one.value), uncertainty=_reported(one.uncertainty))
 
 
 def _reported(value: float) -> float:
@@ -278,3 +290,56 @@ def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> l
             )
         )
     return found
+
+
+# --- ringing ---------------------------------------------------------------------------------------------------------
+
+
+def _ringing(band: Band, times_s: FloatArray, values: FloatArray) -> list[ImpliedParameter]:
+    """Return frequency, decay rate and droop of the first coordinate of the band."""
+    seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
+    heights = band.project(values[seen])[:, 0]
+    # The simulated body starts level. A recorded one is held by hand, and may be pushed as it is let go.
+    level_mm = float(heights[0])
+    simulated = fit_ringing(times_s[seen], heights, level_mm=level_mm)
+    if simulated is None:
+        return []
+    real = _real_ringing(band, level_mm)
+    units = {"frequency": "Hz", "decay_rate": "1/s", "droop": "mm"}
+    found = []
+    # What creeps to its place has no frequency: the fit then describes the creep by any one.
+    creeps = simulated.damping_ratio > LARGEST_DAMPING_RATIO
+    for name, (value, error) in _constants_of(simulated).items():
+        if creeps and name != "droop":
+            continue
+        trials = np.array([_constants_of(one)[name][0] for one in real])
+        scatter = float(np.std(trials, ddof=1)) if len(trials) > 1 else None
+        found.append(
+            ImpliedParameter(
+                parameter=name,
+                unit=units[name],
+                value=value,
+                uncertainty=error,
+                real=float(trials.mean()) if len(trials) else None,
+                real_uncertainty=None if scatter is None else scatter / math.sqrt(len(trials)),
+                real_scatter=scatter,
+                source="damped swing fitted from 0.15 s on; real: the same for each trial",
+            )
+        )
+    return found
+
+
+def _constants_of(ringing: Ringing) -> dict[str, tuple[float, float]]:
+    return {
+        "frequency": ringing.frequency_hz,
+        "decay_rate": ringing.decay_rate_per_s,
+        "droop": ringing.droop_mm,
+    }
+
+
+@lru_cache(maxsize=64)
+def _real_ringing(band: Band, level_mm: float) -> tuple[Ringing, ...]:
+    trials = band.mean[None] if band.trials is None else band.trials
+    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    fits = [fit_ringing(times_s, trial[:, 0], level_mm=level_mm) for trial in trials]
+    return tuple(fit for fit in fits if fit is not None)

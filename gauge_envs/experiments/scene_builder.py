@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault
-from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
+from gauge_envs.experiments.task_format import JointSpec, MarkersSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Attachment,
@@ -169,12 +169,17 @@ class SceneBuilder:
             attachments=tuple(
                 Attachment(deformable=a.deformable, region=Region(**a.region.model_dump()), to=a.to)
                 for a in self.spec.attachments
+                if {a.deformable, a.to} <= set(self.present)
             ),
             contacts=tuple(self._contacts(names)),
             drivers=drivers,
-            markers=None if markers is None else Markers(**markers.model_dump()),
+            markers=None if markers is None else self._markers(markers),
             duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
         )
+
+    def _markers(self, spec: MarkersSpec) -> Markers:
+        carriers = tuple(name for name in spec.bodies if name in self.present)
+        return Markers(**(spec.model_dump() | {"bodies": carriers}))
 
     def _bodies(self, name: str) -> Iterator[RigidBody]:
         body = self.spec.bodies[name]

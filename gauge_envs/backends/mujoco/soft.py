@@ -31,6 +31,9 @@ BONDED_CELLS = (2, 1)
 """Default cells along and across each body of a soft row; twice as many make its swing 1 % slower at four times the
 cost."""
 
+MOST_LAYERS = 12
+"""Largest number of layers of cells in the longest body of a soft row whose bodies are not equally long."""
+
 POINT_SPACING_M = 0.0125
 """Largest distance between neighbouring points of the colliding surface and of `nodes` [m]."""
 
@@ -62,12 +65,14 @@ class SoftPartMuJoCo(FlexPart):
         lattice: _Lattice,
         soft_row: SoftRow,
         points: Points,
+        layers: Sequence[int],
     ) -> None:
         self.name = flex.name
         self.names = tuple(block.body.name for block in soft_row.blocks)
         self.flex = flex
         self._lattice = lattice
         self._soft_row = soft_row
+        self._layers = tuple(layers)
         self.points = points
         self.rest_m = lattice.grid_m(lattice.subdivisions)
         self._grid = lattice.weights(self.rest_m)
@@ -79,9 +84,10 @@ class SoftPartMuJoCo(FlexPart):
         start = int(model.flex_stiffnessadr[self.flex.id])
         matrices = model.flex_stiffness[start : start + np.prod(cells) * 81 * 81].reshape(*cells, -1)
         along = np.moveaxis(matrices, self._lattice.axis, 0)
-        each = len(along) // len(self._soft_row.blocks)
-        for index, block in enumerate(self._soft_row.blocks):
-            along[index * each : (index + 1) * each] = _cell_stiffness(self._lattice.cell_m, block.body)
+        first = 0
+        for block, count in zip(self._soft_row.blocks, self._layers, strict=True):
+            along[first : first + count] = _cell_stiffness(self._lattice.cell_m, block.body)
+            first += count
         # Recompute the constants that MuJoCo derives from the stiffness.
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
@@ -184,18 +190,13 @@ def add_soft(
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
 
     Raises:
-        UnsupportedSceneError: The bodies do not form a soft row (see `SoftRow.of`), or their free lengths differ.
+        UnsupportedSceneError: The bodies do not form a soft row (see `SoftRow.of`), or no equal cells fit.
     """
     soft_row = SoftRow.of(bodies, attachments)
     axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
     each = _cells_of_a_block(blocks, axis, cell_m, cells)
-    along = each[axis]
-    lattice = _Lattice(low_m, high_m, tuple(n * len(blocks) if i == axis else n for i, n in enumerate(each)), axis)
-    inner_m = low_m[axis] + lattice.cell_m[axis] * along * np.arange(1, len(blocks))
-    if np.any(abs(inner_m - [block.low_m[axis] for block in blocks[1:]]) > TOLERANCE_M):
-        raise UnsupportedSceneError(
-            f"bonded soft bodies {[b.body.name for b in blocks]} have unequal free lengths: make them equal"
-        )
+    layers = _layers_of_blocks(blocks, axis, each[axis])
+    lattice = _Lattice(low_m, high_m, tuple(sum(layers) if i == axis else n for i, n in enumerate(each)), axis)
 
     name = blocks[0].body.name
     flex = spec.worldbody.make_flex(
@@ -218,13 +219,13 @@ def add_soft(
     flex.priority = 1
     flex.solref, flex.solimp = list(CONTACT_SOLREF), list(CONTACT_SOLIMP)
 
-    densities = np.repeat([block.density_kg_per_m3 for block in blocks], along)
+    densities = np.repeat([block.density_kg_per_m3 for block in blocks], layers)
     for node, mass in zip(flex.nodebody, lattice.node_masses(densities * np.prod(lattice.cell_m)), strict=True):
         spec.body(node).mass = mass
-    layers = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
+    sections = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
     held: dict[int, RigidAttachment] = {}
     for side, attachment in soft_row.ends.items():
-        held |= dict.fromkeys(layers[0 if side == "low" else -1].ravel().tolist(), attachment)
+        held |= dict.fromkeys(sections[0 if side == "low" else -1].ravel().tolist(), attachment)
         _add_gripped_material(spec, flex, soft_row, side)
     names = list(flex.nodebody)
     flex.nodebody, places = attached_points(names, lattice.rest_m, held)
@@ -232,7 +233,7 @@ def add_soft(
     # Deleting a body that a flex uses deletes the flex, so its references change first.
     for index in held:
         spec.delete(spec.body(names[index]))
-    return SoftPartMuJoCo(flex, lattice, soft_row, Points(names, lattice.rest_m, held))
+    return SoftPartMuJoCo(flex, lattice, soft_row, Points(names, lattice.rest_m, held), layers)
 
 
 def _cells_of_a_block(
@@ -245,6 +246,33 @@ def _cells_of_a_block(
     # Blocks at the ends of a row lose material to the grips; the longest one decides.
     edges = np.max([block.high_m - block.low_m for block in blocks], axis=0)
     return tuple(max(1, ceil(edge / cell_m - 1e-6)) for edge in edges)
+
+
+def _layers_of_blocks(blocks: Sequence[Block], axis: int, most: int) -> tuple[int, ...]:
+    """Return the number of layers of cells of each block along the row; the cells of a row are all equally long.
+
+    Args:
+        blocks: Blocks of the row.
+        axis: Index of the world axis of the row.
+        most: Number of layers of the longest block that its desired cells make.
+
+    Raises:
+        UnsupportedSceneError: Equal cells would be so short that there are more than `MOST_LAYERS`.
+    """
+    lengths = np.array([block.high_m[axis] - block.low_m[axis] for block in blocks])
+    if np.ptp(lengths) <= TOLERANCE_M:
+        return (most,) * len(blocks)
+    for count in range(most, MOST_LAYERS + 1):
+        layers = np.rint(lengths / lengths.max() * count)
+        # Where blocks meet, the sum of these errors counts.
+        error_m = np.abs(np.cumsum(layers * lengths.sum() / layers.sum() - lengths))
+        if layers.min() >= 1 and error_m.max() <= TOLERANCE_M:
+            return tuple(int(layer) for layer in layers)
+    raise UnsupportedSceneError(
+        f"bonded soft bodies {[block.body.name for block in blocks]} have free lengths of "
+        f"{', '.join(f'{1e3 * length:.4g}' for length in lengths)} mm: equal cells would need more than {MOST_LAYERS} "
+        "layers in the longest; make the lengths multiples of a longer one"
+    )
 
 
 def _add_gripped_material(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, soft_row: SoftRow, side: str) -> None:

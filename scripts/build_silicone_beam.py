@@ -1,0 +1,184 @@
+"""Build the bands of the silicone beam (`scoring/bands/SiliconeBeam-*`) from the facts, and the facts from the source.
+
+    python scripts/build_silicone_beam.py                    writes the bands
+    python scripts/build_silicone_beam.py --check            fails if a band differs from what the facts give
+    python scripts/build_silicone_beam.py --source FOLDER    writes the facts first; needs `pip install c3d`
+
+FOLDER holds the six motion-capture files of srl-ethz/diffPD_sim2real, `python/realbeam_experiments/Measurement_data`.
+The facts are heights of the three markers at the end of the beam, 100 Hz. The axes of a file are vertical, lateral,
+along the beam. The beam is level before it is let go.
+
+The end of a straight beam starts to fall like a free body, with or without a load: its curvature is 0, so nothing holds
+it but the clamp. The time of the release follows from the depth of the first frames after it. Each release is
+interpolated at 30 Hz from that time on. The band is the mean of the two releases of a load. Its sigma is their pooled
+standard deviation over all frames: two releases tell no scatter frame by frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from generated import write_or_check
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+FloatArray = NDArray[np.float64]
+
+RATE_HZ = 100.0
+FRAMES = 76
+HELD_FRAMES = 20
+"""Frames before the release that the facts hold."""
+
+RELEASE_STD_S = 0.002
+"""Standard uncertainty of the time of a release [s]: spread of the times that its first frames give."""
+
+NOISE_MM = 0.03
+"""Standard deviation of a height while the beam is held [mm]."""
+
+FILES = {
+    ("0g", 1): ("beam_gravity_V2_a.c3d", 72),
+    ("0g", 2): ("beam_gravity_V2_b.c3d", 66),
+    ("52g", 1): ("beam_load52_V2_a.c3d", 45),
+    ("52g", 2): ("beam_load52_V2_b.c3d", 59),
+    ("101g", 1): ("beam_load101_V2_a.c3d", 53),
+    ("101g", 2): ("beam_load101_V2_b.c3d", 58),
+}
+"""File of each load and release, and its first frame that lies more than 1 mm deep."""
+
+COLUMNS = ("load", "release", "frame", "top_mm", "right_mm", "left_mm")
+SOURCE = "srl-ethz/diffPD_sim2real, commit 825e7b7, python/realbeam_experiments/Measurement_data, MIT licence"
+
+
+@dataclass(frozen=True)
+class Release:
+    """One release as recorded.
+
+    Attributes:
+        heights_mm: Heights of the markers at the top and the two sides of the end [mm], shape [frame_count, 3].
+    """
+
+    heights_mm: FloatArray
+
+    def depth_mm(self) -> FloatArray:
+        """Return the height of the end's centre line over its held one [mm], shape [frame_count]; negative below it."""
+        end = self.heights_mm[:, 1:].mean(axis=1)
+        return end - end[: HELD_FRAMES - 8].mean()
+
+    def start_s(self) -> tuple[float, float]:
+        """Return the time of the release after the first frame, and the spread of the frames that it is from [s]."""
+        depth_m = -1e-3 * self.depth_mm()
+        falling = np.flatnonzero((depth_m > 2e-4) & (depth_m < 4.5e-3))
+        falling = falling[falling < HELD_FRAMES + 5]
+        times_s = falling / RATE_HZ - np.sqrt(2.0 * depth_m[falling] / GRAVITY_M_PER_S2)
+        return float(times_s.mean()), float(times_s.std())
+
+    def at_frames(self) -> FloatArray:
+        """Return the height of the end over its held one at the 30 Hz frames after the release [mm]."""
+        times_s = np.arange(len(self.heights_mm)) / RATE_HZ
+        return CubicSpline(times_s, self.depth_mm())(self.start_s()[0] + np.arange(FRAMES) / FRAME_RATE_HZ)
+
+
+def facts_from(source: Path) -> tuple[str, str]:
+    """Return the table of the facts and what states their origin."""
+    import c3d
+
+    rows, hashes = [",".join(COLUMNS)], []
+    last = round(RATE_HZ * (FRAMES - 1) / FRAME_RATE_HZ) + 10
+    for (load, number), (name, first) in FILES.items():
+        content = (source / name).read_bytes()
+        hashes.append(f'"{name}" = "{hashlib.sha256(content).hexdigest()}"')
+        with (source / name).open("rb") as stream:
+            points = np.array([points[:, 0] for _, points, _ in c3d.Reader(stream).read_frames()])
+        for frame in range(first - HELD_FRAMES, first + last):
+            heights = ",".join(f"{1e3 * height:.3f}" for height in points[frame, :3])
+            rows.append(f"{load},{number},{frame},{heights}")
+    sidecar = [
+        "# Written by scripts/build_silicone_beam.py; do not edit.",
+        f'source = "{SOURCE}"',
+        'licence = "silicone_beam.LICENSE"',
+        f"rate_hz = {RATE_HZ}",
+        "",
+        "[sha256]",
+        *hashes,
+    ]
+    return "\n".join(rows) + "\n", "\n".join(sidecar) + "\n"
+
+
+def releases(facts: Path) -> dict[str, list[Release]]:
+    """Return the two releases of each load."""
+    heights: dict[tuple[str, str], list[list[float]]] = {}
+    with facts.open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            heights.setdefault((row["load"], row["release"]), []).append([float(row[name]) for name in COLUMNS[3:]])
+    found: dict[str, list[Release]] = {}
+    for (load, _), values in heights.items():
+        found.setdefault(load, []).append(Release(np.array(values)))
+    return found
+
+
+def generate(scoring: Path) -> dict[Path, str]:
+    """Return the text of every generated file."""
+    files = {}
+    for load, both in releases(scoring / "facts" / "silicone_beam.csv").items():
+        variant = f"SiliconeBeam-{load}-silicone"
+        # The end starts at a height of 200 mm in the task.
+        ends = 200.0 + np.array([release.at_frames() for release in both])
+        mean = ends.mean(axis=0)
+        sigma = float(np.sqrt(np.square(ends - mean).sum() / (ends.shape[1] * (len(ends) - 1))))
+        uncertainty = np.hypot(NOISE_MM, RELEASE_STD_S * FRAME_RATE_HZ * np.gradient(mean))
+        rows = [f"{k},{value:.4f},{error:.4f}" for k, (value, error) in enumerate(zip(mean, uncertainty, strict=True))]
+        files[scoring / "bands" / f"{variant}.csv"] = "\n".join(["frame,mean.end.z,uncertainty.end.z", *rows]) + "\n"
+        files[scoring / "bands" / f"{variant}.toml"] = sidecar_text(sigma)
+        singles = [",".join([str(k), *(f"{value:.4f}" for value in column)]) for k, column in enumerate(ends.T)]
+        header = ",".join(["frame", *(f"trial.{k + 1}.end.z" for k in range(len(both)))])
+        files[scoring / "trials" / f"{variant}.csv"] = "\n".join([header, *singles]) + "\n"
+    return files
+
+
+def sidecar_text(sigma: float) -> str:
+    """Return the text of the sidecar of a band."""
+    return "\n".join(
+        [
+            "# Written by scripts/build_silicone_beam.py; do not edit.",
+            'grade = "trials"',
+            'sigma_source = "trials"',
+            f"sigma = {sigma:.4f}  # pooled over all frames and both releases",
+            'unit = "mm"',
+            "trial_count = 2",
+            'coordinates = ["end.z"]',
+            "projection = [[0, 0, 0, 0, 0, 0.5, 0, 0, 0.5]]  # mean height of the two markers at the sides",
+            f'source = "{SOURCE}; two releases"',
+            "",
+        ]
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the files, or check that they are current."""
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument("--source", type=Path)
+    options, rest = parser.parse_known_args(arguments)
+    if options.source is not None:
+        facts = Path(__file__).parents[1] / "scoring" / "facts" / "silicone_beam.csv"
+        table, sidecar = facts_from(options.source)
+        facts.write_text(table, encoding="utf-8", newline="\n")
+        facts.with_suffix(".toml").write_text(sidecar, encoding="utf-8", newline="\n")
+    return write_or_check(
+        generate,
+        script="build_silicone_beam.py",
+        what="Build the bands of the silicone beam; --source FOLDER writes the facts from the recordings first.",
+        arguments=rest,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
