@@ -30,6 +30,7 @@ from gauge_envs.scene.usd.deformables import (
 )
 from gauge_envs.scene.usd.driven import driven_body
 from gauge_envs.scene.usd.joints import is_welded, joint_prims, read_joint
+from gauge_envs.scene.usd.air import read_air
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import mass_kg, solid_of
@@ -188,6 +189,7 @@ class _Reader:
             markers=read_markers(source, self.names) if self.has_markers else None,
             duration_s=self._duration(),
             gravity_m_per_s2=self._gravity(),
+            air=read_air(source, self._physics().GetPrim()),
         )
         noted = source.stage.GetRootLayer().customLayerData.get("gauge", {})
         return UsdScene(
