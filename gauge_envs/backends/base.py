@@ -28,7 +28,17 @@ from numpy.typing import NDArray
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = ["Backend", "FileBackend", "ModelFile", "Simulation", "Support", "World", "Worlds", "scene_support", "with_declared"]
+__all__ = [
+    "Backend",
+    "FileBackend",
+    "ModelFile",
+    "Simulation",
+    "Support",
+    "World",
+    "Worlds",
+    "scene_support",
+    "with_declared",
+]
 
 
 @dataclass(frozen=True)

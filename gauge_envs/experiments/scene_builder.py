@@ -120,7 +120,9 @@ class SceneBuilder:
             return
         if name not in self.present:
             known = ", ".join(self.present)
-            raise ParameterError(f"{self.variant.name}: override {key!r} names no body of the scene; bodies: {known}; {AIR!r} for cloth")
+            raise ParameterError(
+                f"{self.variant.name}: override {key!r} names no body of the scene; bodies: {known}; {AIR!r} for cloth"
+            )
         try:
             if constant in Placement.model_fields:
                 placed = self.placements[name].model_dump(exclude_none=True) | {constant: value}

@@ -60,9 +60,7 @@ class Air:
         if self.density_kg_per_m3 == 0.0:
             raise ParameterError("air: density_kg_per_m3 is 0: give a positive density, or a scene without air")
 
-    def forces_n(
-        self, areas_m2: NDArray[np.float64], velocities_m_per_s: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def forces_n(self, areas_m2: NDArray[np.float64], velocities_m_per_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the forces on triangles [N], shape [triangle_count, 3].
 
         Args:

@@ -73,9 +73,9 @@ def check_air_step(scene: Scene, parts: list[ClothPartMuJoCo], timestep_s: float
         stable = scene.air.stable_speed_m_per_s(areal_density_kg_per_m2=density, timestep_s=timestep_s)
         if fastest > stable:
             raise ParameterError(
-                f"air on cloth {part.name!r}: steps of {timestep_s:.3g} s are stable up to {stable:.3g} m/s relative to "
-                f"the air, and the scene allows {fastest:.3g} m/s: reduce timestep_s to {timestep_s * stable / fastest:.3g} s "
-                "or less, or reduce the density or the coefficients of the air"
+                f"air on cloth {part.name!r}: steps of {timestep_s:.3g} s are stable up to {stable:.3g} m/s relative "
+                f"to the air, and the scene allows {fastest:.3g} m/s: reduce timestep_s to "
+                f"{timestep_s * stable / fastest:.3g} s or less, or reduce the density or the coefficients of the air"
             )
 
 

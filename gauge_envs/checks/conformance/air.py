@@ -44,9 +44,7 @@ SOURCE = "quadratic drag, Newton's law of resistance"
 
 def _free_sheet(pose: Pose, air: Air, seconds: float, gravity_m_per_s2: float) -> Scene:
     cloth = sheet(pose, (SIDE_M, SIDE_M), areal_density=AREAL_DENSITY, stretch_n_per_m=110.0, bend_n_m=1e-4)
-    return Scene(
-        bodies=(FRAME,), deformables=(cloth,), duration_s=seconds, gravity_m_per_s2=gravity_m_per_s2, air=air
-    )
+    return Scene(bodies=(FRAME,), deformables=(cloth,), duration_s=seconds, gravity_m_per_s2=gravity_m_per_s2, air=air)
 
 
 # --- terminal velocity -----------------------------------------------------------------------------------------------

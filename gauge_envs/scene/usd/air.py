@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Any
 
 from pxr import Gf, Sdf, Usd
 
@@ -35,7 +36,7 @@ def read_air(source: Source, prim: Usd.Prim) -> Air | None:
         AssetError: An attribute is unknown, or not a finite number in its range, or a required one is missing.
     """
     names = [field.name for field in fields(Air)]
-    values = {}
+    values: dict[str, Any] = {}
     for attribute in prim.GetAuthoredAttributes():
         name = attribute.GetName().removeprefix(PREFIX)
         if not attribute.GetName().startswith(PREFIX):

@@ -21,6 +21,7 @@ from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
+from gauge_envs.scene.usd.air import read_air
 from gauge_envs.scene.usd.deformables import (
     is_deformable,
     read_attachments,
@@ -30,7 +31,6 @@ from gauge_envs.scene.usd.deformables import (
 )
 from gauge_envs.scene.usd.driven import driven_body
 from gauge_envs.scene.usd.joints import is_welded, joint_prims, read_joint
-from gauge_envs.scene.usd.air import read_air
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import mass_kg, solid_of
