@@ -78,9 +78,9 @@ def run(fabric: str, parameters: Any, *, waves: bool = False, added_mass: bool =
     )
     env = made.unwrapped
     assert isinstance(env, GaugeEnv)
+    observation, _ = made.reset(seed=0)
     if added_mass:
         _add_mass(env)
-    observation, _ = made.reset(seed=0)
     if waves:
         _add_waves(env)
     action = np.zeros(env.action_space.shape or 0)
@@ -103,13 +103,14 @@ def run(fabric: str, parameters: Any, *, waves: bool = False, added_mass: bool =
 def _add_mass(env: GaugeEnv) -> None:
     """Give the free vertices inertia without weight along y, the direction of the fling.
 
-    It stands for the added mass of a plate that hangs almost upright. It is no model of it, as a plate that leans has its
+    It stands for the added mass of a plate that hangs almost upright. It is no model of it: a plate that leans has its
     added mass along its normal.
     """
     simulation: Any = env.simulation
     (part,) = simulation._parts.values()  # noqa: SLF001  no public option adds mass
     areas = part.grid.vertex_areas_m2()[part.points.free]
-    simulation.model.dof_armature[part.points.dofs[:, 1]] = ADDED_KG_PER_M2 * areas
+    # MuJoCo reads the inertia of single slide joints from the compiled table, not from the armature.
+    simulation.model.dof_M0[part.points.dofs[:, 1]] += ADDED_KG_PER_M2 * areas
 
 
 def _add_waves(env: GaugeEnv) -> None:
@@ -134,14 +135,17 @@ def swings(times_s: FloatArray, angles_deg: FloatArray) -> list[tuple[float, flo
 
 
 def decay_per_cycle(one: Run) -> float:
-    """Return the ratio of the second to the first extreme of the chord's angle after the rod stops, squared.
+    """Return the squared ratio of two swings, the largest after the rod stops and the next one to the other side.
 
-    Both are half a cycle apart, so the square is the decay over a cycle.
+    They are half a cycle apart, so the square is the decay over a cycle.
     """
-    sizes, times = np.abs(one.angles_deg), one.times_s
+    angles, times = one.angles_deg, one.times_s
+    sizes = np.abs(angles)
     inner = (sizes[1:-1] > sizes[:-2]) & (sizes[1:-1] >= sizes[2:]) & (times[1:-1] > ROD_STOPS_S)
-    first, second = sizes[np.flatnonzero(inner)[:2] + 1]
-    return float((second / first) ** 2)
+    places = np.flatnonzero(inner) + 1
+    first = max(places[:-1], key=lambda place: sizes[place])
+    later = [place for place in places if place > first and np.sign(angles[place]) != np.sign(angles[first])]
+    return float((sizes[later[0]] / sizes[first]) ** 2)
 
 
 def deviation_mm(one: Run) -> FloatArray:
@@ -191,14 +195,14 @@ def print_tables(rows: list[dict[str, Any]]) -> None:
         for name, three, ratio in zip(names, row["swings"], row["decay"], strict=False):
             cells = " | ".join(f"{angle:+.1f} at {at:.2f} s" for angle, at in three)
             print(f"| {row['fabric']} | {name} | {cells} | {ratio:.2f} |")
-    print("\n| fabric | markers move by, rms (largest) [mm] | curvature, rms [1/m] | processor time per second |")
+    print("\n| fabric | markers move by, rms (largest) [mm] | curvature, rms [rad] | processor time per second |")
     print("|---|---|---|---|")
     for row in rows:
         still, air = row["cpu_per_s"]
         curvature = " / ".join(f"{value:.3g}" for value in row["curvature_rms"])
         path = f"{row['path_mm'][0]:.0f} ({row['path_mm'][1]:.0f})"
         print(f"| {row['fabric']} | {path} | {curvature} | {still:.2f} / {air:.2f}, {100 * (air / still - 1):+.0f} % |")
-    print("\n| fabric | deviation from flat rows, flat start [mm] | start with waves | curvature with waves [1/m] |")
+    print("\n| fabric | deviation from flat rows, flat start [mm] | start with waves | curvature with waves [rad] |")
     print("|---|---|---|---|")
     for row in rows:
         if row["flutter_waves_mm"]:
