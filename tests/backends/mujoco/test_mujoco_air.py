@@ -15,7 +15,7 @@ from gauge_envs.backends.mujoco.air import AirOnCloth
 from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.checks.conformance.scene_parts import clamped, sheet
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.scene import Air, Pose, Region, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -174,3 +174,10 @@ def test_a_vector_environment_gives_the_motion_of_one() -> None:
         assert np.array_equal(markers, single["markers"])
     one.close()
     many.close()
+
+
+def test_a_state_with_air_does_not_continue_without() -> None:
+    _, simulation, _ = fling()
+    _, still, _ = fling("calibrated")
+    with pytest.raises(BackendError, match="the state is from a simulation with scene"):
+        still.restore(simulation.state())
