@@ -28,7 +28,17 @@ from numpy.typing import NDArray
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = ["Backend", "FileBackend", "ModelFile", "Simulation", "Support", "World", "Worlds"]
+__all__ = [
+    "Backend",
+    "FileBackend",
+    "ModelFile",
+    "Simulation",
+    "Support",
+    "World",
+    "Worlds",
+    "scene_support",
+    "with_declared",
+]
 
 
 @dataclass(frozen=True)
@@ -241,10 +251,12 @@ class Backend(ABC):
     Attributes:
         name: Name that users type, as in `backend="mujoco"`.
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
+        applies_air: Whether `build` applies `Scene.air` to cloth. Scenes with air are declined for other engines.
     """
 
     name: ClassVar[str]
     file_suffixes: ClassVar[tuple[str, ...]] = ()
+    applies_air: ClassVar[bool] = False
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
@@ -303,6 +315,21 @@ class Backend(ABC):
             ParameterError: A setting cannot replace one of the file.
         """
         raise UnsupportedSceneError(f"backend {self.name!r} builds no model files: use a USD layer")
+
+
+def scene_support(engine: Backend, scene: Scene) -> Support:
+    """Return whether an engine can build a scene: what `supports` returns, and what its class declares."""
+    return with_declared(engine, scene, engine.supports(scene))
+
+
+def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
+    """Return what an engine's `supports` returned for a scene, with the features that its class does not declare.
+
+    An engine that was written before a feature existed is thus declined for scenes that need it.
+    """
+    if scene.air is None or engine.applies_air:
+        return support
+    return Support((*support.missing, "the scene has air around its cloth, which this engine does not apply"))
 
 
 class FileBackend(Backend):

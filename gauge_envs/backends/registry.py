@@ -8,7 +8,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from gauge_envs.backends.base import Backend, FileBackend, Support
+from gauge_envs.backends.base import Backend, FileBackend, Support, with_declared
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
 from gauge_envs.scene import Scene
 
@@ -109,7 +109,7 @@ def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Suppo
         support = engine.supports(scene)
     if not isinstance(support, Support):
         raise BackendError(f"backend {name!r}: supports returned a {type(support).__name__}, expected a Support")
-    return support
+    return with_declared(engine, scene, support)
 
 
 def versions_of(name: str) -> dict[str, str]:

@@ -36,7 +36,8 @@ def load_experiment(
     Args:
         variant: Variant, its name, or its Gymnasium id.
         parameters: `calibrated`, another parameter set of the task file, or overrides keyed `body.constant`, where a
-            constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`.
+            constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`. In a
+            scene with cloth, `air.density_kg_per_m3` and the other fields of `scene.Air` add air.
         drivers: `bundled` takes driven motion from the task file, `imported` from the imported trials.
         reference: `bundled` scores against the band or law of the package, `imported` against the imported trials.
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault
 from gauge_envs.experiments.task_format import JointSpec, MarkersSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
+    Air,
     Attachment,
     Box,
     Cloth,
@@ -38,6 +40,9 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["Parameters", "SceneBuilder", "parameter_overrides"]
 
+
+AIR = "air"
+"""Name under which overrides state the air of a scene, as `air.density_kg_per_m3`."""
 
 Parameters = str | Mapping[str, Any]
 """`calibrated`, another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
@@ -67,7 +72,8 @@ class SceneBuilder:
         path: Task file, for messages.
         spec: Content of the task file.
         variant: The variant.
-        overrides: Values that replace calibrated ones, keyed `body.constant`.
+        overrides: Values that replace calibrated ones, keyed `body.constant`; `air.<field>` adds air to a scene with
+            cloth, by the fields of `scene.Air`.
 
     Raises:
         ParameterError: An override names an unknown body or constant, or has an impossible value.
@@ -87,6 +93,7 @@ class SceneBuilder:
             for name in self.present
             if name in spec.constants
         }
+        self.air: dict[str, Any] = {}
         for key, value in overrides.items():
             self._override(key, value)
         frames = self.subtask.frames if self.subtask else spec.frames
@@ -108,9 +115,14 @@ class SceneBuilder:
 
     def _override(self, key: str, value: Any) -> None:
         name, _, constant = key.rpartition(".")
+        if name == AIR:
+            self._override_air(constant, value)
+            return
         if name not in self.present:
             known = ", ".join(self.present)
-            raise ParameterError(f"{self.variant.name}: override {key!r} names no body of the scene; bodies: {known}")
+            raise ParameterError(
+                f"{self.variant.name}: override {key!r} names no body of the scene; bodies: {known}; {AIR!r} for cloth"
+            )
         try:
             if constant in Placement.model_fields:
                 placed = self.placements[name].model_dump(exclude_none=True) | {constant: value}
@@ -123,6 +135,22 @@ class SceneBuilder:
                 raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; it has: {known}")
         except ValidationError as error:
             raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error
+
+    def _override_air(self, field: str, value: Any) -> None:
+        known = [one.name for one in fields(Air)]
+        if field not in known:
+            raise ParameterError(f"{self.variant.name}: air has no constant {field!r}; it has: {', '.join(known)}")
+        self.air[field] = value
+
+    def _air(self) -> Air | None:
+        """Return the air that the overrides state; None without such overrides."""
+        if not self.air:
+            return None
+        try:
+            return TypeAdapter(Air).validate_python(self.air)
+        except ValidationError as error:
+            place, reason = first_fault(error)
+            raise ParameterError(f"override 'air.{place}': {reason}") from error
 
     def spec_name(self, body: str) -> str:
         """Return the name in the task file of a scene body; counted bodies share one entry."""
@@ -175,6 +203,7 @@ class SceneBuilder:
             drivers=drivers,
             markers=None if markers is None else self._markers(markers),
             duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
+            air=self._air(),
         )
 
     def _markers(self, spec: MarkersSpec) -> Markers:

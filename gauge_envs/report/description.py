@@ -66,6 +66,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
             ],
             "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
             "drivers": [_driver(experiment, index) for index in range(len(scene.drivers))],
+            "air": None if scene.air is None else dataclasses.asdict(scene.air),
             "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
             "reference": _reference(experiment),
             "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
@@ -230,6 +231,8 @@ def description_view(values: Mapping[str, Any]) -> Group:
     ]
     if joints := (*values["joints"], *values["attachments"]):
         parts += [heading("Joints"), *(Text(pairs_text(joint)) for joint in joints)]
+    if values["air"] is not None:
+        parts += [heading("Air"), Text(pairs_text(values["air"]))]
     for driver in values["drivers"]:
         parts += [
             heading(f"Driver of {driver['body']} ({driver['provenance']})"),

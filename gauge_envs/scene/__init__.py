@@ -1,5 +1,6 @@
 """Vocabulary of a scene, the input from which a physics engine builds and drives one experiment."""
 
+from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (
     Attachment,
     Cloth,
@@ -35,6 +36,7 @@ from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 
 __all__ = [
     "GRAVITY_M_PER_S2",
+    "Air",
     "Attachment",
     "Box",
     "Capsule",

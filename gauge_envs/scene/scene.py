@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (
     Attachment,
+    Cloth,
     Contact,
     ContactMode,
     Deformable,
@@ -59,11 +61,13 @@ class Scene:
         drivers: Prescribed motions of kinematic bodies.
         markers: Markers on deformable bodies, if any.
         gravity_m_per_s2: Downward acceleration [m/s^2].
+        air: Air that acts on the cloth, if any; other bodies feel none.
 
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
             deformable body, or does not rotate a hinged body about its hinge.
         ParameterError: Two contacts list the same pair.
+        ParameterError: There is air and no cloth.
     """
 
     bodies: tuple[RigidBody, ...]
@@ -75,11 +79,14 @@ class Scene:
     drivers: tuple[Driver, ...] = ()
     markers: Markers | None = None
     gravity_m_per_s2: float = GRAVITY_M_PER_S2
+    air: Air | None = None
     _by_name: dict[str, RigidBody] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
         self._check_pairs()
+        if self.air is not None and not any(isinstance(body, Cloth) for body in self.deformables):
+            raise ParameterError("the scene has air and no cloth. Air acts on cloth alone: remove it")
         for body in self.bodies:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)

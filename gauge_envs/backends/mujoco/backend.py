@@ -26,6 +26,7 @@ class BackendMuJoCo(Backend):
 
     name = "mujoco"
     file_suffixes = (".xml",)
+    applies_air = True
 
     def versions(self) -> dict[str, str]:
         """Return the version of the engine."""

@@ -51,6 +51,7 @@ class ClothPartMuJoCo(FlexPart):
 
     Attributes:
         cloth: The cloth.
+        grid: Its mesh.
     """
 
     def __init__(
@@ -65,23 +66,23 @@ class ClothPartMuJoCo(FlexPart):
         self.flex = flex
         self.rest_m = rest_m
         self.cloth = cloth
-        self._grid = grid
+        self.grid = grid
         self.points = points
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
         flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, self.name)
-        membrane = _membrane(self._grid, self.cloth.stretch_stiffness_n_per_m, self.cloth.shear_stiffness_n_per_m)
+        membrane = _membrane(self.grid, self.cloth.stretch_stiffness_n_per_m, self.cloth.shear_stiffness_n_per_m)
         start = model.flex_stiffnessadr[flex]
         table = model.flex_stiffness[start : start + STIFFNESS_PER_TRIANGLE * len(membrane)]
         table.reshape(-1, STIFFNESS_PER_TRIANGLE)[:, :6] = membrane
 
         edge, count = model.flex_edgeadr[flex], model.flex_edgenum[flex]
-        ends = self._grid.plane_m[model.flex_edge[edge : edge + count]]
+        ends = self.grid.plane_m[model.flex_edge[edge : edge + count]]
         diagonal = (np.abs(ends[:, 1] - ends[:, 0]) > 1e-9).all(axis=1)
         start = model.flex_bendingadr[flex]
         forms = model.flex_bending[start : start + BENDING_PER_EDGE * count].reshape(-1, BENDING_PER_EDGE)
-        forms[diagonal] *= _diagonal_weight(*self._grid.cell_m)
+        forms[diagonal] *= _diagonal_weight(*self.grid.cell_m)
 
     def nodes(self) -> NDArray[np.float64]:
         """Return the current world positions of the vertices [m], shape [node_count, 3]; cloth y runs fastest."""

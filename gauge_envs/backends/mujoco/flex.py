@@ -24,6 +24,10 @@ class Points:
         names: Name of each point's body; those of attached points are unused.
         rest_m: World positions at the start [m], shape [point_count, 3].
         held: Attachment of each attached point, by point index.
+
+    Attributes:
+        free: Indices of the points that are not attached, shape [free_count].
+        dofs: Their degrees of freedom in the compiled model, shape [free_count, 3]; `bind` sets it.
     """
 
     def __init__(self, names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]) -> None:
@@ -42,19 +46,34 @@ class Points:
         }.values():
             rows = np.array([index for index, other in self._held.items() if other.body == attachment.body])
             address = int(model.joint(model.body(attachment.body).jntadr[0]).qposadr[0])
-            self._carriers.append((rows, slice(address, address + 7), attachment.pose.to_body(self._rest_m[rows])))
-        self._qpos = data.qpos
+            arms = attachment.pose.to_body(self._rest_m[rows])
+            speeds = int(model.joint(model.body(attachment.body).jntadr[0]).dofadr[0])
+            self._carriers.append((rows, slice(address, address + 7), slice(speeds, speeds + 6), arms))
+        self._qpos, self._qvel = data.qpos, data.qvel
+        self.dofs = model.jnt_dofadr[joints[:, None] + np.arange(3)].astype(np.intp)
 
     def positions(self) -> NDArray[np.float64]:
         """Return the current world positions [m], shape [point_count, 3], from joint coordinates alone."""
         positions = self._rest_m.copy()
         positions[self.free] += self._qpos[self._addresses]
         rotation = np.empty(9)
-        for rows, address, arms in self._carriers:
+        for rows, address, _, arms in self._carriers:
             pose = self._qpos[address]
             mujoco.mju_quat2Mat(rotation, pose[3:])
             positions[rows] = arms @ rotation.reshape(3, 3).T + pose[:3]
         return positions
+
+    def velocities(self) -> NDArray[np.float64]:
+        """Return the current velocities [m/s], shape [point_count, 3], from joint coordinates alone."""
+        velocities = np.zeros_like(self._rest_m)
+        velocities[self.free] = self._qvel[self.dofs]
+        rotation = np.empty(9)
+        for rows, address, speeds, arms in self._carriers:
+            mujoco.mju_quat2Mat(rotation, self._qpos[address][3:])
+            linear, spin = self._qvel[speeds][:3], self._qvel[speeds][3:]
+            # MuJoCo keeps a free joint's angular velocity in the body frame.
+            velocities[rows] = linear + np.cross(spin, arms) @ rotation.reshape(3, 3).T
+        return velocities
 
 
 class FlexPart(ABC):

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.mujoco.air import AirOnCloth, check_air_step
+from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
 from gauge_envs.backends.mujoco.deformables import nodes_of
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
@@ -39,6 +41,9 @@ class SimulationMuJoCo(Simulation):
         model: The compiled model.
         parts: Parts of its deformable bodies, by name.
 
+    Raises:
+        ParameterError: The step is too long for the air of the scene.
+
     Attributes:
         settings: Numerical settings in force.
         spec: The editable model, for export and inspection.
@@ -60,6 +65,11 @@ class SimulationMuJoCo(Simulation):
         for part in dict.fromkeys(self._parts.values()):
             part.bind(self.model, self.data)
         self._timestep_s = float(settings["timestep_s"])
+        self._air: list[AirOnCloth] = []
+        if scene.air is not None:
+            cloth = [part for part in self._parts.values() if isinstance(part, ClothPartMuJoCo)]
+            check_air_step(scene, cloth, self._timestep_s)
+            self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
@@ -94,7 +104,16 @@ class SimulationMuJoCo(Simulation):
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
-        mujoco.mj_step(self.model, self.data, nstep=round(seconds / self._timestep_s))
+        self._step(round(seconds / self._timestep_s))
+
+    def _step(self, count: int) -> None:
+        if not self._air:
+            mujoco.mj_step(self.model, self.data, nstep=count)
+            return
+        for _ in range(count):
+            for air in self._air:
+                air.apply()
+            mujoco.mj_step(self.model, self.data)
 
     def fault(self) -> str | None:
         """Return why MuJoCo put the state back to its start since the last reset, or None; see `World.fault`."""
@@ -114,7 +133,7 @@ class SimulationMuJoCo(Simulation):
         read = self._reader(names).read_positions
         steps = round(interval_s / self._timestep_s)
         for row in positions:
-            mujoco.mj_step(self.model, self.data, nstep=steps)
+            self._step(steps)
             read(row)
         return positions
 

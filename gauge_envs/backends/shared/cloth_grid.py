@@ -59,6 +59,17 @@ class ClothGrid:
         )
         return np.outer(along_x, along_y).ravel()
 
+    def triangle_shares(self) -> NDArray[np.float64]:
+        """Return the share of a triangle that each of its corners carries, shape [triangle_count, 3].
+
+        It is 1/2 at the right angle and 1/4 at the ends of the diagonal, so that a uniform load gives each vertex the
+        load of its area in `vertex_areas_m2`.
+        """
+        corners = self.plane_m[self.triangles]
+        before, after = np.roll(corners, 1, axis=1) - corners, np.roll(corners, -1, axis=1) - corners
+        is_right = np.abs((before * after).sum(axis=2)) < 1e-9 * self.cell_m[0] * self.cell_m[1]
+        return np.where(is_right, 0.5, 0.25)
+
     def mean_edge_length_m(self) -> float:
         """Return the mean length of the edges [m]; each edge counts once."""
         edges = np.sort(self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)

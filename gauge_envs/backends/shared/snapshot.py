@@ -78,7 +78,8 @@ class StateOrigin:
         if not self._hash:
             one = self._scene
             parts = (one.bodies, one.deformables, one.joints, one.attachments, one.contacts, one.gravity_m_per_s2)
-            self._hash = hashlib.sha256(repr(parts).encode()).hexdigest()
+            air = "" if one.air is None else repr(one.air)
+            self._hash = hashlib.sha256((repr(parts) + air).encode()).hexdigest()
         return self._hash
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.checks.rollout import DeclinedError, Rollout, record
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
@@ -51,7 +52,7 @@ class Lab:
             RefusedSettingsError: The backend refuses the given settings.
         """
         self.settings_in_force = {}
-        support = self.backend.supports(scene)
+        support = scene_support(self.backend, scene)
         if not support:
             raise DeclinedError(support.missing)
         try:
@@ -70,7 +71,7 @@ class Lab:
 
     def first_supported(self, *scenes: Scene) -> Scene:
         """Return the first scene that the backend can build, or the last one when it can build none."""
-        return next((scene for scene in scenes if self.backend.supports(scene)), scenes[-1])
+        return next((scene for scene in scenes if scene_support(self.backend, scene)), scenes[-1])
 
     def rollout(self, scene: Scene, seconds: float) -> Rollout:
         """Build a scene, reset it, drive it and record it.

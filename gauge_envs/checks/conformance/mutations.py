@@ -13,7 +13,7 @@ have them. Faults that only an engine itself can have, such as a wrong inertia, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -25,6 +25,7 @@ from gauge_envs.backends import Backend, Simulation, Support
 from gauge_envs.checks.conformance.model import CheckResult
 from gauge_envs.checks.conformance.run import run_checks
 from gauge_envs.scene import (
+    Air,
     Box,
     Cloth,
     Contact,
@@ -151,6 +152,7 @@ class Mutant(Backend):
     name = "mutant"
 
     def __init__(self, backend: Backend, fault: Fault) -> None:
+        self.applies_air = backend.applies_air  # type: ignore[misc]  # a class variable of engines
         self._backend = backend
         self._fault = fault
 
@@ -376,6 +378,23 @@ def _warp_along_y(scene: Scene) -> Scene:
 def _edge_only(scene: Scene) -> Scene:
     attachments = [replace(one, region=replace(one.region, depth_m=0.0)) for one in scene.attachments]
     return replace(scene, attachments=tuple(attachments))
+
+
+def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
+    return lambda scene: scene if scene.air is None else replace(scene, air=change(scene.air))
+
+
+class _PumpingAir(Air):
+    """Air that drives the cloth along its motion."""
+
+    def forces_n(self, areas_m2: Array, velocities_m_per_s: Array) -> Array:
+        return -super().forces_n(areas_m2, velocities_m_per_s)
+
+
+def _pumping(air: Air) -> Air:
+    """Return air of the wrong sign in the scene that checks energy, so that no simpler check sees it first."""
+    is_of_energy_check = air.lift_coefficient > 0.0 and air.normal_coefficient > 0.0
+    return _PumpingAir(**asdict(air)) if is_of_energy_check else air
 
 
 def _thick(scene: Scene) -> Scene:
@@ -1330,6 +1349,48 @@ FAULTS: dict[str, Fault] = dict(
             simulation=_NodesReversed,
         ),
         _fault("nodes-millimetres", "nodes in mm", "cloth-start", "in mm", simulation=_NodesInMillimetres),
+        _fault(
+            "air-ignored",
+            "air ignored",
+            "air-terminal",
+            "no effect",
+            scene=lambda scene: replace(scene, air=None),
+        ),
+        _fault(
+            "air-doubled",
+            "drag without the factor 1/2, or areas counted twice",
+            "air-terminal",
+            "2 times",
+            scene=_air(lambda air: replace(air, density_kg_per_m3=2.0 * air.density_kg_per_m3)),
+        ),
+        _fault(
+            "air-wind",
+            "wind from the other side",
+            "air-pressure",
+            "against the wind",
+            scene=_air(lambda air: replace(air, wind_m_per_s=vector(np.negative(air.wind_m_per_s)))),
+        ),
+        _fault(
+            "air-friction",
+            "friction of one side of the cloth",
+            "air-friction",
+            "counts both sides",
+            scene=_air(lambda air: replace(air, tangential_coefficient=0.5 * air.tangential_coefficient)),
+        ),
+        _fault(
+            "air-lift",
+            "no lift",
+            "air-lift",
+            "perpendicular",
+            scene=_air(lambda air: replace(air, lift_coefficient=0.0)),
+        ),
+        _fault(
+            "air-pumps",
+            "forces of the air along the motion, where there is lift as well as drag and no wind",
+            "air-energy",
+            "wrong sign",
+            scene=_air(_pumping),
+        ),
         _fault(
             "foam-young",
             "Young's modulus of foam 10 % high",

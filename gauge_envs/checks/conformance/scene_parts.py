@@ -25,6 +25,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
 
 __all__ = [
+    "FRAME",
     "STRETCH_OVER_SHEAR",
     "ball",
     "body",

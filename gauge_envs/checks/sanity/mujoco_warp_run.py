@@ -58,6 +58,7 @@ class BackendMuJoCoWarp(BackendMuJoCo):
     """
 
     name = "mujoco_warp"
+    applies_air = False
 
     def __init__(self) -> None:
         _started()

@@ -9,6 +9,7 @@ from math import floor
 from typing import Any
 
 from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends.base import scene_support
 from gauge_envs.checks.rollout import DeclinedError, Rollout, record
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
@@ -103,7 +104,7 @@ def settings_in_force(backend: Backend, scenario: Scenario, settings: Mapping[st
 
 
 def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> Simulation:
-    support = backend.supports(scenario.scene)
+    support = scene_support(backend, scenario.scene)
     if not support:
         raise DeclinedError(support.missing)
     own = scenario.engine_settings.get(backend.name, {})

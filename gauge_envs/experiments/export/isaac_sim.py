@@ -87,6 +87,8 @@ def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
         raise ParameterError(
             f"{experiment.id}: {reason}. Choose an experiment without it, or another engine: gauge backend list"
         )
+    if scene.air is not None:
+        raise ParameterError(f"{experiment.id}: Isaac Sim applies no air to cloth: export it without the air")
     rate = steps_per_second(scene)
     stage = experiment_stage(experiment, samples_per_frame=round(rate / FRAME_RATE_HZ), later_frames=LATER_FRAMES)
     paths = {

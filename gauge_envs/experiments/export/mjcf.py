@@ -14,7 +14,7 @@ from gauge_envs.backends.mujoco.mjcf_writer import (
     start_notes,
     without_rest,
 )
-from gauge_envs.errors import ResultFileError
+from gauge_envs.errors import ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.export.usd_layer import SOURCE
 from gauge_envs.experiments.variants import task_path
@@ -32,6 +32,7 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
 
     Raises:
         ResultFileError: The file cannot be written.
+        UnsupportedSceneError: The scene has air, which MJCF cannot express.
     """
     text = mjcf_text(experiment)
     try:
@@ -41,8 +42,16 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
 
 
 def mjcf_text(experiment: TaskExperiment) -> str:
-    """Return the text that `write_mjcf` writes."""
+    """Return the text that `write_mjcf` writes.
+
+    Raises:
+        UnsupportedSceneError: The scene has air.
+    """
     scene = experiment.scene
+    if scene.air is not None:
+        raise UnsupportedSceneError(
+            f"{experiment.id}: MJCF cannot express the air around the cloth: write a USD layer, or export without air"
+        )
     simulation = BackendMuJoCo().build(scene)
     notes = [
         f"{experiment.spec.title}: {experiment.id}, parameters: {experiment.parameters}.",

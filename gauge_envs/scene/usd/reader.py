@@ -21,6 +21,7 @@ from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
+from gauge_envs.scene.usd.air import read_air
 from gauge_envs.scene.usd.deformables import (
     is_deformable,
     read_attachments,
@@ -188,6 +189,7 @@ class _Reader:
             markers=read_markers(source, self.names) if self.has_markers else None,
             duration_s=self._duration(),
             gravity_m_per_s2=self._gravity(),
+            air=read_air(source, self._physics().GetPrim()),
         )
         noted = source.stage.GetRootLayer().customLayerData.get("gauge", {})
         return UsdScene(

@@ -43,6 +43,7 @@ from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Pose
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.usd.air import write_air
 from gauge_envs.scene.usd.layer import (
     KINDS,
     TEXT,
@@ -157,6 +158,8 @@ class _Writer:
         physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
         magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
         record_written(_custom(physics, "gravity_m_per_s2", Double, self.scene.gravity_m_per_s2), magnitude.Get())
+        if self.scene.air is not None:
+            write_air(physics.GetPrim(), self.scene.air)
         duration = _custom(physics, "duration_s", Double, self.scene.duration_s)
         record_written(duration, (self.frame_count - 1) / FRAME_RATE_HZ)
         materials = [self._contact_material(index, contact) for index, contact in enumerate(self.scene.contacts)]
