@@ -56,8 +56,9 @@ def main() -> int:
         named += is_named
         row = [fault.what, f"`{result.check}`", _shortened(result.diagnosis), "yes" if is_named else "no"]
         print(markdown_row(row), flush=True)
+    run = "one check each" if arguments.own_check else f"{len(checks())} checks"
     print(
-        f"\n{len(chosen)} faults on {engine.name}, {len(checks())} checks: {len(chosen) - len(survivors)} caught, "
+        f"\n{len(chosen)} faults on {engine.name}, {run}: {len(chosen) - len(survivors)} caught, "
         f"{named} named by the first diagnosis. Survivors: {', '.join(survivors) or 'none'}."
     )
     return 1 if survivors else 0
