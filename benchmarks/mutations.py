@@ -2,8 +2,10 @@
 
     python benchmarks/mutations.py
     python benchmarks/mutations.py --backend newton --only "rope-*" --only margin
+    python benchmarks/mutations.py --backend genesis --own-check --only "cloth-*"
 
-Exit code 1 when a fault survives all checks. Faults of MuJoCo's model are left out on another backend.
+With `--own-check`, each mutant runs the one check that is stored with its fault. Exit code 1 when a fault survives.
+Faults of MuJoCo's model are left out on another backend.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--backend", default="mujoco")
     parser.add_argument("--only", action="append", default=[], help="id or pattern of faults; repeatable")
+    parser.add_argument("--own-check", action="store_true", help="run only the check that is stored with each fault")
     arguments = parser.parse_args()
     engine = backend(arguments.backend)
     chosen = {
@@ -44,7 +47,7 @@ def main() -> int:
     print(markdown_row(["---"] * 4))
     survivors, named = [], 0
     for name, fault in chosen.items():
-        result = first_failure(Mutant(engine, fault))
+        result = first_failure(Mutant(engine, fault), only=[fault.caught_by] if arguments.own_check else ())
         if result is None:
             survivors.append(name)
             print(markdown_row([fault.what, "none", "", "no"]), flush=True)
@@ -53,8 +56,9 @@ def main() -> int:
         named += is_named
         row = [fault.what, f"`{result.check}`", _shortened(result.diagnosis), "yes" if is_named else "no"]
         print(markdown_row(row), flush=True)
+    run = "one check each" if arguments.own_check else f"{len(checks())} checks"
     print(
-        f"\n{len(chosen)} faults on {engine.name}, {len(checks())} checks: {len(chosen) - len(survivors)} caught, "
+        f"\n{len(chosen)} faults on {engine.name}, {run}: {len(chosen) - len(survivors)} caught, "
         f"{named} named by the first diagnosis. Survivors: {', '.join(survivors) or 'none'}."
     )
     return 1 if survivors else 0

@@ -8,6 +8,7 @@ voxel behind that plane, so that it is the last one that they move.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from gauge_envs.backends.genesis.coupling import (
     touching_bodies,
 )
 from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.foam_settings import VOXEL_M, SettingsMPM
+from gauge_envs.backends.genesis.foam_settings import COURANT_LIMIT, VOXEL_M, SettingsMPM, sound_time_s
 from gauge_envs.backends.genesis.parts import DeformablePart, Motions
 from gauge_envs.backends.shared.attachments import RigidAttachment, attachments_by_body, bonded_soft_bodies
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
@@ -43,6 +44,9 @@ VOXEL_RANGE = (0.85, 1.15)
 
 ROOM_M = 0.15
 """Distance from the soft bodies to the walls of the grid [m]."""
+
+WALL_SLACK = 1e-3
+"""Distance from a wall at which a point counts as stopped by it, in voxels."""
 
 State = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]
 
@@ -77,7 +81,7 @@ class _Row:
         start: Its first point in the solver; free points come first.
     """
 
-    def __init__(self, soft_row: SoftRow, voxel_m: float, points_per_edge: int) -> None:
+    def __init__(self, soft_row: SoftRow, voxel_m: float, points_per_edge: float) -> None:
         self.soft_row = soft_row
         spacing_m = voxel_m / points_per_edge
         clouds = [_points_m(block.low_m, block.high_m, spacing_m) for block in soft_row.blocks]
@@ -176,6 +180,7 @@ class MPMPart(DeformablePart):
         # Genesis has one volume for all points; masses and moduli are scaled to that of each.
         self._volume_m3 = float(self._unique[0].volumes_m3[0])
         self._kernels: Any = None
+        self._walls_m: tuple[NDArray[Any], NDArray[Any]] = (np.full(3, -np.inf), np.full(3, np.inf))
         self._start: State | None = None
         self._grips: list[tuple[RigidAttachment, NDArray[np.int32], NDArray[np.float64]]] = []
         self._planned: list[tuple[NDArray[np.int32], NDArray[Any], NDArray[Any], NDArray[Any]]] = []
@@ -233,6 +238,8 @@ class MPMPart(DeformablePart):
 
         gs = engine()
         self._kernels = MPMKernels(scene)
+        boundary = scene.sim.mpm_solver.boundary
+        self._walls_m = boundary.lower, boundary.upper
         clouds: list[NDArray[np.float64]] = []
         for row in self._unique:
             clouds.append(row.points_m)
@@ -293,6 +300,33 @@ class MPMPart(DeformablePart):
     def _positions(self, row: _Row) -> NDArray[np.float64]:
         positions: NDArray[np.float64] = self.state()[0][row.start : row.start + row.count].astype(np.float64)
         return positions
+
+    def fault(self) -> str | None:
+        """Return that material points stand at a wall of the grid, where Genesis stops them, or are not finite."""
+        low, high = self._walls_m
+        slack = WALL_SLACK * self.voxel_m
+        positions = self.state()[0]
+        for row in self._unique:
+            points = positions[row.start : row.start + len(row.points_m)]
+            # A point that is not finite is not inside either.
+            inside = ((points > low + slack) & (points < high - slack)).all(axis=1)
+            if not inside.all():
+                block = row.soft_row.blocks[row.blocks[int(np.argmin(inside))]]
+                return f"{block.body.name!r} left its grid: {self._cause(row.soft_row)}"
+        return None
+
+    def _cause(self, row: SoftRow) -> str:
+        """Return why material points of a row may have left the grid, and what to do."""
+        step_s = self._settings.timestep_s
+        sound_s = min(sound_time_s(block.body, self.voxel_m) for block in row.blocks)
+        if step_s > sound_s:
+            interval_s = self._settings.drive_interval_s
+            stable_s = interval_s / ceil(interval_s / (COURANT_LIMIT * sound_s))
+            return (
+                f"explicit MPM is unstable, since a step takes {step_s / sound_s:.2g} times as long as sound through a "
+                f"voxel of {1e3 * self.voxel_m:.3g} mm; set timestep_s to 1/{1 / stable_s:.0f} s, or preset to 'mpm'"
+            )
+        return f"Genesis stops material points {ROOM_M:g} m from their start and less; move the body less"
 
     def state(self) -> State:
         """Return positions, velocities, velocity gradients and deformation gradients of all points."""

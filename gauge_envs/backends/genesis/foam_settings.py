@@ -14,14 +14,26 @@ from gauge_envs.backends.shared.tetrahedra import lame_constants
 from gauge_envs.scene import Scene, SoftBody
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-__all__ = ["SOFT_CELL_M", "VOXEL_M", "SettingsFEM", "SettingsMPM", "longest_mpm_timestep_s", "soft_presets"]
+__all__ = [
+    "COURANT_LIMIT",
+    "SOFT_CELL_M",
+    "SOFT_PRESETS",
+    "VOXEL_M",
+    "SettingsFEM",
+    "SettingsMPM",
+    "longest_mpm_timestep_s",
+    "soft_presets",
+    "sound_time_s",
+]
 
 SOFT_CELL_M = 0.0125
 """Largest edge of a cell of five tetrahedra [m]: a quarter of the width of the benchmark's foam."""
 
-
 VOXEL_M = 0.0125
 """Edge of a voxel of the material point method [m]."""
+
+SOFT_PRESETS = ("default", "mpm", "paper", "out_of_box")
+"""Names of the presets of scenes with soft bodies."""
 
 COURANT_LIMIT = 0.4
 """Longest step of the material point method, over the time of sound through a voxel."""
@@ -61,14 +73,14 @@ class SettingsMPM(SettingsGenesis):
     Attributes:
         solver: Genesis's name of the solver.
         cell_m: Desired edge of a voxel of the grid; None gives 12.5 mm.
-        points_per_voxel_edge: Material points along the edge of a voxel.
+        points_per_voxel_edge: Material points along the edge of a voxel; Genesis's default size gives 1.5625.
         model: Law of elasticity, under Genesis's name.
         contact_softness_m: Distance over which a rigid body's velocity decays in front of it.
     """
 
     solver: Literal["MPM"] = "MPM"
     cell_m: CellSize = None
-    points_per_voxel_edge: int = Field(default=2, ge=1)
+    points_per_voxel_edge: float = Field(default=2.0, ge=1.0)
     model: Literal["corotation", "neohooken"] = "corotation"
     contact_softness_m: float = Field(default=2e-3, gt=0.0)
 
@@ -77,18 +89,31 @@ def soft_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene with soft bodies, by name."""
     bodies = [body for body in scene.deformables if isinstance(body, SoftBody)]
     steps = ceil(DRIVE_INTERVAL_S / min(longest_mpm_timestep_s(body, VOXEL_M) for body in bodies) - 1e-9)
-    # Genesis's grid of 64 voxels per metre. The paper states 900 Hz, and that all other settings are defaults.
-    paper = SettingsMPM(preset="paper", timestep_s=1 / 900, precision=32, cell_m=1 / 64)
+    # Genesis's defaults: 64 voxels per metre and points of 10 mm. Its default step of 10 ms does not divide the drive
+    # interval, and one step in each interval is the longest that does.
+    out_of_box = SettingsMPM(
+        preset="out_of_box",
+        timestep_s=DRIVE_INTERVAL_S,
+        precision=32,
+        cell_m=1 / 64,
+        points_per_voxel_edge=1 / (64 * 0.01),
+    )
     return {
         "default": SettingsFEM(preset="default", timestep_s=1 / 900),
         "mpm": SettingsMPM(preset="mpm", timestep_s=DRIVE_INTERVAL_S / steps),
-        "paper": paper,
-        "out_of_box": paper.model_copy(update={"preset": "out_of_box"}),
+        # The paper states 900 Hz, and that all other settings are defaults.
+        "paper": out_of_box.model_copy(update={"preset": "paper", "timestep_s": 1 / 900}),
+        "out_of_box": out_of_box,
     }
 
 
 def longest_mpm_timestep_s(body: SoftBody, voxel_m: float) -> float:
     """Return the longest time step [s] of the explicit method: a share of the time of sound through a voxel."""
+    return COURANT_LIMIT * sound_time_s(body, voxel_m)
+
+
+def sound_time_s(body: SoftBody, voxel_m: float) -> float:
+    """Return the time that sound takes through a voxel [s]: its edge over sqrt((lambda + 2 mu) / density)."""
     mu, lame = lame_constants(body)
     density = body.mass_kg / body.shape.volume_m3
-    return COURANT_LIMIT * voxel_m * sqrt(density / (lame + 2.0 * mu))
+    return voxel_m * sqrt(density / (lame + 2.0 * mu))

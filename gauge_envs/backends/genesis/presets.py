@@ -10,9 +10,11 @@ from typing import Any
 
 from gauge_envs.backends.genesis.contacts import is_frictionless
 from gauge_envs.backends.genesis.deformables import deformable_presets
+from gauge_envs.backends.genesis.foam_settings import SOFT_PRESETS
 from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis
 from gauge_envs.backends.settings import resolve_settings
 from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import ContactMode, Scene
 
 __all__ = ["presets_for", "settings_for"]
@@ -34,14 +36,29 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
 
     Raises:
         UnknownNameError: The preset does not exist.
+        UnsupportedSceneError: The preset exists for other scenes only.
         ParameterError: A setting does not exist or has an invalid value.
     """
-    settings = resolve_settings("Genesis", presets_for(scene), preset=_preset_name(scene), changes=changes)
+    presets = presets_for(scene)
+    if isinstance(changes, Mapping):
+        _check_kind(changes.get("preset"), presets)
+    settings = resolve_settings("Genesis", presets, preset=_preset_name(scene), changes=changes)
     if settings.impact_speed_m_per_s is None:
         settings = settings.model_copy(update={"impact_speed_m_per_s": float(f"{impact_speed_m_per_s(scene):.2g}")})
     if "impratio" not in (changes or {}) and settings.friction_cone == "elliptic" and is_frictionless(scene):
         return settings.model_copy(update={"impratio": FRICTIONLESS_IMPRATIO})
     return settings
+
+
+def _check_kind(name: object, presets: Mapping[str, SettingsGenesis]) -> None:
+    """Raise an error if a preset exists, but only for scenes of another kind."""
+    if name in presets:
+        return
+    for kind, others in (("rigid bodies alone", tuple(PRESETS)), ("soft bodies", SOFT_PRESETS)):
+        if name in others:
+            raise UnsupportedSceneError(
+                f"Genesis preset {name!r} is for scenes with {kind}; presets of this scene: {', '.join(presets)}"
+            )
 
 
 def _preset_name(scene: Scene) -> str:

@@ -14,6 +14,7 @@ from gauge_envs.backends.genesis.model import Model, start_coordinates
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.genesis.tethers import pull
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene, Tether
 
 __all__ = ["Stepper"]
@@ -113,12 +114,23 @@ class Stepper:
             self._apply_forces()
             for part in self._model.parts:
                 part.prescribe(self._driven[0], step * step_s, step_s)
-            self._model.scene.sim.step()
+            self._step()
         for world, motions in enumerate(self._driven):
             for name, motion in motions.items():
                 pose = motion.pose(seconds)
                 velocity = motion.velocity_at(seconds)
                 self._given[world][name] = np.array([*pose.position_m, *pose.quaternion, *velocity])
+
+    def _step(self) -> None:
+        """Make one step.
+
+        Raises:
+            BackendError: Genesis found values that are not finite, or more contacts than it holds.
+        """
+        try:
+            self._model.scene.sim.step()
+        except engine().GenesisException as error:
+            raise BackendError(f"Genesis stopped: {error}") from error
 
     def _apply_forces(self) -> None:
         """Apply wrenches and the pulls of strings during the next step; Genesis forgets them after it."""

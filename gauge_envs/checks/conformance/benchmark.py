@@ -59,10 +59,16 @@ def _benchmark_check(id: str, title: str, what: str, saved_s: Mapping[str, float
         if not chosen:
             first = next(iter(scenes.values()))
             raise DeclinedError(lab.backend.supports(first).missing)
-        found = {}
+        found: dict[str, Measurement] = {}
+        missing: tuple[str, ...] = ()
         for name, scene in chosen.items():
             before = round(180.0 * saved_s[name])
-            found[name] = continuation_measurement(continuation_differences(lab, scene, before=before, after=18))
+            try:
+                found[name] = continuation_measurement(continuation_differences(lab, scene, before=before, after=18))
+            except DeclinedError as declined:  # The given settings are not for this scene.
+                missing = declined.missing
+        if not found:
+            raise DeclinedError(missing)
         worst = max(found, key=lambda name: np.nan_to_num(found[name].measured, nan=np.inf))
         one = found[worst]
         return Measurement(measured=one.measured, expected=0.0, hint=f"{worst}: {one.hint}" if one.hint else "")

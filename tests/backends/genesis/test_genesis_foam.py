@@ -15,13 +15,16 @@ pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.genesis.deformables import unsupported_deformables
+from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.foam_mpm import fitted_voxel_m
-from gauge_envs.backends.genesis.foam_settings import SettingsFEM, longest_mpm_timestep_s, soft_presets
+from gauge_envs.backends.genesis.foam_settings import SettingsFEM, longest_mpm_timestep_s, soft_presets, sound_time_s
+from gauge_envs.backends.genesis.presets import settings_for
 from gauge_envs.backends.shared.attachments import attachments_by_body, bonded_soft_bodies
 from gauge_envs.backends.shared.point_weights import linear_weights
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.checks.conformance import Status, run_checks
-from gauge_envs.checks.rollout import record
+from gauge_envs.checks.rollout import DivergedError, record
+from gauge_envs.errors import UnsupportedSceneError
 
 SETTINGS = SettingsFEM(preset="default", timestep_s=1 / 900)
 
@@ -105,6 +108,58 @@ def test_the_step_of_material_points_is_a_share_of_the_time_of_sound() -> None:
     modulus = body.young_modulus_pa * 0.77 / (1.23 * 0.54)
     assert longest_mpm_timestep_s(body, 0.0125) == pytest.approx(0.4 * 0.0125 / np.sqrt(modulus / density), rel=1e-9)
     assert soft_presets(scene)["mpm"].timestep_s <= longest_mpm_timestep_s(body, 0.0125)
+
+
+def test_out_of_the_box_foam_has_the_values_that_genesis_gives_to_a_program_that_states_none() -> None:
+    options = engine().options
+    presets = soft_presets(load_experiment("FoamTwisting-soft").scene)
+    one = presets["out_of_box"]
+    assert 1 / one.cell_m == pytest.approx(options.MPMOptions().grid_density)
+    assert one.cell_m / one.points_per_voxel_edge == pytest.approx(options.MPMOptions().particle_size)
+    assert one.model == engine().materials.MPM.Elastic().model
+    assert one.contact_softness_m == engine().materials.Rigid().coup_softness
+    # Genesis's default step is longer than the interval, of which each step is a part.
+    assert one.timestep_s == one.drive_interval_s < options.SimOptions().dt
+    assert one.model_copy(update={"preset": "paper", "timestep_s": 1 / 900}) == presets["paper"]
+
+
+@pytest.mark.parametrize("preset", ["out_of_box", pytest.param("paper", marks=pytest.mark.slow)])
+def test_foam_that_bursts_is_an_error_that_names_the_longest_step(preset: str) -> None:
+    scene = load_experiment("FoamTwisting-soft").scene
+    simulation = backend("genesis").build(scene, {"preset": preset})
+    simulation.reset(0)
+    assert simulation.fault() is None
+    with pytest.raises(DivergedError, match=r"'foam' left its grid: explicit MPM is unstable.* set timestep_s to 1/"):
+        record(simulation, scene, 0.1)
+    simulation.close()
+
+
+@pytest.mark.slow
+def test_the_longest_step_that_the_error_names_holds() -> None:
+    scene = load_experiment("FoamTwisting-soft").scene
+    (body,) = scene.deformables
+    voxel_m = fitted_voxel_m([soft_row(scene)], 1 / 64)
+    steps = int(np.ceil(1 / 180 / (0.4 * sound_time_s(body, voxel_m))))
+    simulation = backend("genesis").build(scene, {"preset": "paper", "timestep_s": 1 / 180 / steps})
+    simulation.reset(0)
+    record(simulation, scene, 0.1)
+    simulation.close()
+
+
+def test_a_preset_for_other_scenes_is_declined() -> None:
+    for id, preset, kind in (
+        ("Pendulum-metal", "mpm", "soft bodies"),
+        ("TextileFlinging-satin", "mpm", "soft bodies"),
+        ("FoamTwisting-soft", "impact", "rigid bodies alone"),
+    ):
+        with pytest.raises(UnsupportedSceneError, match=f"preset '{preset}' is for scenes with {kind}"):
+            settings_for(load_experiment(id).scene, {"preset": preset})
+
+
+@pytest.mark.slow
+def test_scenes_of_the_benchmark_that_a_preset_does_not_fit_are_left_out() -> None:
+    (result,) = run_checks("genesis", settings={"preset": "mpm"}, only=["restore-benchmark-soft"])
+    assert result.status is Status.PASS, result.diagnosis
 
 
 def test_weights_reproduce_linear_functions() -> None:

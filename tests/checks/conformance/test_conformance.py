@@ -19,9 +19,9 @@ from gauge_envs.backends import Backend, Simulation, Support, backend, registry
 from gauge_envs.checks.conformance import CheckResult, Status, checks, mutations, run_checks
 from gauge_envs.checks.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
 from gauge_envs.cli.app import app
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.report.conformance import findings_markdown
-from gauge_envs.scene import Box, Cloth, Contact, Motion, Pose, RigidBody, Rod, Scene, SoftBody
+from gauge_envs.scene import Box, Cloth, Contact, Hinge, Motion, Pose, RigidBody, Rod, Scene, SoftBody
 from gauge_envs.scene.meshes import mass_properties
 
 MUJOCO = backend("mujoco")
@@ -731,6 +731,23 @@ def test_bars_in_laws_do_not_break_the_markdown_table() -> None:
     finding = next(run_checks("mujoco", only=["hinge-radius"]))
     assert isinstance(finding, CheckResult)
     assert "\\|r - anchor\\| = l" in findings_markdown([finding])
+
+
+class OfPendulum(Faulty):
+    """MuJoCo with settings that fit scenes with a hinge only."""
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        if settings and not any(isinstance(joint, Hinge) for joint in scene.joints):
+            raise UnsupportedSceneError("the preset is for scenes with a hinge")
+        return super().build(scene, None)
+
+
+def test_scenes_of_the_benchmark_that_the_settings_do_not_fit_are_left_out() -> None:
+    (result,) = run_checks(OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-rigid"])
+    assert result.status is Status.PASS
+    (declined,) = run_checks(OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-soft"])
+    assert declined.status is Status.DECLINED
+    assert declined.missing == ("the preset is for scenes with a hinge",)
 
 
 # --- what it compares with ---
