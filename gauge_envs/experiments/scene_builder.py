@@ -197,7 +197,7 @@ class SceneBuilder:
             attachments=tuple(
                 Attachment(deformable=a.deformable, region=Region(**a.region.model_dump()), to=a.to)
                 for a in self.spec.attachments
-                if {a.deformable, a.to} <= set(self.present)
+                if self._is_present(a.deformable) and self._is_present(a.to)
             ),
             contacts=tuple(self._contacts(names)),
             drivers=drivers,
@@ -205,6 +205,10 @@ class SceneBuilder:
             duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
             air=self._air(),
         )
+
+    def _is_present(self, body: str) -> bool:
+        """Return whether a body of the scene is part of the subtask. Counted bodies share one entry of the file."""
+        return body in self.present or self.spec_name(body) in self.present
 
     def _markers(self, spec: MarkersSpec) -> Markers:
         carriers = tuple(name for name in spec.bodies if name in self.present)

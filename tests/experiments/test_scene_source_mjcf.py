@@ -95,7 +95,8 @@ def test_deformable_bodies_are_read_from_a_file(name: str) -> None:
         for _ in range(3):
             env.step(np.zeros(env.action_space.shape))
         runs.append(env.unwrapped.trajectory())
-    np.testing.assert_array_equal(runs[1].samples, runs[0].samples)
+    # Equal to the bit where the file was built; elsewhere tables differ in their last digits.
+    np.testing.assert_allclose(runs[1].samples, runs[0].samples, rtol=0.0, atol=1e-9)
     assert np.abs(np.diff(runs[0].samples, axis=0)).max() > 0.0
 
 

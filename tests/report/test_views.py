@@ -110,7 +110,7 @@ def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
 @pytest.mark.parametrize(
     ("command", "most"),
     [
-        (("list",), 80),
+        (("list",), 84),
         (("data", "status"), 160),
         (("materials",), 80),
         (("compare",), 90),

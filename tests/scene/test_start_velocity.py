@@ -169,7 +169,9 @@ def test_a_body_may_slide_down_a_leaning_plane(friction: float) -> None:
 
 def test_limits_of_a_scene_at_rest_are_unchanged() -> None:
     scene = load_experiment("SlopeSlider-2-wood").scene
-    assert (scene.speed_limit_m_per_s, scene.kinetic_energy_limit_j, scene.distance_limit_m) == LIMITS_AT_REST
+    limits = (scene.speed_limit_m_per_s, scene.kinetic_energy_limit_j, scene.distance_limit_m)
+    # The last digit depends on the processor.
+    assert limits == pytest.approx(LIMITS_AT_REST, rel=1e-15)
 
 
 # --- tilted scenes and differences -----------------------------------------------------------------------------------

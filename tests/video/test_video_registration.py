@@ -126,4 +126,4 @@ def test_a_first_frame_that_is_no_picture_is_an_error(tmp_path: Path) -> None:
     ]
     outcome = CliRunner().invoke(app, [*arguments, "--first-frame", str(tmp_path / "first.png")])
     assert outcome.exit_code == 2
-    assert "--first-frame registers a video" in outcome.output
+    assert "--first-frame need the video" in outcome.output

@@ -608,9 +608,10 @@ def test_mjcf_replays_the_trajectory_without_this_project(name: str) -> None:
 
 @pytest.mark.parametrize("name", ONE_OF_EACH_DEFORMABLE_FAMILY)
 def test_mjcf_replays_deformable_bodies_without_this_project(name: str) -> None:
-    file, backend = replayed(load_experiment(name), checked_in_text(name), 9)
-    # Equal to the bit where the file was built; elsewhere tables differ in their last digits.
-    assert np.abs(file.qpos - backend.qpos).max() < 1e-9
+    # The tables of a file from another processor differ in their last digits, which folds of cloth amplify.
+    experiment = load_experiment(name)
+    file, backend = replayed(experiment, mjcf_text(experiment), 9)
+    np.testing.assert_array_equal(file.qpos, backend.qpos)
     assert np.abs(file.qpos - file.model.qpos0).max() > 1e-3
 
 
