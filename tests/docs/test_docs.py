@@ -106,6 +106,9 @@ def test_python_blocks_run_and_print_what_they_state(
             (tmp_path / "tasks").mkdir(exist_ok=True)
             (tmp_path / match[1]).write_text(block, encoding="utf-8")
     code = "\n".join(fenced(page, "python"))
+    if "examples/" in code:
+        assert "in a clone of the" in page.read_text(encoding="utf-8")
+        (tmp_path / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
     exec(compile(code, page.name, "exec"), {"__name__": "guide"})
     stated = re.findall(r"^ *print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
     assert stated
