@@ -86,13 +86,15 @@ def test_a_film_on_disk_comes_with_its_exact_track(tmp_path: Path) -> None:
 def changes(task: str, rng: np.random.Generator) -> Mapping[str, float]:
     """Return random constants of a task."""
     if task.startswith("SlopeSlider"):
-        # Below, the cube leaves the board in time; above, it chatters in MuJoCo and is too fast by up to 5 %.
+        # Below, the cube leaves the board in time; above, its hops may lose their symmetry (docs/engines/mujoco.md).
         return {"cube.friction": float(rng.uniform(0.2, 0.4))}
     if task.startswith("BouncingBall"):
         return {"ball.restitution": float(rng.uniform(0.3, 0.9)), "ball.mass_kg": float(rng.uniform(0.05, 0.3))}
     if task.startswith("Newtons"):
         return {"ball-2.mass_kg": float(rng.uniform(0.02, 0.06))}
-    return {"cube.friction": float(rng.uniform(0.3, 0.8))} if task.startswith("Turntable") else {}
+    if task.startswith("Pendulum"):
+        return {"ball.mass_kg": float(rng.uniform(0.1, 1.0))}  # the period of the closed form does not know it
+    return {"cube.friction": float(rng.uniform(0.3, 0.8))}
 
 
 def truths(one: Film, parameters: Mapping[str, float]) -> dict[str, float]:
@@ -126,13 +128,16 @@ def test_films_of_random_episodes(task: str) -> None:
         seconds = {"Pendulum-metal": 2.5, "NewtonsCradle-metal": 1.5, "Turntable-2-metal": 0.45}.get(task)
         one = film(
             task,
-            parameters=parameters or "calibrated",
+            parameters=parameters,
             release_s=float(rng.uniform(0.3, 0.3 + 1 / 30)),
             seconds=seconds,
         )
         # A file that states 24 frames per second, although they were filmed at 30, is scored with --fps 30.
         result = score(processed(one, rng), 30.0, task)
-        assert result.grade is Grade.VALID, (seed, result.reasons)
+        if task == "Pendulum-metal":  # the rod of the metadata is 8 mm shorter than that of the first frame
+            assert len(result.reasons) == 1 and "known first frame" in result.reasons[0], (seed, result.reasons)
+        else:
+            assert result.grade is Grade.VALID, (seed, result.reasons)
         for name, truth in truths(one, parameters).items():
             value, interval = result.metrics[name], result.uncertainty[name]
             if name == "r2":
