@@ -21,7 +21,6 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.scene import Scene
-from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["ControlEnv"]
@@ -32,8 +31,8 @@ FloatArray = NDArray[np.float64]
 class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     """A control task in a calibrated scene of the benchmark; a law gives its true optimum.
 
-    One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] of one entry.
-    The subclass documents what the action commands, the observation, and the reward with its proof.
+    One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
+    for each of `COMMANDED`. The subclass documents what they command, the observation, and the reward with its proof.
 
     `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. Copies and pickles continue bit
     for bit, also in another process with the same versions of the engine.
@@ -53,6 +52,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
         DURATION_S: Length of an episode [s].
+        COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
@@ -67,6 +67,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
     DURATION_S: ClassVar[float]
+    COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
 
     def __init__(
@@ -83,7 +84,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         pictures = Pictures(render_mode, width=width, height=height)
         self._variant = find_variant(variant)
         stated = load_experiment(self._variant, self._start_parameters(self._variant, parameters))
-        scene = replace(stated.scene, drivers=self._drivers(stated.scene), duration_s=self.DURATION_S)
+        scene = replace(self._scene(stated.scene), duration_s=self.DURATION_S)
         experiment = replace(stated, scene=scene, frame_count=self.frame_count)
         super().__init__(experiment, pictures, backend=backend, settings=settings)
         self._build(experiment)
@@ -95,7 +96,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         self.limit = self._limit()
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.OBSERVED),), np.float64)
         # Learners act in single precision.
-        self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
 
     @property
     def _label(self) -> str:
@@ -111,8 +112,11 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         return parameters
 
     @abstractmethod
-    def _drivers(self, scene: Scene) -> tuple[Driver, ...]:
-        """Return drivers without a motion of their own; their residual rates state how fast actions may move them."""
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene of the task, from that of the experiment.
+
+        Drivers have no motion of their own; their residual rates state how fast actions may move them.
+        """
 
     @abstractmethod
     def _limit(self) -> Limit:
@@ -123,8 +127,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Record the start of an episode; the simulation is at it."""
 
     @abstractmethod
-    def _advance(self, command: float) -> tuple[float, Ending | None]:
-        """Simulate a frame; return its reward and, if it ended the episode, the ending."""
+    def _advance(self, command: FloatArray) -> tuple[float, Ending | None]:
+        """Simulate a frame with an action; return its reward and, if it ended the episode, the ending."""
 
     @abstractmethod
     def _observation(self) -> FloatArray:
@@ -135,17 +139,17 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Return what the policy has reached so far, in the unit of the limit."""
 
     @abstractmethod
-    def _law_command(self, fraction: float) -> float:
+    def _law_command(self, fraction: float) -> float | FloatArray:
         """Return the action of `law_action` before it is clipped to [-1, 1]."""
 
     def law_action(self, fraction: float) -> NDArray[np.float32]:
-        """Return the action that the law suggests now, shape [1].
+        """Return the action that the law suggests now, shape [len(COMMANDED)].
 
         Args:
             fraction: Share of the law's limit that the policy uses. In an engine that obeys the law, a share just below
                 1 succeeds and one just above 1 fails.
         """
-        return np.clip(np.array([self._law_command(fraction)], dtype=np.float32), -1.0, 1.0)
+        return np.clip(np.atleast_1d(np.asarray(self._law_command(fraction), dtype=np.float32)), -1.0, 1.0)
 
     # --- episode ---
 
@@ -162,7 +166,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
-        """Start a new episode; the start is always the same, and there are no options.
+        """Start a new episode. There are no options; the bodies always start alike, and the seed sets a goal, if any.
 
         Raises:
             EpisodeError: The environment is closed.
@@ -218,18 +222,17 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _info(self) -> dict[str, Any]:
         return {"frame": self._frame, "time_s": self.time_s}
 
-    def _checked(self, action: Any) -> float:
+    def _checked(self, action: Any) -> FloatArray:
         try:
             command = np.asarray(action, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ActionError(f"action {action!r} is not an array of numbers") from error
-        if command.shape != (1,):
-            raise ActionError(f"action has shape {command.shape}, expected (1,)")
-        value = float(command[0])
+        if command.shape != self.action_space.shape:
+            raise ActionError(f"action has shape {command.shape}, expected {self.action_space.shape}")
         # A comparison with NaN is false.
-        if not abs(value) <= 1.0:
-            raise ActionError(f"action {value} must be a number from -1 to 1")
-        return value
+        if not (np.abs(command) <= 1.0).all():
+            raise ActionError(f"action {command.tolist()} must be numbers from -1 to 1")
+        return command
 
     def _fault(self) -> str | None:
         """Return why the simulation counts as diverged, or None."""

@@ -14,7 +14,7 @@ from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Scene
-from gauge_envs.scene.drivers import Driver, mean_velocity
+from gauge_envs.scene.drivers import mean_velocity
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 __all__ = ["HOLD_S", "SLIP_SPEED_M_PER_S", "FrictionLimit"]
@@ -70,6 +70,7 @@ class FrictionLimit(ControlEnv):
 
     SUBTASK: ClassVar[str]
     ACCELERATION_RAD_PER_S2: ClassVar[float]
+    COMMANDED: ClassVar[tuple[str, ...]] = ("angular_acceleration",)
     OBSERVED: ClassVar[tuple[str, ...]] = (
         "angle_rad",
         "rate_rad_per_s",
@@ -91,12 +92,12 @@ class FrictionLimit(ControlEnv):
         self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2])
         self._corners_m = scene.body(CUBE).shape.corners_m
 
-    def _drivers(self, scene: Scene) -> tuple[Driver, ...]:
-        """Return the driver of the carrier, with the axis of the experiment and no motion of its own."""
-        driver = scene.drivers[0]
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene, in which the carrier turns about the axis of the experiment by actions alone."""
+        driver = stated.drivers[0]
         fastest = self.ACCELERATION_RAD_PER_S2 * self.DURATION_S
         motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
-        return (replace(driver, motions=(motion,), provenance="action"),)
+        return replace(stated, drivers=(replace(driver, motions=(motion,), provenance="action"),))
 
     def _limit(self) -> Limit:
         scene = self.experiment.scene
@@ -123,8 +124,8 @@ class FrictionLimit(ControlEnv):
         self._slip_m_per_s = 0.0
         self._corners_on_carrier = self._corners()
 
-    def _advance(self, command: float) -> tuple[float, Ending | None]:
-        acceleration = command * self.ACCELERATION_RAD_PER_S2
+    def _advance(self, command: NDArray[np.float64]) -> tuple[float, Ending | None]:
+        acceleration = float(command[0]) * self.ACCELERATION_RAD_PER_S2
         used = [self._advance_sample(acceleration) for _ in range(SAMPLES_PER_FRAME)]
         self._used_now = sum(used) / len(used)
         self._slip_m_per_s = self._slip()

@@ -24,9 +24,11 @@ class Ending(StrEnum):
     SLIPPED = "slipped"
     """The cube moved on its carrier."""
     REACHED = "reached"
-    """The ball reached the target height."""
+    """The ball was at its height, or the cube came to rest at its goal."""
     MISSED = "missed"
-    """The last frame is reached and the ball has not been at the target height."""
+    """The last frame is reached, and the ball or the cube has not been where it should."""
+    LOST = "lost"
+    """The ball or the cube can no longer get where it should."""
     DIVERGED = "diverged"
     """The simulation diverged."""
 

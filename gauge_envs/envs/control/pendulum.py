@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +15,6 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import Hinge, Scene, Sphere
-from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 __all__ = ["PendulumLimit"]
@@ -65,6 +65,7 @@ class PendulumLimit(ControlEnv):
 
     DURATION_S = 6.0
     """Time of five full swings; at full torque three are enough."""
+    COMMANDED: ClassVar[tuple[str, ...]] = ("torque",)
     OBSERVED: ClassVar[tuple[str, ...]] = (
         "angle_rad",
         "rate_rad_per_s",
@@ -89,9 +90,9 @@ class PendulumLimit(ControlEnv):
         """Return the parameters, with the ball hanging straight down."""
         return dict(load_experiment(variant, parameters).overrides) | {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
 
-    def _drivers(self, scene: Scene) -> tuple[Driver, ...]:
-        """Return no driver: the motor is a torque."""
-        return ()
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene without drivers: the motor is a torque."""
+        return replace(stated, drivers=())
 
     @property
     def _weight_n(self) -> float:
@@ -131,8 +132,8 @@ class PendulumLimit(ControlEnv):
         angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
         return angle, float(self._axis @ state[10:])
 
-    def _advance(self, command: float) -> tuple[float, Ending | None]:
-        torque = command * self._largest_torque_n_m
+    def _advance(self, command: NDArray[np.float64]) -> tuple[float, Ending | None]:
+        torque = float(command[0]) * self._largest_torque_n_m
         self.simulation.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(torque * self._axis)]))
         highest_m, work_j = self._highest_m, self._work_j
         for _ in range(SAMPLES_PER_FRAME):

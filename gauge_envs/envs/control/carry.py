@@ -1,0 +1,77 @@
+"""Carry a cube on a plate to a goal in the least time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.envs.control.least_time import X_AXIS, Y_AXIS, LeastTimeLimit
+from gauge_envs.envs.control.stage import acceleration_to_rest, stage_driver
+from gauge_envs.scene import Cylinder, Scene
+
+__all__ = ["CarryLimit"]
+
+
+class CarryLimit(LeastTimeLimit):
+    """Carry a cube that stands on a plate over half a metre, in the scene of Turntable-1.
+
+    The plate moves horizontally and does not turn. The cube speeds up and brakes with mu g at most, so from rest to
+    rest it needs T_law = 2 sqrt(D / (mu g)): 0.73 to 0.80 s here. With the speed v left at the end, the least friction
+    a / g solves 4 a D = (a T + v)^2 - 2 v^2. The goal lies in any direction. See `LeastTimeLimit`.
+    """
+
+    FAMILY = "Turntable"
+    SUBTASK = "1"
+    DRIVEN = FLOOR = "plate"
+    LAW = "the cube's acceleration is at most mu g, so 4 D / T^2 <= mu g from rest to rest"
+    SIGMA_SOURCE = (
+        "the relative uncertainty of the same cube's friction on the slope, from 19 or 20 real trials; no trial shows "
+        "where cubes slip on the plate"
+    )
+
+    DURATION_S = 3.0
+    """Time of an episode: four times the least time."""
+
+    ACCELERATION_M_PER_S2 = 6.0
+    """More than the 3.2 to 3.7 m/s^2 that friction holds, so that the actuator does not limit the task."""
+
+    DISTANCE_M = 0.5
+    WIDEST_RAD = math.pi
+
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene, in which actions translate the plate."""
+        driver = stage_driver(
+            self.DRIVEN, (X_AXIS, Y_AXIS), largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S
+        )
+        return replace(stated, drivers=(driver,))
+
+    @staticmethod
+    def least_time_s(distance_m: float, deceleration_m_per_s2: float, speed_m_per_s: float = 0.0) -> float:
+        """Return the least time [s]: speeding up, then braking to the speed left."""
+        fastest = math.sqrt(deceleration_m_per_s2 * distance_m + 0.5 * speed_m_per_s**2)
+        return (2.0 * fastest - speed_m_per_s) / deceleration_m_per_s2
+
+    @staticmethod
+    def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
+        """Return the least acceleration a [m/s^2], with 4 a D = (a T + v)^2 - 2 v^2."""
+        twice = 4.0 * distance_m - 2.0 * time_s * speed_m_per_s
+        return (twice + math.hypot(twice, 2.0 * time_s * speed_m_per_s)) / (2.0 * time_s**2)
+
+    def _is_lost(self, cube_m: NDArray[np.float64]) -> bool:
+        plate = self.experiment.scene.body(self.DRIVEN).shape
+        assert isinstance(plate, Cylinder)
+        return float(np.linalg.norm(self._from_cube_m)) > plate.radius_m or cube_m[2] < self._cube_start_m[2] - 0.01
+
+    def _law_command(self, fraction: float) -> NDArray[np.float64]:
+        """Return the action that accelerates and brakes towards the goal with fraction mu g."""
+        most = fraction * self.limit.value * self.experiment.scene.gravity_m_per_s2
+        along = self.goal_m / self.DISTANCE_M
+        across = np.array([-along[1], along[0]])
+        left_m, speed = self.goal_m - self._moved_m, self._stage.rate_m_per_s
+        # The little that brings a policy back to the line leaves the rest of the friction to the way.
+        aside = acceleration_to_rest(float(left_m @ across), float(speed @ across), 0.2 * most)
+        ahead = acceleration_to_rest(float(left_m @ along), float(speed @ along), math.sqrt(most**2 - aside**2))
+        return (ahead * along + aside * across) / self.ACCELERATION_M_PER_S2

@@ -1,0 +1,209 @@
+"""Base of the tasks that bring a cube to a goal in the least time that its friction allows."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
+from gauge_envs.envs.control.stage import Stage
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+
+__all__ = ["CUBE", "REST_M_PER_S", "TOLERANCE_M", "TOLERANCE_RAD", "LeastTimeLimit"]
+
+FloatArray = NDArray[np.float64]
+
+CUBE = "cube"
+
+X_AXIS, Y_AXIS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+
+TOLERANCE_M = 0.015
+"""Largest distance of the cube's centre from the goal [m]."""
+
+TOLERANCE_RAD = math.radians(10.0)
+"""Largest rotation of the cube about the vertical from its start [rad]."""
+
+REST_M_PER_S = 0.02
+"""Largest horizontal speed of the cube at the goal, mean over 1/180 s [m/s]."""
+
+
+class LeastTimeLimit(ControlEnv):
+    """Bring a cube to a goal, to rest and without turning it, in the least time.
+
+    **Law.** Only friction holds the cube on the level face below it, so its horizontal acceleration is at most mu g.
+    Each subclass states the least time that follows.
+
+    **Goal.** A displacement of the cube of fixed length; the seed of the reset draws its direction. The cube has
+    arrived when its centre is within 15 mm of the goal, it has turned by less than 10 degrees, and it is slower than
+    20 mm/s.
+
+    **Reward.** The distance gained over that of the goal, minus the time over the law's least time. That is the time
+    to the nearest place and the largest speed that count as arrived. Arrival adds 1, so that an episode earns
+    2 - T / T_law at most, and no policy more than 1. The loss of the cube ends an episode and takes 1.
+
+    **Reached** is the smallest friction with which any motion could bring the cube as far in the same time, with the
+    speed that it has left: at most mu. It is 0 if the cube did not arrive.
+
+    **Action.** Acceleration of the driven body along x and y, in units of `ACCELERATION_M_PER_S2`.
+
+    Args:
+        material: Material of the cube: `wood`, `plastic` or `metal`.
+        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+
+    Attributes:
+        SUBTASK: Subtask of the experiment that states the scene.
+        DRIVEN: Name of the driven body.
+        FLOOR: Name of the body below the cube, whose friction limits the cube.
+        ACCELERATION_M_PER_S2: Acceleration along an axis that an action of 1 commands.
+        DISTANCE_M: Distance of the goal.
+        WIDEST_RAD: Largest angle between the goal and the x axis.
+        goal_m: Displacement of the cube that is asked for [m], shape [2].
+    """
+
+    SUBTASK: ClassVar[str]
+    DRIVEN: ClassVar[str]
+    FLOOR: ClassVar[str]
+    ACCELERATION_M_PER_S2: ClassVar[float]
+    DISTANCE_M: ClassVar[float]
+    WIDEST_RAD: ClassVar[float]
+    COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_x", "acceleration_y")
+    OBSERVED: ClassVar[tuple[str, ...]] = (
+        "to_goal_x_m",
+        "to_goal_y_m",
+        "cube_velocity_x_m_per_s",
+        "cube_velocity_y_m_per_s",
+        "cube_yaw_rad",
+        "driven_from_cube_x_m",
+        "driven_from_cube_y_m",
+        "driven_velocity_x_m_per_s",
+        "driven_velocity_y_m_per_s",
+        "time_s",
+    )
+    _at_time_limit = Ending.MISSED
+
+    def __init__(self, material: str, **options: Any) -> None:
+        super().__init__(f"{self.FAMILY}-{self.SUBTASK}-{material}", **options)
+        scene = self.experiment.scene
+        self._stage = Stage(
+            scene.drivers[0], scene.body(self.DRIVEN).pose, stroke_m=np.full(2, self.ACCELERATION_M_PER_S2)
+        )
+        self._cube_start_m = np.array(scene.body(CUBE).pose.position_m)
+        self._cube_rotation = scene.body(CUBE).pose.rotation
+        self._driven_start_m = np.array(scene.body(self.DRIVEN).pose.position_m[:2])
+        self.goal_m = np.array([self.DISTANCE_M, 0.0])
+
+    def _limit(self) -> Limit:
+        scene = self.experiment.scene
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        calibrated = pair_friction(load_experiment(self._variant).scene, CUBE, self.FLOOR)
+        return Limit(
+            quantity="friction that the time needs",
+            unit="1",
+            value=pair_friction(scene, CUBE, self.FLOOR),
+            sigma=friction_uncertainty(self._variant.material) * calibrated,
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
+
+    # --- what a subclass states ---
+
+    @staticmethod
+    @abstractmethod
+    def least_time_s(distance_m: float, deceleration_m_per_s2: float, speed_m_per_s: float = 0.0) -> float:
+        """Return the least time [s] from rest over a distance, with friction's mu g and the speed left at the end."""
+
+    @staticmethod
+    @abstractmethod
+    def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
+        """Return mu g of the smallest friction that allows a distance in a time with a speed left, at least 0."""
+
+    @abstractmethod
+    def _is_lost(self, cube_m: FloatArray) -> bool:
+        """Return whether the cube can no longer arrive; `cube_m` is its centre [m], shape [3]."""
+
+    # --- rollout ---
+
+    def _begin(self) -> None:
+        angle = self.np_random.uniform(-self.WIDEST_RAD, self.WIDEST_RAD)
+        self.goal_m = self.DISTANCE_M * np.array([math.cos(angle), math.sin(angle)])
+        self._stage.begin()
+        most = self.limit.value * self.experiment.scene.gravity_m_per_s2
+        self._law_time_s = self.least_time_s(self.DISTANCE_M - TOLERANCE_M, most, REST_M_PER_S)
+        self._cube_m = self._cube_start_m
+        self._yaw_rad = self._arrived_s = 0.0
+        self._cube_velocity = np.zeros(2)
+        self._samples = 0
+
+    def _advance(self, command: FloatArray) -> tuple[float, Ending | None]:
+        left_m, samples, ending = self._left_m, self._samples, None
+        for _ in range(SAMPLES_PER_FRAME):
+            self._stage.advance(self.simulation, command * self.ACCELERATION_M_PER_S2)
+            self._samples += 1
+            self._look()
+            if self._is_lost(self._cube_m):
+                ending = Ending.LOST
+            elif self._has_arrived:
+                ending, self._arrived_s = Ending.REACHED, self._samples * SAMPLE_INTERVAL_S
+            if ending is not None:
+                break
+        gained = (left_m - self._left_m) / self.DISTANCE_M
+        spent = (self._samples - samples) * SAMPLE_INTERVAL_S / self._law_time_s
+        bonus = {Ending.REACHED: 1.0, Ending.LOST: -1.0, None: 0.0}[ending]
+        return gained - spent + bonus, ending
+
+    def _look(self) -> None:
+        """Read the cube's place, its yaw, and its mean velocity since the last look, 1/180 s ago."""
+        state, before = self.simulation.body_states((CUBE,))[0], self._cube_m
+        self._cube_m = state[:3]
+        self._cube_velocity = (self._cube_m - before)[:2] / SAMPLE_INTERVAL_S
+        turned = Rotation.from_quat(state[3:7], scalar_first=True) * self._cube_rotation.inv()
+        self._yaw_rad = float(turned.as_rotvec()[2])
+
+    @property
+    def _moved_m(self) -> FloatArray:
+        """Horizontal displacement of the cube since the start [m], shape [2]."""
+        return (self._cube_m - self._cube_start_m)[:2]
+
+    @property
+    def _left_m(self) -> float:
+        """Horizontal distance of the cube from the goal [m]."""
+        return float(np.linalg.norm(self.goal_m - self._moved_m))
+
+    @property
+    def _has_arrived(self) -> bool:
+        return (
+            self._left_m <= TOLERANCE_M
+            and abs(self._yaw_rad) <= TOLERANCE_RAD
+            and float(np.linalg.norm(self._cube_velocity)) <= REST_M_PER_S
+        )
+
+    @property
+    def _from_cube_m(self) -> FloatArray:
+        """Place of the driven body relative to the cube [m], shape [2]."""
+        return self._driven_start_m + self._stage.offset_m - self._cube_m[:2]
+
+    def _observation(self) -> FloatArray:
+        return np.concatenate(
+            [
+                self.goal_m - self._moved_m,
+                self._cube_velocity,
+                [self._yaw_rad],
+                self._from_cube_m,
+                self._stage.rate_m_per_s,
+                [self._samples / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)],
+            ]
+        )
+
+    def _reached(self) -> float:
+        if self._arrived_s == 0.0:
+            return 0.0
+        distance_m, speed = float(np.linalg.norm(self._moved_m)), float(np.linalg.norm(self._cube_velocity))
+        needed = self.least_deceleration_m_per_s2(distance_m, self._arrived_s, speed)
+        return needed / self.experiment.scene.gravity_m_per_s2

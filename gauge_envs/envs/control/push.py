@@ -1,0 +1,128 @@
+"""Push a cube on the board to a goal in the least time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.envs.control.least_time import CUBE, X_AXIS, Y_AXIS, LeastTimeLimit
+from gauge_envs.envs.control.stage import FRAME_S, stage_driver
+from gauge_envs.scene import Box, Contact, ContactMode, Motion, Pose, RigidBody, Scene
+
+__all__ = ["PushLimit"]
+
+PUSHER = "pusher"
+PUSHER_SIZE_M = (0.02, 0.12, 0.03)
+"""Edges of the pusher [m]: wider than the cube, at the height of its middle."""
+GAP_M = 0.001
+"""Gap between pusher and cube at the start [m]."""
+PAST_M = 0.005
+"""Largest distance along x of the pusher's front past the cube's rear face at the start's orientation [m]."""
+PUSHED_ON_M = 0.006
+"""Distance by which the law's policy aims short [m]."""
+LIFTED_M = 0.003
+"""Largest change of height of the cube's centre [m]; a fall from there gives mu 0.24 m/s more braking."""
+
+
+class PushLimit(LeastTimeLimit):
+    """Push a cube over the level board to a goal 0.2 m away, in the scene of SlopeSlider-3.
+
+    A pusher stands behind the cube, a bar that actions accelerate along x and y. It may push as hard as it likes, but
+    friction alone brakes the cube. At the time t before its end, a motion that ends with the speed v is at most at
+    v + mu g t. So the way is at most D = v T + mu g T^2 / 2, and from rest to rest T_law = sqrt(2 D / (mu g)): 0.39 s
+    here. A pusher of the acceleration A that touches the cube from the start needs sqrt(1 + mu g / A) times as long:
+    7 % here. So the optimum uses 0.88 of the limit or more. An impact can bring it nearer, and nothing beyond.
+
+    The goal lies up to 8 degrees off the x axis, so the pusher must move obliquely, and the cube must not turn. The
+    episode ends where the law would not hold: the pusher's front passes the cube's rear face by 5 mm, so that it could
+    brake the cube, or the cube's centre leaves its height by 3 mm. See `LeastTimeLimit`.
+
+    Friction and restitution between pusher and cube are those of board and cube, as none were measured.
+    """
+
+    FAMILY = "SlopeSlider"
+    SUBTASK = "3"
+    DRIVEN = PUSHER
+    FLOOR = "board"
+    LAW = "friction alone brakes the cube, so D <= mu g T^2 / 2 to rest"
+    SIGMA_SOURCE = (
+        "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "
+        "from the calibrated coefficient"
+    )
+
+    DURATION_S = 2.0
+    """Time of an episode: five times the least time."""
+
+    ACCELERATION_M_PER_S2 = 20.0
+    """Seven times what friction brakes with."""
+
+    DISTANCE_M = 0.2
+    WIDEST_RAD = math.radians(8.0)
+
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene with the board at rest and the pusher behind the cube."""
+        cube, board = stated.body(CUBE), stated.body(self.FLOOR)
+        assert isinstance(cube.shape, Box)
+        x, y, z = cube.pose.position_m
+        behind = 0.5 * (cube.shape.size_m[0] + PUSHER_SIZE_M[0]) + GAP_M
+        pusher = RigidBody(
+            name=PUSHER,
+            shape=Box(size_m=PUSHER_SIZE_M),
+            motion=Motion.KINEMATIC,
+            pose=Pose(position_m=(x - behind, y, z)),
+            mass_kg=1.0,
+        )
+        (on_board,) = (contact for contact in stated.contacts if self.FLOOR in contact.second)
+        bodies = (*(replace(board, motion=Motion.FIXED) if body is board else body for body in stated.bodies), pusher)
+        push = Contact(
+            first=(CUBE,),
+            second=(PUSHER,),
+            friction=on_board.friction,
+            restitution=on_board.restitution,
+            mode=ContactMode.SUSTAINED,
+        )
+        driver = stage_driver(
+            PUSHER, (X_AXIS, Y_AXIS), largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S
+        )
+        return replace(stated, bodies=bodies, contacts=(*stated.contacts, push), drivers=(driver,))
+
+    @staticmethod
+    def least_time_s(distance_m: float, deceleration_m_per_s2: float, speed_m_per_s: float = 0.0) -> float:
+        """Return the least time [s]: friction brakes all the way to the speed left."""
+        first = math.sqrt(speed_m_per_s**2 + 2.0 * deceleration_m_per_s2 * distance_m)
+        return (first - speed_m_per_s) / deceleration_m_per_s2
+
+    @staticmethod
+    def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
+        """Return the least deceleration a [m/s^2], with D = v T + a T^2 / 2."""
+        return max(2.0 * (distance_m - speed_m_per_s * time_s) / time_s**2, 0.0)
+
+    def _is_lost(self, cube_m: NDArray[np.float64]) -> bool:
+        cube = self.experiment.scene.body(CUBE).shape
+        assert isinstance(cube, Box)
+        past_m = float(self._from_cube_m[0]) + 0.5 * (PUSHER_SIZE_M[0] + cube.size_m[0])
+        return past_m > PAST_M or abs(cube_m[2] - self._cube_start_m[2]) > LIFTED_M
+
+    def _law_command(self, fraction: float) -> NDArray[np.float64]:
+        """Return the action that pushes until the cube coasts to the goal, if its friction is fraction mu."""
+        braking = fraction * self.limit.value * self.experiment.scene.gravity_m_per_s2
+        to_goal = self.goal_m - self._moved_m
+        left_m = float(np.linalg.norm(to_goal))
+        direction = to_goal / max(left_m, 1e-9)
+        speed = float(self._cube_velocity @ direction)
+        pusher = self._stage.rate_m_per_s
+        coasts_m = speed * abs(speed) / (2.0 * braking)
+        wanted = np.zeros(2)
+        # The pusher still pushes for a part of the frame in which it brakes.
+        left_m -= PUSHED_ON_M
+        if coasts_m < left_m:
+            # The speed w after the frame: left = (v + w) t / 2 + w^2 / (2 a).
+            half = 0.5 * braking * FRAME_S
+            now = float(pusher @ direction)
+            square = half**2 + 2.0 * braking * (left_m - 0.5 * now * FRAME_S)
+            wanted = max(math.sqrt(max(square, 0.0)) - half, 0.0) * direction
+        change = (wanted - pusher) / FRAME_S / self.ACCELERATION_M_PER_S2
+        return change / max(1.0, float(np.abs(change).max()))

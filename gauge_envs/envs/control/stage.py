@@ -1,0 +1,100 @@
+"""A driven body that actions accelerate along fixed axes, and the shortest way to bring it to rest at a place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.scene import Pose
+from gauge_envs.scene.drivers import Driver, DriverMotion, mean_velocity
+from gauge_envs.scene.geometry import Vector
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+
+__all__ = ["FRAME_S", "Stage", "acceleration_to_rest", "stage_driver"]
+
+FloatArray = NDArray[np.float64]
+
+FRAME_S = 1.0 / FRAME_RATE_HZ
+"""Time of a step, in which the acceleration is constant [s]."""
+
+
+def stage_driver(body: str, axes: tuple[Vector, ...], *, largest_speed_m_per_s: float) -> Driver:
+    """Return a driver that translates a body by actions alone.
+
+    Args:
+        body: Name of the kinematic body.
+        axes: Unit vectors in the world, one for each entry of the action.
+        largest_speed_m_per_s: Largest speed along each axis.
+    """
+    motions = tuple(
+        DriverMotion(kind="translate", axis=axis, residual_rate=largest_speed_m_per_s, profiles=()) for axis in axes
+    )
+    return Driver(body=body, motions=motions, provenance="action")
+
+
+class Stage:
+    """A body that is accelerated along the axes of its driver, up to a speed, within a stroke.
+
+    Args:
+        driver: Driver of `stage_driver`.
+        start: Pose of the body at the start.
+        stroke_m: Largest displacement along each axis, to both sides [m], shape [axis_count]. At its end the body
+            stops at once.
+
+    Attributes:
+        driver: The driver.
+        largest_speed_m_per_s: Largest speed along each axis, shape [axis_count].
+        offset_m: Displacement along the axes [m], shape [axis_count].
+        rate_m_per_s: Velocity along the axes [m/s], shape [axis_count].
+    """
+
+    def __init__(self, driver: Driver, start: Pose, *, stroke_m: FloatArray) -> None:
+        self.driver = driver
+        self.largest_speed_m_per_s = np.array([motion.residual_rate for motion in driver.motions])
+        self._start, self._stroke_m = start, stroke_m
+        self.begin()
+
+    def begin(self) -> None:
+        """Bring the body back to its start, at rest."""
+        self.offset_m = np.zeros(len(self.driver.motions))
+        self.rate_m_per_s = np.zeros(len(self.driver.motions))
+        self._pose, self._velocity = self._start, np.zeros(6)
+
+    def advance(self, simulation: Simulation, acceleration_m_per_s2: FloatArray) -> None:
+        """Simulate 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
+        step = SAMPLE_INTERVAL_S
+        fastest = self.largest_speed_m_per_s
+        rate = np.clip(self.rate_m_per_s + acceleration_m_per_s2 * step, -fastest, fastest)
+        wanted = self.offset_m + 0.5 * (self.rate_m_per_s + rate) * step
+        self.offset_m = np.clip(wanted, -self._stroke_m, self._stroke_m)
+        self.rate_m_per_s = np.where(self.offset_m == wanted, rate, 0.0)
+        pose, velocity = self.driver.state(self._start, 0.0, self.offset_m, self.rate_m_per_s)
+        # A uniform acceleration that ends exactly at the pose.
+        mean = mean_velocity(self._pose, pose, step)
+        simulation.drive(self.driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
+        simulation.advance(step)
+        self._pose, self._velocity = pose, velocity
+
+
+def acceleration_to_rest(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> float:
+    """Return the acceleration of the next frame on the fastest way to rest at a distance.
+
+    The body speeds up with the largest acceleration, and brakes with it. In the frame between, the acceleration is the
+    one from which the braking distance ends at the place.
+
+    Args:
+        distance_m: Signed distance to the place [m].
+        speed_m_per_s: Velocity towards positive distances [m/s].
+        acceleration_m_per_s2: Largest acceleration, also of the braking [m/s^2].
+    """
+    if distance_m < 0.0:
+        return -acceleration_to_rest(-distance_m, -speed_m_per_s, acceleration_m_per_s2)
+    # The speed w after the frame: distance = (v + w) t / 2 + w^2 / (2 a).
+    half = 0.5 * acceleration_m_per_s2 * FRAME_S
+    left = half**2 + 2.0 * acceleration_m_per_s2 * (distance_m - 0.5 * speed_m_per_s * FRAME_S)
+    speed = math.sqrt(left) - half if left > 0.0 else -math.inf
+    change = (speed - speed_m_per_s) / FRAME_S
+    return min(max(change, -acceleration_m_per_s2), acceleration_m_per_s2)
