@@ -179,11 +179,13 @@ def _pairs(site: Site, one: ExperimentComparison) -> Html:
                 )
     if not rows:
         return Html("")
+    apart = sum(row[-1] == "distinguishable" for row in rows)
+    pairs = table(("first", "second", "difference [95 %]", "at 95 %"), rows)
     return join(
         [
             element("h2", "Pairs"),
             element("p", "Difference of the scores, first minus second, by paired bootstrap.", class_="small"),
-            table(("first", "second", "difference [95 %]", "at 95 %"), rows),
+            element("details", element("summary", f"{apart} of {len(rows)} pairs are distinguishable at 95 %"), pairs),
         ]
     )
 

@@ -52,16 +52,17 @@ nav a[aria-current] { font-weight: 600; text-decoration: none; }
 .key { display: flex; flex-wrap: wrap; gap: .2rem 1rem; padding: 0; margin: .4rem 0; list-style: none; font-size: .9rem; }
 .swatch { display: inline-block; width: 1.4rem; height: .25rem; vertical-align: middle; margin-right: .35rem; }
 .swatch.area { height: .8rem; }
-.panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(21rem, 100%), 1fr)); gap: .8rem; }
+.panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(22rem, 100%), 1fr)); gap: .8rem; }
 .panels svg, .forest svg { display: block; width: 100%; max-width: 36rem; height: auto; }
+.panels figure:only-child { max-width: 36rem; }
 figure { margin: 0; min-width: 0; } figcaption { font-size: .85rem; color: var(--quiet); }
 svg text { font: 11px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; fill: var(--text); }
-svg .quiet { fill: var(--quiet); } svg .axis { stroke: var(--head); stroke-width: 1; fill: none; }
+svg .quiet { fill: var(--quiet); font-size: 11px; } svg .axis { stroke: var(--head); stroke-width: 1; fill: none; }
 svg .grid { stroke: var(--line); stroke-width: 1; } svg .real { stroke: var(--real); fill: none; stroke-width: 1.4; }
 svg .sigma1 { fill: var(--band1); } svg .sigma2 { fill: var(--band2); } svg .curve { fill: none; stroke-width: 1.6; }
 svg .one { stroke: var(--real); stroke-dasharray: 3 3; }
 .forest { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)); gap: 1rem; }
-.shares { display: flex; height: 1.3rem; width: 100%; border-radius: .2rem; overflow: hidden; }
+.shares { display: flex; height: 1.1rem; width: 100%; margin: .15rem 0 .5rem; border-radius: .2rem; overflow: hidden; }
 .shares span { display: block; height: 100%; }
 pre { overflow-x: auto; background: var(--grey); padding: .5rem .7rem; border-radius: .3rem; font-size: .85rem; }
 code { overflow-wrap: anywhere; }
@@ -78,8 +79,8 @@ code { overflow-wrap: anywhere; }
 .controls label { white-space: nowrap; } .controls fieldset { border: 0; padding: 0; margin: 0; display: flex;
   flex-wrap: wrap; gap: .3rem .8rem; } .controls legend { float: left; margin-right: .6rem; color: var(--quiet); }
 @media (max-width: 760px) { body { margin: .8rem auto; padding: 0 .7rem; } h1 { font-size: 1.3rem; }
-  .matrix td, .matrix th { min-width: 7.2rem; padding: .3rem .35rem; } .matrix tr > :first-child { min-width: 7.5rem;
-  max-width: 8.5rem; overflow-wrap: anywhere; } .scroll { margin: 0 -.7rem; padding: 0 .7rem; } }
+  .matrix td, .matrix th { min-width: 7.2rem; padding: .3rem .35rem; } .matrix tr > :first-child { min-width: 7.6rem;
+  max-width: 8.6rem; overflow-wrap: break-word; } .scroll { margin: 0 -.7rem; padding: 0 .7rem; } }
 """
 )
 """Style of all pages: that of the sanity page, and what matrix, curves and replays need."""
@@ -118,7 +119,11 @@ def _plain(value: Text | Html | bool) -> str:
 
 
 def table(
-    titles: Sequence[Text | Html], rows: Iterable[Sequence[Text | Html]], *, kind: str = "stack wide", number_from: int = 99
+    titles: Sequence[Text | Html],
+    rows: Iterable[Sequence[Text | Html]],
+    *,
+    kind: str = "stack wide",
+    number_from: int = 99,
 ) -> Html:
     """Return a table.
 

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from gauge_envs.analysis.comparison import Cell, Comparison, ExperimentComparison
+from gauge_envs.analysis.grades import GradeComparison, GradeScore
 from gauge_envs.analysis.scores import COMPARED_METRICS
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.experiment import TaskExperiment
@@ -19,6 +20,8 @@ from gauge_envs.report.text import ALIGNED_TITLE, METRIC_TITLES, score_text
 from gauge_envs.runs.result import Outcome, Result
 
 __all__ = ["COLOR_COUNT", "TITLES", "Site", "Standing", "badge", "first_result", "score_cell", "standing_of", "whisker_text"]
+
+Interval = tuple[float, float]
 
 COLOR_COUNT = 6
 """Colours of configurations in the style of the pages; further ones repeat them."""
@@ -39,9 +42,9 @@ class Standing(StrEnum):
 
 
 STANDING_TEXTS = {
-    Standing.NEAR: "closer than a real trial",
-    Standing.EVEN: "like a real trial",
-    Standing.FAR: "further than a real trial",
+    Standing.NEAR: "below 1",
+    Standing.EVEN: "1 is in the interval",
+    Standing.FAR: "above 1",
 }
 
 STANDING_MARKS = {Standing.NEAR: "\u2713", Standing.EVEN: "\u2248", Standing.FAR: "\u25b2"}
@@ -124,6 +127,23 @@ class Site:
         """Return a piece of the colour of a configuration."""
         return element("span", Html(""), class_="swatch", style=f"background:{self.color(index)}")
 
+    def mean_of(self, grade: GradeComparison, score: GradeScore) -> tuple[float, Interval] | None:
+        """Return the mean of the primary score over the experiments of a comparison, with its 95 % interval.
+
+        For one experiment it is the score itself with its own interval, as on the page of the experiment. The interval
+        of a mean is another bootstrap, which corrects a bias that adds up over experiments (`analysis.grades`).
+        """
+        if score.mean is None:
+            return None
+        if len(grade.ids) == 1:
+            one = next(one for one in self.comparison.experiments if one.id == grade.ids[0])
+            cell, metric = one.cells[score.configuration], COMPARED_METRICS[one.primary]
+            spread = None if cell is None else cell.spread(metric, normalized=True)
+            interval = None if cell is None else cell.interval_95(metric)
+            if spread is not None and interval is not None:
+                return spread.mean, interval
+        return score.mean.value, score.mean.interval_95
+
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:
         """Return the phenomenon of an experiment and what it tests; the name alone for an experiment file."""
@@ -142,7 +162,7 @@ def first_result(cell: Cell | None) -> Result | None:
 
 
 def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Html:
-    """Return mean, interval and badge of a metric in one experiment, or why there is no score."""
+    """Return mean and interval of a metric in one experiment, a badge for the primary one, or why there is no score."""
     if cell is None:
         return element("span", "not run", class_="quiet")
     known = COMPARED_METRICS[metric]
@@ -151,7 +171,7 @@ def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Htm
     parts: list[Html] = []
     if spread is not None:
         parts.append(whisker_text(spread.mean, interval))
-        if interval is not None and known.unit is None:
+        if interval is not None and metric == one.primary:
             parts.append(badge(standing_of(interval)))
     elif (raw := cell.spread(known, normalized=False)) is not None:
         unit = one.unit if known.unit is None else known.unit

@@ -17,15 +17,20 @@ from gauge_envs.runs.result import Outcome
 __all__ = ["overview_page", "place_text"]
 
 SCALE_NOTE = (
-    "Score: distance to the real mean over the mean distance of single real trials. 1 is as far as a real trial is on "
-    "average; lower is closer. In brackets: 95 % interval, from the sample of real trials, the uncertain inputs and the "
-    "discretization."
+    "Score: distance to the real mean over the published mean distance of single real trials, which is 1. Lower is "
+    "closer. In brackets: 95 % interval, from the sample of real trials, the uncertain inputs and the discretization."
+)
+
+ALIGNED_NOTE = (
+    "RMSE aligned: after the best constant shift in time, because a real release is not at an exact time. The 1 is of "
+    "trials that are not aligned. So an aligned score below 1 does not mean closer than the real trials; the page of the "
+    "experiment states the share of real trials that are closer."
 )
 
 RANK_NOTE = (
-    "Rank: 1 + number of engines with a distinguishably lower score. Engines of the same rank are not distinguishable "
-    "from the best of it, or not from each other through another. Two engines are distinguishable if the 95 % interval of "
-    "their paired difference excludes zero."
+    "Rank: 1 + number of engines with a distinguishably lower score. Two engines are distinguishable if the 95 % interval "
+    "of their paired difference excludes zero. The intervals in the cells overlap more, because engines share errors, "
+    "which cancel in a difference. Not distinguishable: no engine of the row is distinguishably lower than another."
 )
 
 
@@ -74,42 +79,34 @@ def _answers(site: Site, graded: Sequence[GradeComparison]) -> Html:
 
 
 def _answer(site: Site, grade: GradeComparison) -> Html:
-    ranked = sorted(
-        (one for one in grade.scores if one.mean is not None), key=lambda one: one.mean.value if one.mean else 0.0
-    )
-    best = ranked[0]
-    assert best.mean is not None
+    means = _means(site, grade)
+    (best, value, (low, high)), *others = means
     apart = {
-        pair.second if pair.first == best.configuration else pair.first
+        pair.second if pair.first == best else pair.first
         for pair in grade.pairs
-        if best.configuration in (pair.first, pair.second) and pair.distinguishable
+        if best in (pair.first, pair.second) and pair.distinguishable
     }
-    same = [site.labels[one.configuration] for one in ranked[1:] if one.configuration not in apart]
-    further = [
-        f"{site.labels[one.configuration]} {score_text(one.mean.value)}"
-        for one in ranked[1:]
-        if one.configuration in apart and one.mean is not None
-    ]
-    low, high = best.mean.interval_95
-    sentences = [f" {score_text(best.mean.value)} [{score_text(low)}, {score_text(high)}]."]
+    same = [site.labels[index] for index, _, _ in others if index not in apart]
+    further = [f"{site.labels[index]} {score_text(mean)}" for index, mean, _ in others if index in apart]
+    sentences = [f" {score_text(value)} [{score_text(low)}, {score_text(high)}]."]
     if same:
         sentences.append(f" Not distinguishable from it: {', '.join(same)}.")
     if further:
         sentences.append(f" Distinguishably further: {', '.join(further)}.")
     start = f"Against {_grade_title(grade)} ({_counted(grade.ids)}): lowest mean score "
-    return join([element("b", start), site.configuration_link(best.configuration), *sentences])
+    return join([element("b", start), site.configuration_link(best), *sentences])
+
+
+def _means(site: Site, grade: GradeComparison) -> list[tuple[int, float, tuple[float, float]]]:
+    """Return configuration, mean and interval of each score, lowest first."""
+    means = [(one.configuration, *mean) for one in grade.scores if (mean := site.mean_of(grade, one)) is not None]
+    return sorted(means, key=lambda entry: entry[1])
 
 
 def _grade_forest(site: Site, grade: GradeComparison) -> Html:
     rows = [
-        ForestRow(
-            label=site.labels[one.configuration],
-            color=site.color(one.configuration),
-            value=one.mean.value,
-            interval=one.mean.interval_95,
-        )
-        for one in sorted(grade.scores, key=lambda one: one.mean.value if one.mean else 0.0)
-        if one.mean is not None
+        ForestRow(label=site.labels[index], color=site.color(index), value=value, interval=interval)
+        for index, value, interval in _means(site, grade)
     ]
     names = ", ".join(name.removeprefix("GAUGE/") for name in grade.ids[:4])
     more = f" and {len(grade.ids) - 4} more" if len(grade.ids) > 4 else ""
@@ -141,7 +138,8 @@ def _matrix(site: Site) -> Html:
     for title, tests, grade, members in _phenomena(site):
         links = join((element("a", _variant(one), href=site.experiment_page(one)) for one in members), " \u00b7 ")
         heading = [element("b", title), element("span", tests, class_="quiet block")]
-        heading.append(element("span", f"{_grade_title(grade)}: ", links, class_="quiet block"))
+        metric = ", ".join(dict.fromkeys(TITLES[one.primary] for one in members))
+        heading.append(element("span", f"{metric}, {_grade_title(grade)}: ", links, class_="quiet block"))
         scores = {one.configuration: one for one in grade.scores}
         shared = sum(one.rank == 1 for one in grade.scores)
         cells = [_matrix_cell(site, index, scores.get(index), grade, members, shared) for index in range(len(site.labels))]
@@ -159,6 +157,7 @@ def _matrix(site: Site) -> Html:
             key,
             element("div", matrix, class_="scroll", tabindex="0", role="region", aria_label="Engine by phenomenon"),
             element("p", RANK_NOTE, class_="small"),
+            element("p", ALIGNED_NOTE, class_="small"),
         ]
     )
 
@@ -189,13 +188,14 @@ def _matrix_cell(
         for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
         if (count := sum(result.outcome is outcome for result in results))
     ]
-    if score is None or score.mean is None:
+    mean = None if score is None else site.mean_of(grade, score)
+    if score is None or mean is None:
         return join([element("span", "no score" if results else "not run", class_="quiet"), *lost]), ""
-    parts = [whisker_text(score.mean.value, score.mean.interval_95)]
+    parts = [whisker_text(*mean)]
     parts.append(element("span", place_text(score.rank, shared, len(grade.scores)), class_="quiet block"))
     if len(grade.ids) < len(members):
         parts.append(element("span", f"over {len(grade.ids)} of {len(members)} experiments", class_="quiet block"))
-    return join([*parts, *lost]), standing_of(score.mean.interval_95).value
+    return join([*parts, *lost]), standing_of(mean[1]).value
 
 
 def place_text(rank: int | None, shared: int, count: int) -> str:

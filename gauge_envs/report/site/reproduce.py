@@ -103,12 +103,10 @@ def run_commands(site: Site, cells: Sequence[tuple[int, Sequence[Result]]]) -> H
         parts.append(
             element("div", element("p", site.swatch(index), site.labels[index]), element("pre", element("code", text)))
         )
-        parts.append(element("p", f"Versions: {versions}. Settings: {_settings_text(results[0])}.", class_="small"))
+        parts.append(element("p", f"Versions: {versions}.", class_="small"))
+        settings = element("pre", element("code", "\n".join(_assignments(results[0].settings)) or "none stated"))
+        parts.append(element("details", element("summary", "settings in force"), settings))
     return join(parts)
-
-
-def _settings_text(result: Result) -> str:
-    return ", ".join(_assignments(result.settings)) or "none stated"
 
 
 def reproduce_page(site: Site, command: str) -> str:

@@ -59,18 +59,19 @@
   }
 
   function ground(camera) {
-    const size = 8 * camera.distance;
+    const wide = 400 * camera.distance; // Beyond the far plane, so that the horizon is level.
     const group = new THREE.Group();
-    const floor = new THREE.Mesh(new THREE.PlaneGeometry(size, size), new THREE.MeshBasicMaterial());
+    const floor = new THREE.Mesh(new THREE.PlaneGeometry(wide, wide), new THREE.MeshBasicMaterial());
     const step = camera.distance < 3 ? 0.1 : 0.5;
-    const grid = new THREE.GridHelper(2 * step * Math.ceil(size / step / 2), 2 * Math.ceil(size / step / 2));
+    const lines = 2 * Math.ceil((1.5 * camera.distance) / step);
+    const grid = new THREE.GridHelper(lines * step, lines);
     grid.rotation.x = Math.PI / 2;
     grid.position.z = 5e-4 * camera.distance; // Above the floor, or both flicker.
     group.add(floor, grid);
     group.userData.paint = () => {
       floor.material.color.set(css("--floor"));
       grid.material.vertexColors = false;
-      grid.material.color.set(css("--line"));
+      grid.material.color.set(css("--head"));
     };
     return group;
   }
@@ -335,7 +336,7 @@
       camera.position.copy(orbit.target).addScaledVector(one, -distance);
       camera.fov = view.fov;
       camera.near = 0.02 * distance;
-      camera.far = 40 * distance;
+      camera.far = 80 * distance;
       orbit.update();
       redraw();
     }
@@ -416,10 +417,15 @@
       } else return;
       event.preventDefault();
     });
-    new ResizeObserver(() => {
+    // The height follows from the width, so a change of the height alone asks for nothing.
+    let width = 0;
+    const resized = () => {
+      if (stage.clientWidth === width) return;
+      width = stage.clientWidth;
       label();
       redraw();
-    }).observe(stage);
+    };
+    new ResizeObserver(() => requestAnimationFrame(resized)).observe(stage);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       for (const entry of entries) if (entry.built) entry.built.paint();
       redraw();
