@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from gauge_envs.analysis.budget_fit import BudgetStage
 from gauge_envs.analysis.comparison import Cell, ExperimentComparison
 from gauge_envs.analysis.diagnosis import Diagnosis
-from gauge_envs.analysis.error_budget import DiagnosisError, diagnose
+from gauge_envs.analysis.error_budget import diagnose
 from gauge_envs.analysis.grades import GradedExperiment, compare_grade
 from gauge_envs.analysis.scores import COMPARED_METRICS
 from gauge_envs.errors import GaugeError
@@ -214,7 +214,8 @@ def _error_budgets(site: Site, results: Mapping[int, Result]) -> Html:
     for index, result in results.items():
         try:
             diagnosis = diagnose(result)
-        except DiagnosisError:
+        except GaugeError:
+            # Without a reference or to no end: the page states both elsewhere.
             continue
         budgets.append(_budget(site, index, diagnosis))
     if not budgets:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gauge_envs.analysis.comparison import ExperimentComparison
-from gauge_envs.analysis.grades import GradeComparison, GradedExperiment, GradeScore, compare_grade
+from gauge_envs.analysis.grades import GradeComparison, GradedExperiment, GradeScore, PairComparison, compare_grade
 from gauge_envs.analysis.scores import COMPARED_METRICS
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.report.site.html import Html, element, join, page, table
@@ -82,19 +82,41 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
     means = _means(site, grade)
     (best, value, (low, high)), *others = means
     apart = {
-        pair.second if pair.first == best else pair.first
-        for pair in grade.pairs
+        pair.second if pair.first == best else pair.first: _away(pair, best)
+        for pair in _common_pairs(site, grade)
         if best in (pair.first, pair.second) and pair.distinguishable
     }
     same = [site.labels[index] for index, _, _ in others if index not in apart]
-    further = [f"{site.labels[index]} {score_text(mean)}" for index, mean, _ in others if index in apart]
+    further = [
+        f"{site.labels[index]} {score_text(mean)} ({apart[index]})" for index, mean, _ in others if index in apart
+    ]
     sentences = [f" {score_text(value)} [{score_text(low)}, {score_text(high)}]."]
     if same:
         sentences.append(f" Not distinguishable from it: {', '.join(same)}.")
     if further:
-        sentences.append(f" Distinguishably further: {', '.join(further)}.")
+        sentences.append(f" Distinguishably further: {'; '.join(further)}.")
     start = f"Against {_grade_title(grade)} ({_counted(grade.ids)}): lowest mean score "
     return join([element("b", start), site.configuration_link(best), *sentences])
+
+
+def _common_pairs(site: Site, grade: GradeComparison) -> Sequence[PairComparison]:
+    """Return the pairs of a grade over the experiments that all have scored; a pair may have more in common."""
+    if all(pair.ids == grade.ids for pair in grade.pairs):
+        return grade.pairs
+    common = [_graded(one) for one in site.comparison.experiments if one.id in grade.ids]
+    return compare_grade(grade.grade, withheld=grade.withheld, experiments=common).pairs
+
+
+def _graded(one: ExperimentComparison) -> GradedExperiment:
+    draws = tuple(None if cell is None else cell.draws for cell in one.cells)
+    return GradedExperiment(id=one.id, draws=draws, published={})
+
+
+def _away(pair: PairComparison, best: int) -> str:
+    """Return how much further the other configuration of a pair is, with the interval of the paired difference."""
+    sign = -1.0 if pair.first == best else 1.0
+    low, high = sorted(sign * end for end in pair.difference_95)
+    return f"by {score_text(sign * pair.difference)} [{score_text(low)}, {score_text(high)}]"
 
 
 def _means(site: Site, grade: GradeComparison) -> list[tuple[int, float, tuple[float, float]]]:
@@ -123,12 +145,7 @@ def _phenomena(site: Site) -> Iterator[tuple[str, str, GradeComparison, list[Exp
     for one in site.comparison.experiments:
         groups.setdefault((*site.family(one), one.grade, one.withheld), []).append(one)
     for (title, tests, grade, withheld), members in groups.items():
-        experiments = [
-            GradedExperiment(
-                id=one.id, draws=tuple(None if cell is None else cell.draws for cell in one.cells), published={}
-            )
-            for one in members
-        ]
+        experiments = [_graded(one) for one in members]
         if any(draws is not None for one in experiments for draws in one.draws):
             yield title, tests, compare_grade(grade, withheld=withheld, experiments=experiments), members
 

@@ -7,6 +7,7 @@ import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from gauge_envs.experiments.experiment import AssetKind
@@ -109,6 +110,14 @@ def run_commands(site: Site, cells: Sequence[tuple[int, Sequence[Result]]]) -> H
     return join(parts)
 
 
+def _digest(file: Path) -> str:
+    """Return the start of the hash of a file; a dash if it is gone."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+    except OSError:
+        return "-"
+
+
 def reproduce_page(site: Site, command: str) -> str:
     """Return the page with the origin of every number.
 
@@ -123,7 +132,6 @@ def reproduce_page(site: Site, command: str) -> str:
                 continue
             for result in cell.results:
                 file = site.files.get(id(result))
-                digest = "" if file is None else hashlib.sha256(file.read_bytes()).hexdigest()[:16]
                 line = run_command([result])
                 rows.append(
                     [
@@ -131,7 +139,7 @@ def reproduce_page(site: Site, command: str) -> str:
                         site.configuration_link(index),
                         element("code", line or "trajectory file"),
                         "-" if file is None else file.name,
-                        digest,
+                        "-" if file is None else _digest(file),
                         result.task_sha256[:16],
                         result.created,
                     ]
