@@ -398,7 +398,8 @@
     button.addEventListener("click", () => play(!playing));
     slider.addEventListener("input", () => move(Number(slider.value)));
     reset.addEventListener("click", look);
-    for (const box of boxes) box.addEventListener("change", choose);
+    const fail = (error) => root.replaceChildren("The replay cannot be shown: " + error.message + ".");
+    for (const box of boxes) box.addEventListener("change", () => choose().catch(fail));
     if (ghosts) ghosts.addEventListener("change", redraw);
     orbit.addEventListener("change", redraw);
     canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
@@ -420,7 +421,7 @@
     // The height follows from the width, so a change of the height alone asks for nothing.
     let width = 0;
     const resized = () => {
-      if (stage.clientWidth === width) return;
+      if (stage.clientWidth === width || !stage.isConnected) return;
       width = stage.clientWidth;
       label();
       redraw();
@@ -433,7 +434,7 @@
     // A phone starts with two pictures, which share its width.
     const first = stage.clientWidth < 700 ? 2 : 6;
     boxes.forEach((box, index) => (box.checked = index < first));
-    choose().catch((error) => (output.value = error.message));
+    choose().catch(fail);
   }
 
   for (const root of document.querySelectorAll(".replay")) start(root);
