@@ -41,14 +41,15 @@ def report(
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
     stderr = stderr_console()
-    words = ["gauge", "report", *map(str, sources or ["results"]), "--out", str(out), *([] if replay else ["--no-replay"])]
+    named = [str(source) for source in sources or [Path("results")]]
+    command = shlex.join(["gauge", "report", *named, "--out", str(out), *([] if replay else ["--no-replay"])])
     with progress_bar(stderr) as bar:
         task = bar.add_task("pages", total=len({result.id for result in results.values()}))
 
         def show(name: str) -> None:
             bar.update(task, advance=1, description=name)
 
-        notes = save_site(results, out, replays=replay, command=shlex.join(words), progress=show)
+        notes = save_site(results, out, replays=replay, command=command, progress=show)
     reasons: dict[str, list[str]] = {}
     for note in notes:
         reasons.setdefault(note.reason, []).append(f"{note.id.removeprefix('GAUGE/')} on {note.label}")

@@ -218,10 +218,9 @@ def _check_same(result: Result, episode: Episode, installed: Mapping[str, str]) 
 
 def _packed(made: Replay, key: NDArray[np.uint8]) -> bytes:
     stream = io.BytesIO()
-    nodes = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
-    np.savez_compressed(
-        stream, key=key, rate_hz=np.array([made.rate_hz]), poses=made.poses, markers_m=made.markers_m, **nodes
-    )
+    arrays: dict[str, Any] = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
+    arrays |= {"key": key, "rate_hz": np.array([made.rate_hz]), "poses": made.poses, "markers_m": made.markers_m}
+    np.savez_compressed(stream, **arrays)
     return stream.getvalue()
 
 

@@ -66,7 +66,7 @@ def test_one_bit_of_the_trajectory_is_found(slide: Result) -> None:
     assert value is not None
     samples[40][0] = float(np.nextafter(value, np.inf))
     changed = replace(slide, trajectory=replace(trajectory, samples=samples))
-    with pytest.raises(ReplayError, match="differs from the result by up to .* mm; the versions of the engine are"):
+    with pytest.raises(ReplayError, match=r"differs from the result by up to .* mm; the versions of the engine are"):
         replay(changed)
 
 

@@ -19,7 +19,15 @@ from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import RenderError
 from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, Rope, Scene, SoftBody
 
-__all__ = ["COLORS", "FIELD_OF_VIEW_DEG", "STRING_COLOR", "STRING_RADIUS_M", "FlatView", "SceneRenderer", "scene_camera"]
+__all__ = [
+    "COLORS",
+    "FIELD_OF_VIEW_DEG",
+    "STRING_COLOR",
+    "STRING_RADIUS_M",
+    "FlatView",
+    "SceneRenderer",
+    "scene_camera",
+]
 
 COLORS = {
     Motion.DYNAMIC: (0.90, 0.52, 0.17, 1.0),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from secrets import token_hex
+from typing import Any
 
 from gauge_envs.analysis.comparison import ExperimentComparison, compare
 from gauge_envs.errors import GaugeError, ResultFileError
@@ -175,7 +176,7 @@ def _replays(site: Site, one: ExperimentComparison, out: Path) -> tuple[Html | N
     return (_replay_element(entries, ghost_text(ghosts)) if entries else None), notes
 
 
-def _replay(site: Site, index: int, result: Result) -> dict[str, object]:
+def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
     file = site.files.get(id(result))
     if file is None:
         raise ReplayError("its result file is not known")

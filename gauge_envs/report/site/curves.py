@@ -93,14 +93,18 @@ def _band_panels(
 ) -> tuple[list[CurvePanel], int]:
     """Return the panels of the coordinates with the largest real motion, and the number of all coordinates."""
     width = band.projection.shape[1]
-    projected = [(index, times, band.project(values)) for index, times, values, _ in recorded if values.shape[1] == width]
+    projected = [
+        (index, times, band.project(values)) for index, times, values, _ in recorded if values.shape[1] == width
+    ]
     spans = [float(np.ptp(column[np.isfinite(column)])) if np.isfinite(column).any() else 0.0 for column in band.mean.T]
     chosen = sorted(np.argsort(spans)[::-1][:MOST_PANELS].tolist())
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     panels = [
         CurvePanel(
             title=f"{band.coordinates[column]} [{unit}]",
-            curves=[(site.color(index), site.labels[index], times, values[:, column]) for index, times, values in projected],
+            curves=[
+                (site.color(index), site.labels[index], times, values[:, column]) for index, times, values in projected
+            ],
             times_s=times_s,
             mean=band.mean[:, column],
             sigma=band.sigma[:, column],
@@ -133,7 +137,9 @@ def _plain_panels(
         text = f"Root mean square over all {len(names)} coordinates of the change since the start."
     empty = np.zeros(0, dtype=bool)
     panels = [
-        CurvePanel(title=title, curves=curves, times_s=NOTHING, mean=NOTHING, sigma=NOTHING, measured=empty, end_s=end_s)
+        CurvePanel(
+            title=title, curves=curves, times_s=NOTHING, mean=NOTHING, sigma=NOTHING, measured=empty, end_s=end_s
+        )
         for title, curves in series.items()
     ]
     return panels, text

@@ -98,7 +98,9 @@ def _forest(site: Site, one: ExperimentComparison) -> Html:
     """Return the primary score of each configuration with its interval, and those of the published engines."""
     metric = COMPARED_METRICS[one.primary]
     rows = [
-        ForestRow(label=site.labels[index], color=site.color(index), value=spread.mean, interval=cell.interval_95(metric))
+        ForestRow(
+            label=site.labels[index], color=site.color(index), value=spread.mean, interval=cell.interval_95(metric)
+        )
         for index, cell in enumerate(one.cells)
         if cell is not None and (spread := cell.spread(metric, normalized=True)) is not None
     ]
@@ -228,7 +230,12 @@ def _error_budgets(site: Site, results: Mapping[int, Result]) -> Html:
     note = "Share of the squared error that is gone when the start moves in time (release), by a constant (offset), or "
     note += "when the motion has another rate (rate). The rest is none of these."
     return join(
-        [element("h2", "What the error is"), element("p", note, class_="small"), element("ul", *key, class_="key"), *budgets]
+        [
+            element("h2", "What the error is"),
+            element("p", note, class_="small"),
+            element("ul", *key, class_="key"),
+            *budgets,
+        ]
     )
 
 
@@ -237,7 +244,10 @@ def _budget(site: Site, index: int, diagnosis: Diagnosis) -> Html:
     shares.append(("rest", STAGE_COLORS[None], diagnosis.rest.share))
     bars = (
         element(
-            "span", Html(""), style=f"width:{100.0 * max(share, 0.0):.2f}%;background:{color}", title=f"{name} {share:.1%}"
+            "span",
+            Html(""),
+            style=f"width:{100.0 * max(share, 0.0):.2f}%;background:{color}",
+            title=f"{name} {share:.1%}",
         )
         for name, color, share in shares
     )
@@ -264,10 +274,16 @@ def _convergence(site: Site, results: Mapping[int, Result]) -> Html:
     ]
     if not rows:
         return Html("")
-    note = "Change of the whole trajectory when the time step or the cell of a mesh is halved, over the scatter of real "
+    note = (
+        "Change of the whole trajectory when the time step or the cell of a mesh is halved, over the scatter of real "
+    )
     note += "trials. It was measured once for each engine with its default settings (scoring/convergence)."
     return join(
-        [element("h2", "Convergence"), table(("engine", "half step, half cell"), rows), element("p", note, class_="small")]
+        [
+            element("h2", "Convergence"),
+            table(("engine", "half step, half cell"), rows),
+            element("p", note, class_="small"),
+        ]
     )
 
 
@@ -277,7 +293,13 @@ def _uncertainty(site: Site, results: Mapping[int, Result]) -> Html:
         if not result.score.budget:
             continue
         rows = [
-            [entry.name, entry.evaluation, f"{entry.standard_uncertainty:.3f}", f"{100.0 * entry.share:.0f} %", entry.source]
+            [
+                entry.name,
+                entry.evaluation,
+                f"{entry.standard_uncertainty:.3f}",
+                f"{100.0 * entry.share:.0f} %",
+                entry.source,
+            ]
             for entry in result.score.budget
         ]
         largest = result.score.budget[0]
@@ -286,7 +308,9 @@ def _uncertainty(site: Site, results: Mapping[int, Result]) -> Html:
         parts.append(element("details", summary, table(titles, rows)))
     if not parts:
         return Html("")
-    note = "Contributions to the interval of the first score. u: standard uncertainty of the normalized score. Type A is "
+    note = (
+        "Contributions to the interval of the first score. u: standard uncertainty of the normalized score. Type A is "
+    )
     note += "from observations, B from other knowledge (GUM)."
     return join([element("h2", "Uncertainty"), element("p", note, class_="small"), *parts])
 

@@ -49,7 +49,8 @@ nav a[aria-current] { font-weight: 600; text-decoration: none; }
 .matrix thead tr > :first-child { border-top: 0; border-bottom: 2px solid var(--head); font-weight: 600; }
 .matrix td { border-left: 1px solid var(--line); }
 .matrix td .badge { font-size: .78rem; padding: 0 .35rem; white-space: nowrap; }
-.key { display: flex; flex-wrap: wrap; gap: .2rem 1rem; padding: 0; margin: .4rem 0; list-style: none; font-size: .9rem; }
+.key { display: flex; flex-wrap: wrap; gap: .2rem 1rem; padding: 0; margin: .4rem 0; list-style: none;
+  font-size: .9rem; }
 .swatch { display: inline-block; width: 1.4rem; height: .25rem; vertical-align: middle; margin-right: .35rem; }
 .swatch.area { height: .8rem; }
 .panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(22rem, 100%), 1fr)); gap: .8rem; }
@@ -71,8 +72,8 @@ code { overflow-wrap: anywhere; }
   background: var(--stage); touch-action: pan-y; }
 .stage canvas:focus-visible, .controls :focus-visible { outline: 3px solid #0072b2; outline-offset: 1px; }
 .names { position: absolute; inset: 0; pointer-events: none; }
-.names span { position: absolute; padding: .1rem .4rem; font-size: .85rem; border-radius: .2rem; background: var(--back);
-  opacity: .85; margin: .3rem; border-left: .3rem solid; }
+.names span { position: absolute; padding: .1rem .4rem; font-size: .85rem; border-radius: .2rem;
+  background: var(--back); opacity: .85; margin: .3rem; border-left: .3rem solid; }
 .controls { display: flex; flex-wrap: wrap; align-items: center; gap: .4rem .7rem; margin-top: .5rem; }
 .controls input[type=range] { flex: 1 1 10rem; min-width: 8rem; } .controls output { font-variant-numeric: tabular-nums;
   min-width: 6.5rem; } .controls button, .controls select { font: inherit; padding: .25rem .7rem; min-height: 2.2rem; }

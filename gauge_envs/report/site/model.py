@@ -11,15 +11,25 @@ from pathlib import Path
 from gauge_envs.analysis.comparison import Cell, Comparison, ExperimentComparison
 from gauge_envs.analysis.grades import GradeComparison, GradeScore
 from gauge_envs.analysis.scores import COMPARED_METRICS
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.errors import GaugeError
+from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.report.results import configuration_labels
 from gauge_envs.report.site.html import Html, element, join, slug
 from gauge_envs.report.text import ALIGNED_TITLE, METRIC_TITLES, score_text
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = ["COLOR_COUNT", "TITLES", "Site", "Standing", "badge", "first_result", "score_cell", "standing_of", "whisker_text"]
+__all__ = [
+    "COLOR_COUNT",
+    "TITLES",
+    "Site",
+    "Standing",
+    "badge",
+    "first_result",
+    "score_cell",
+    "standing_of",
+    "whisker_text",
+]
 
 Interval = tuple[float, float]
 

@@ -23,14 +23,15 @@ SCALE_NOTE = (
 
 ALIGNED_NOTE = (
     "RMSE aligned: after the best constant shift in time, because a real release is not at an exact time. The 1 is of "
-    "trials that are not aligned. So an aligned score below 1 does not mean closer than the real trials; the page of the "
-    "experiment states the share of real trials that are closer."
+    "trials that are not aligned. So an aligned score below 1 does not mean closer than the real trials; the page of "
+    "the experiment states the share of real trials that are closer."
 )
 
 RANK_NOTE = (
-    "Rank: 1 + number of engines with a distinguishably lower score. Two engines are distinguishable if the 95 % interval "
-    "of their paired difference excludes zero. The intervals in the cells overlap more, because engines share errors, "
-    "which cancel in a difference. Not distinguishable: no engine of the row is distinguishably lower than another."
+    "Rank: 1 + number of engines with a distinguishably lower score. Two engines are distinguishable if the 95 % "
+    "interval of their paired difference excludes zero. The intervals in the cells overlap more: engines "
+    "share errors, which cancel in a difference. Not distinguishable: no engine of the row is distinguishably lower "
+    "than another."
 )
 
 
@@ -59,9 +60,9 @@ def overview_page(site: Site) -> str:
 
 
 def _grade_title(grade: GradeComparison) -> str:
-    return {"trials": "real trials", "recording": "one recorded trial", "law": "a law"}.get(grade.grade, grade.grade) + (
-        ", withheld band" if grade.withheld else ""
-    )
+    return {"trials": "real trials", "recording": "one recorded trial", "law": "a law"}.get(
+        grade.grade, grade.grade
+    ) + (", withheld band" if grade.withheld else "")
 
 
 def _counted(ids: Sequence[str]) -> str:
@@ -159,14 +160,15 @@ def _matrix(site: Site) -> Html:
         heading.append(element("span", f"{metric}, {_grade_title(grade)}: ", links, class_="quiet block"))
         scores = {one.configuration: one for one in grade.scores}
         shared = sum(one.rank == 1 for one in grade.scores)
-        cells = [_matrix_cell(site, index, scores.get(index), grade, members, shared) for index in range(len(site.labels))]
-        rows.append([join(heading), *cells])
+        cells = (
+            _matrix_cell(site, index, scores.get(index), grade, members, shared) for index in range(len(site.labels))
+        )
+        rows.append(element("tr", element("th", join(heading), scope="row"), *cells))
     if not rows:
         return Html("")
     titles: list[str | Html] = ["phenomenon", *(site.configuration_link(index) for index in range(len(site.labels)))]
     head = element("tr", *(element("th", title) for title in titles))
-    body = join(_matrix_row(cells) for cells in rows)
-    matrix = element("table", element("thead", head), element("tbody", body), class_="matrix")
+    matrix = element("table", element("thead", head), element("tbody", *rows), class_="matrix")
     key = element("ul", *(element("li", badge(standing)) for standing in Standing), class_="key")
     return join(
         [
@@ -177,13 +179,6 @@ def _matrix(site: Site) -> Html:
             element("p", ALIGNED_NOTE, class_="small"),
         ]
     )
-
-
-def _matrix_row(cells: Sequence[Html | tuple[Html, str]]) -> Html:
-    heading, *others = cells
-    assert isinstance(heading, Html)
-    tds = [element("td", cell[0], class_=cell[1] or None) if isinstance(cell, tuple) else cell for cell in others]
-    return element("tr", element("th", heading, scope="row"), *tds)
 
 
 def _variant(one: ExperimentComparison) -> str:
@@ -197,8 +192,8 @@ def _matrix_cell(
     grade: GradeComparison,
     members: Sequence[ExperimentComparison],
     shared: int,
-) -> tuple[Html, str]:
-    """Return the content of a cell and its class."""
+) -> Html:
+    """Return a cell, coloured by how its interval lies to 1."""
     results = [result for one in members if (cell := one.cells[index]) is not None for result in cell.results]
     lost = [
         element("span", f"{count} {outcome.value}", class_="quiet block")
@@ -207,12 +202,12 @@ def _matrix_cell(
     ]
     mean = None if score is None else site.mean_of(grade, score)
     if score is None or mean is None:
-        return join([element("span", "no score" if results else "not run", class_="quiet"), *lost]), ""
+        return element("td", element("span", "no score" if results else "not run", class_="quiet"), *lost)
     parts = [whisker_text(*mean)]
     parts.append(element("span", place_text(score.rank, shared, len(grade.scores)), class_="quiet block"))
     if len(grade.ids) < len(members):
         parts.append(element("span", f"over {len(grade.ids)} of {len(members)} experiments", class_="quiet block"))
-    return join([*parts, *lost]), standing_of(mean[1]).value
+    return element("td", *parts, *lost, class_=standing_of(mean[1]).value)
 
 
 def place_text(rank: int | None, shared: int, count: int) -> str:
@@ -246,7 +241,9 @@ def _events(site: Site) -> Html:
     if not rows:
         return Html("")
     titles = ["event", *(site.configuration_link(index) for index in range(len(site.labels)))]
-    note = "Metrics of events over the real value. LSD: longest rest of the last ball of the cradle. MTE: momentum that "
+    note = (
+        "Metrics of events over the real value. LSD: longest rest of the last ball of the cradle. MTE: momentum that "
+    )
     note += "the cradle hands on. PD: period of the pendulum. EL: energy loss of the pendulum."
     return join([element("h2", "Events"), table(titles, rows, kind="matrix"), element("p", note, class_="small")])
 
@@ -266,7 +263,9 @@ def _unscored(site: Site) -> Html:
         rows.append([site.experiment_link(one), between, apart, f"{quantity_text(far.motion_rms)} {far.unit}"])
     if not rows:
         return Html("")
-    note = "No real reference is published, so nothing says which engine is right. Distance and motion: root mean square "
+    note = (
+        "No real reference is published, so nothing says which engine is right. Distance and motion: root mean square "
+    )
     note += "over the frames; the motion is the displacement from the start."
     titles = ("experiment", "furthest apart", "distance", "motion")
     return join(
@@ -297,6 +296,4 @@ def _engines(site: Site) -> Html:
         f"Wall s/sim s: wall time over simulated time, over the {len(site.comparison.run_by_all)} experiments that all "
         "ran. It compares engines on one machine alone."
     )
-    return join(
-        [element("h2", "Engines"), table(titles, rows, number_from=2), element("p", note, class_="small")]
-    )
+    return join([element("h2", "Engines"), table(titles, rows, number_from=2), element("p", note, class_="small")])

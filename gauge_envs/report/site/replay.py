@@ -212,7 +212,11 @@ def _soft(body: Cloth | SoftBody | Rope | Rod, nodes_m: NDArray[np.float32]) -> 
     if isinstance(body, Rope | Rod):
         return data | {"kind": "line", "radius": body.radius_m, "color": _color(COLORS[Motion.DYNAMIC])}
     faces = Skin(body, nodes_m[0].astype(np.float64)).faces
-    return data | {"kind": "surface", "faces": _packed(faces.astype(np.uint16)), "color": _color(COLORS[Motion.DYNAMIC])}
+    return data | {
+        "kind": "surface",
+        "faces": _packed(faces.astype(np.uint16)),
+        "color": _color(COLORS[Motion.DYNAMIC]),
+    }
 
 
 def _ghost(experiment: Experiment, band: Band) -> dict[str, Any] | None:
@@ -238,7 +242,7 @@ def _ghost(experiment: Experiment, band: Band) -> dict[str, Any] | None:
     places = 1e-3 * (start_mm + deviation @ np.linalg.pinv(band.projection).T).reshape(len(band.mean), -1, 3)
     touched = (np.abs(band.projection).sum(axis=0) > 0.0).reshape(-1, 3)
     shown = np.flatnonzero(touched.any(axis=1)).tolist()
-    known = np.isfinite(places[:, shown]).all(axis=(1, 2))
+    known = [bool(np.isfinite(row[shown]).all()) for row in places]
     return {
         "grade": band.grade.value,
         "trials": band.trial_count,

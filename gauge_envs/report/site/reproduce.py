@@ -79,8 +79,10 @@ def _start_words(results: Sequence[Result]) -> list[str]:
 
 def _exact(value: float, factor: float) -> str:
     """Return the shortest number of which the command makes exactly this value."""
-    return next((f"{value / factor:.{n}g}" for n in range(1, 18) if factor * float(f"{value / factor:.{n}g}") == value),
-                repr(value / factor))
+    return next(
+        (f"{value / factor:.{n}g}" for n in range(1, 18) if factor * float(f"{value / factor:.{n}g}") == value),
+        repr(value / factor),
+    )
 
 
 def _exact_deg(value: float) -> str:

@@ -78,16 +78,12 @@ def curve_panel(panel: CurvePanel) -> Html:
     for tick in _ticks(low, high, 4):
         y = float(to_y(np.array(tick)))
         parts.append(element("line", x1=LEFT, x2=WIDTH - RIGHT, y1=f"{y:.1f}", y2=f"{y:.1f}", class_="grid"))
-        parts.append(
-            element("text", _tick_text(tick), x=LEFT - 4, y=f"{y + 4:.1f}", text_anchor="end", class_="quiet")
-        )
+        parts.append(element("text", _tick_text(tick), x=LEFT - 4, y=f"{y + 4:.1f}", text_anchor="end", class_="quiet"))
     for tick in _ticks(0.0, panel.end_s, 5):
         x = float(to_x(np.array(tick)))
-        place = {"x": f"{x:.1f}", "y": HEIGHT - BOTTOM + 14, "text_anchor": "middle", "class_": "quiet"}
-        parts.append(element("text", _tick_text(tick), **place))
-    parts.append(
-        element("text", "time [s]", x=(LEFT + WIDTH) / 2, y=HEIGHT - 5, text_anchor="middle", class_="quiet")
-    )
+        text = _tick_text(tick)
+        parts.append(element("text", text, x=f"{x:.1f}", y=HEIGHT - BOTTOM + 14, text_anchor="middle", class_="quiet"))
+    parts.append(element("text", "time [s]", x=(LEFT + WIDTH) / 2, y=HEIGHT - 5, text_anchor="middle", class_="quiet"))
     if len(panel.times_s):
         parts += _band(panel, to_x, to_y)
     for color, label, times_s, values in panel.curves:
@@ -112,10 +108,13 @@ def curve_panel(panel: CurvePanel) -> Html:
     )
 
 
-def _band(panel: CurvePanel, to_x: Callable[[FloatArray], FloatArray], to_y: Callable[[FloatArray], FloatArray]) -> list[Html]:
+def _band(
+    panel: CurvePanel, to_x: Callable[[FloatArray], FloatArray], to_y: Callable[[FloatArray], FloatArray]
+) -> list[Html]:
     """Return areas of one and two sigma and the mean; what is extrapolated is dotted."""
     shown = panel.times_s <= panel.end_s + 1e-9
-    times, mean, sigma, measured = (a[shown] for a in (panel.times_s, panel.mean, panel.sigma, panel.measured))
+    times, mean, sigma = (values[shown] for values in (panel.times_s, panel.mean, panel.sigma))
+    measured = panel.measured[shown]
     parts: list[Html] = []
     for first, last in _runs(np.isfinite(mean)):
         piece = slice(first, last)
@@ -131,7 +130,9 @@ def _band(panel: CurvePanel, to_x: Callable[[FloatArray], FloatArray], to_y: Cal
             piece = slice(first, min(last + 1, len(mean)))
             known = np.isfinite(mean[piece])
             points = np.column_stack([to_x(times[piece][known]), to_y(mean[piece][known])])
-            line = element("polyline", points=_points(simplified(points, SHOWN_PX)), class_="real", stroke_dasharray=dashes)
+            line = element(
+                "polyline", points=_points(simplified(points, SHOWN_PX)), class_="real", stroke_dasharray=dashes
+            )
             parts.append(line)
     return parts
 

@@ -53,7 +53,12 @@ class Page(HTMLParser):
 
     @property
     def links(self) -> list[str]:
-        return [value for _, attributes in self.elements for key, value in attributes.items() if key in ("href", "src") and value]
+        return [
+            value
+            for _, attributes in self.elements
+            for key, value in attributes.items()
+            if key in ("href", "src") and value
+        ]
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +114,11 @@ def test_the_scores_are_those_of_the_results(site: Path, results: dict[Path, Res
 def test_the_first_page_says_whether_two_configurations_differ(is_same: bool, tmp_path: Path) -> None:
     # The default step given as a setting is another configuration of the same run.
     default = next(run_many([RunRequest("SlopeSlider-2-wood")], out=tmp_path))
-    other = {"settings": {"timestep_s": default.settings["timestep_s"]}} if is_same else {"parameters": {"cube.friction": 0.05}}
+    other = (
+        {"settings": {"timestep_s": default.settings["timestep_s"]}}
+        if is_same
+        else {"parameters": {"cube.friction": 0.05}}
+    )
     list(run_many([RunRequest("SlopeSlider-2-wood", **other)], out=tmp_path))
     save_site({file: load_result(file) for file in tmp_path.glob("*.json")}, tmp_path / "site", replays=False)
     overview = Page(tmp_path / "site" / "index.html").text
