@@ -102,9 +102,10 @@ def replay(result: Result) -> Replay:
     with engine_call(result.backend, "build"):
         simulation = backend_for(result.backend, None).build(experiment.scene, result.settings_given or None)
     try:
-        simulation.reset(result.seed or 0)
-        episode = Episode(experiment, simulation, band=None, marker_proxy=checked_proxy(result.marker_proxy))
-        recorded = _recorded(episode, simulation, experiment.scene)
+        with engine_call(result.backend, "advance"):
+            simulation.reset(result.seed or 0)
+            episode = Episode(experiment, simulation, band=None, marker_proxy=checked_proxy(result.marker_proxy))
+            recorded = _recorded(episode, simulation, experiment.scene)
     finally:
         simulation.close()
     _check_same(result, episode, installed)
@@ -125,7 +126,10 @@ def load_or_replay(result: Result, file: Path) -> Replay:
         ReplayError: See `replay`.
         GaugeError: See `replay`.
     """
-    key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
+    try:
+        key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
+    except OSError as error:
+        raise ReplayError(f"{file}: cannot be read: {error.strerror or error}") from error
     path = replay_path(file)
     known = _stored(result, path, key)
     if known is not None:

@@ -22,7 +22,6 @@ from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, 
 __all__ = [
     "COLORS",
     "FIELD_OF_VIEW_DEG",
-    "STRING_COLOR",
     "STRING_RADIUS_M",
     "FlatView",
     "SceneRenderer",
@@ -36,7 +35,6 @@ COLORS = {
 }
 """Colours of bodies: red, green, blue and opacity from 0 to 1."""
 STRING_COLOR = (0.25, 0.25, 0.25, 1.0)
-"""Colour of the strings of tethered and hinged bodies."""
 STRING_RADIUS_M = 0.0015
 """Radius of a string in pictures [m]."""
 ELEVATION_DEG = -18.0

@@ -210,7 +210,7 @@ def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
         "canvas",
         Html(""),
         tabindex=0,
-        role="img",
+        role="application",
         aria_label="3D replay. Space plays, arrow keys step by a frame, A and D turn the view.",
     )
     stage = element("div", canvas, element("div", Html(""), class_="names"), class_="stage")

@@ -54,7 +54,7 @@ nav a[aria-current] { font-weight: 600; text-decoration: none; }
 .swatch { display: inline-block; width: 1.4rem; height: .25rem; vertical-align: middle; margin-right: .35rem; }
 .swatch.area { height: .8rem; }
 .panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(22rem, 100%), 1fr)); gap: .8rem; }
-.panels svg, .forest svg { display: block; width: 100%; max-width: 36rem; height: auto; }
+.panels figure > svg, .forest figure > svg { display: block; width: 100%; max-width: 36rem; height: auto; }
 .panels figure:only-child { max-width: 36rem; }
 figure { margin: 0; min-width: 0; } figcaption { font-size: .85rem; color: var(--quiet); }
 svg text { font: 11px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; fill: var(--text); }

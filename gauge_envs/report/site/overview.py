@@ -51,6 +51,7 @@ def overview_page(site: Site) -> str:
         element("div", *(_grade_forest(site, grade) for grade in graded), class_="forest"),
         element("p", SCALE_NOTE, class_="small"),
         _matrix(site),
+        _unscaled(site),
         _events(site),
         _unscored(site),
         _engines(site),
@@ -91,7 +92,11 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
     further = [
         f"{site.labels[index]} {score_text(mean)} ({apart[index]})" for index, mean, _ in others if index in apart
     ]
-    sentences = [f" {score_text(value)} [{score_text(low)}, {score_text(high)}]."]
+    sentences: list[str | Html] = [
+        f" {score_text(value)} [{score_text(low)}, {score_text(high)}] ",
+        badge(standing_of((low, high))),
+        ".",
+    ]
     if same:
         sentences.append(f" Not distinguishable from it: {', '.join(same)}.")
     if further:
@@ -246,6 +251,27 @@ def _events(site: Site) -> Html:
     )
     note += "the cradle hands on. PD: period of the pendulum. EL: energy loss of the pendulum."
     return join([element("h2", "Events"), table(titles, rows, kind="matrix"), element("p", note, class_="small")])
+
+
+def _unscaled(site: Site) -> Html:
+    """Return the experiments with a reference and no published scatter that covers it: their RMSE in its unit."""
+    metric = COMPARED_METRICS["rmse"]
+    rows: list[list[str | Html]] = []
+    for one in site.comparison.experiments:
+        cells = [cell for cell in one.cells if cell is not None and cell.spread(metric, normalized=False) is not None]
+        if not cells or any(cell.draws is not None or cell.spread(metric, normalized=True) for cell in cells):
+            continue
+        heading = [site.experiment_link(one), element("span", f"RMSE, {one.grade}", class_="quiet block")]
+        rows.append([join(heading), *(score_cell(one, cell, "rmse") for cell in one.cells)])
+    if not rows:
+        return Html("")
+    titles = ["experiment", *(site.configuration_link(index) for index in range(len(site.labels)))]
+    note = (
+        "These references hold for a part of the motion, for which no scatter of real trials is published. So there is "
+    )
+    note += "no 1 to compare with and no interval."
+    head = element("h2", "Distance to a part of the motion")
+    return join([head, table(titles, rows, kind="matrix"), element("p", note, class_="small")])
 
 
 def _unscored(site: Site) -> Html:

@@ -18,7 +18,6 @@ from scipy.spatial import ConvexHull
 from gauge_envs.envs.rendering.renderer import (
     COLORS,
     FIELD_OF_VIEW_DEG,
-    STRING_COLOR,
     STRING_RADIUS_M,
     scene_camera,
 )
@@ -120,7 +119,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
         "shapes": shapes,
         "bodies": bodies,
         "strings": [{"body": joint.body, "anchor": list(joint.anchor_m)} for joint in scene.joints],
-        "string": {"radius": STRING_RADIUS_M, "color": _color(STRING_COLOR)},
+        "string": {"radius": STRING_RADIUS_M},
         "camera": {
             "target": [round(float(x), ROUND_M) for x in camera.lookat],
             "distance": float(camera.distance),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.report.site.html import Html, element, join
+from gauge_envs.report.site.html import Html, element
 from gauge_envs.report.text import quantity_text, score_text
 
 __all__ = ["CurvePanel", "ForestRow", "curve_panel", "forest"]
@@ -86,22 +86,23 @@ def curve_panel(panel: CurvePanel) -> Html:
     parts.append(element("text", "time [s]", x=(LEFT + WIDTH) / 2, y=HEIGHT - 5, text_anchor="middle", class_="quiet"))
     if len(panel.times_s):
         parts += _band(panel, to_x, to_y)
+    curves = []
     for color, label, times_s, values in panel.curves:
         shown = (times_s <= panel.end_s + 1e-9) & np.isfinite(values)
         points = np.column_stack([to_x(times_s[shown]), np.clip(to_y(values[shown]), -HEIGHT, 2.0 * HEIGHT)])
         if len(points):
             line = element("polyline", points=_points(simplified(points, SHOWN_PX)), stroke=color, class_="curve")
-            parts.append(element("g", element("title", label), line))
-    frame = f"M{LEFT} {TOP}V{HEIGHT - BOTTOM}H{WIDTH - RIGHT}"
-    clip = f"clip-path:inset({TOP - 2}px 0 {BOTTOM - 1}px {LEFT}px)"
-    drawn = join(parts[-len(panel.curves) :]) if panel.curves else Html("")
-    still = join(parts[: len(parts) - len(panel.curves)])
-    clipped = element("svg", drawn, x=0, y=0, width=WIDTH, height=HEIGHT, style=clip) if panel.curves else Html("")
+            curves.append(element("g", element("title", label), line))
+    width, height = WIDTH - RIGHT - LEFT, HEIGHT - BOTTOM - TOP
+    # An inner SVG cuts what leaves the frame.
+    inside = element(
+        "svg", *curves, x=LEFT, y=TOP, width=width, height=height, viewBox=f"{LEFT} {TOP} {width} {height}"
+    )
     return element(
         "svg",
-        still,
-        clipped,
-        element("path", d=frame, class_="axis"),
+        *parts,
+        inside,
+        element("path", d=f"M{LEFT} {TOP}V{HEIGHT - BOTTOM}H{WIDTH - RIGHT}", class_="axis"),
         viewBox=f"0 0 {WIDTH:.0f} {HEIGHT:.0f}",
         role="img",
         aria_label=f"{panel.title} over time",

@@ -37,6 +37,9 @@
     return values;
   }
 
+  // Dots have a size in pixels. A small picture has small dots.
+  let dotScale = 1;
+
   // --- still parts ---
 
   function geometryOf(solid) {
@@ -130,12 +133,14 @@
   }
 
   function strings(data, scene, bodies) {
-    const drawn = segments(data.scene.strings.length, data.scene.string.radius, data.scene.string.color);
-    scene.add(drawn);
-    return () =>
+    const drawn = segments(data.scene.strings.length, data.scene.string.radius, 0);
+    drawn.userData.paint = () => drawn.material.color.set(css("--real"));
+    drawn.userData.move = () =>
       data.scene.strings.forEach((string, index) =>
         drawn.userData.span(index, one.fromArray(string.anchor), two.copy(bodies[string.body].position))
       );
+    scene.add(drawn);
+    return drawn;
   }
 
   function between(values, stride, last) {
@@ -180,6 +185,7 @@
     const drawn = new THREE.Points(geometry, material);
     drawn.frustumCulled = false;
     drawn.renderOrder = 2;
+    drawn.onBeforeRender = () => (material.size = pixels * dotScale * Math.min(devicePixelRatio, 2));
     return drawn;
   }
 
@@ -200,8 +206,9 @@
     const group = new THREE.Group(), real = data.ghost;
     const line = new THREE.LineBasicMaterial({ transparent: true, opacity: 0.8, depthTest: false });
     const solid = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.4, depthWrite: false });
-    const dot = dots(real.names.length, 0, 9);
     const balls = real.radii.map((radius) => radius && new THREE.Mesh(new THREE.SphereGeometry(radius, 32, 20), solid));
+    const bare = real.names.map((_, body) => body).filter((body) => !balls[body]);
+    const dot = dots(Math.max(bare.length, 1), 0, 9);
     real.names.forEach((_, body) => {
       const known = real.places.filter(Boolean).map((row) => new THREE.Vector3(...row[body]));
       const path = new THREE.Line(new THREE.BufferGeometry().setFromPoints(known), line);
@@ -209,7 +216,7 @@
       group.add(path);
       if (balls[body]) group.add(balls[body]);
     });
-    group.add(dot);
+    if (bare.length) group.add(dot);
     scene.add(group);
     group.userData.paint = () => [line, solid, dot.material].forEach((m) => m.color.set(css("--real")));
     group.userData.move = (index, share) => {
@@ -220,8 +227,8 @@
       if (!a) return;
       real.names.forEach((_, body) => {
         one.fromArray(a[body]).lerp(two.fromArray((b || a)[body]), frame % 1);
-        one.toArray(dot.geometry.attributes.position.array, 3 * body);
         if (balls[body]) balls[body].position.copy(one);
+        else one.toArray(dot.geometry.attributes.position.array, 3 * bare.indexOf(body));
       });
       dot.geometry.attributes.position.needsUpdate = true;
     };
@@ -230,7 +237,7 @@
 
   function build(data) {
     const scene = new THREE.Scene(), bodies = {}, painted = [];
-    scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f98, 2.2));
+    scene.add(new THREE.HemisphereLight(0xffffff, 0xb8bcc4, 2.8));
     const sun = new THREE.DirectionalLight(0xffffff, 1.6);
     sun.position.set(-0.4, -1, 2.5);
     scene.add(sun);
@@ -247,7 +254,11 @@
       scene.add(object);
     }
     const moves = [movingBodies(data, scene, bodies)];
-    if (data.scene.strings.length) moves.push(strings(data, scene, bodies));
+    if (data.scene.strings.length) {
+      const drawn = strings(data, scene, bodies);
+      painted.push(drawn);
+      moves.push(drawn.userData.move);
+    }
     for (const soft of data.soft) moves.push(softBody(soft, scene, data.views - 1));
     if (data.markers) moves.push(markers(data, scene));
     const real = data.ghost && ghost(data, scene);
@@ -307,6 +318,7 @@
       camera.aspect = cell / height;
       camera.updateProjectionMatrix();
       renderer.setScissorTest(true);
+      dotScale = Math.min(1, cell / 500);
       shown.forEach((one, index) => {
         const x = (index % columns) * cell, y = (rows - 1 - Math.floor(index / columns)) * height;
         renderer.setViewport(x, y, cell - 2, height - 2);
@@ -330,7 +342,7 @@
       const view = home.camera, azimuth = (view.azimuth * Math.PI) / 180, elevation = (view.elevation * Math.PI) / 180;
       orbit.target.fromArray(view.target);
       // A narrow picture needs more distance to show the same width.
-      const { cell, height } = layout(), distance = view.distance / Math.min(1, cell / height);
+      const { cell, height } = layout(), distance = (0.9 * view.distance) / Math.min(1, cell / height);
       const flat = Math.cos(elevation);
       one.set(flat * Math.cos(azimuth), flat * Math.sin(azimuth), Math.sin(elevation));
       camera.position.copy(orbit.target).addScaledVector(one, -distance);
