@@ -19,7 +19,7 @@ ASSETS = Path(__file__).parent.parent / "gauge_envs" / "report" / "site" / "asse
 
 THREE, ESBUILD = "0.187.0", "0.28.2"
 
-SHA256 = "f6efb1b63880247e4ddf6c3e0da43bdeaaa68bd5d9f948b902be2221c769aa50"
+SHA256 = "39a12b6b39c021769337dc24f3cb9426edefa2cf8ab34194c05741674d4b64dd"
 """SHA-256 of the bundle."""
 
 USED = (
@@ -27,6 +27,7 @@ USED = (
     "BufferAttribute",
     "BufferGeometry",
     "CapsuleGeometry",
+    "Color",
     "CylinderGeometry",
     "DirectionalLight",
     "DoubleSide",

@@ -204,7 +204,7 @@ def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
     ]
     if ghost:
         box = element("input", type="checkbox", name="ghost", checked=True)
-        boxes.append(element("label", box, " real trajectory"))
+        boxes.append(element("label", box, " reference"))
     choice = element("fieldset", element("legend", "Show"), *boxes)
     canvas = element(
         "canvas",

@@ -52,7 +52,7 @@ def curve_section(site: Site, one: ExperimentComparison, band: Band | None) -> H
         notes.append(f"The first {shown_s:g} of {end_s:.3g} s are drawn; scores use all frames.")
     return join(
         [
-            element("h2", "Curves" if band is None else "Curves over reality"),
+            element("h2", "Curves" if band is None else "Curves over the reference"),
             _legend(site, [index for index, *_ in recorded], band),
             element("div", *(element("figure", curve_panel(panel)) for panel in panels), class_="panels"),
             *(element("p", note, class_="small") for note in notes),
@@ -79,7 +79,7 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
         ):
             swatch = element("span", Html(""), class_=kind, style=f"background:var({color})")
             entries.append(element("li", swatch, text))
-        if not band.measured.all():
+        if (~band.measured & np.isfinite(band.mean).all(axis=1)).any():
             entries.append(element("li", "dotted: extrapolated, not measured"))
     return element("ul", *entries, class_="key")
 

@@ -268,7 +268,7 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     what = {
         "trials": f"the mean of {ghost['trials']} real trials" if ghost["trials"] else "the mean of the real trials",
         "recording": "one recorded real trial",
-        "law": "the law that the score compares with",
+        "law": "the law that the score compares with, no recorded motion",
     }[ghost["grade"]]
     held = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
-    return f"Ghost: {what}, as recorded, not aligned in time.{held}"
+    return f"Ghost: {what}; not aligned in time.{held}"

@@ -232,7 +232,7 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
         x, value = place(10.0**power), 10.0**power
         kind = "one" if power == 0 else "grid"
         parts.append(element("line", x1=f"{x:.1f}", x2=f"{x:.1f}", y1=TOP, y2=bottom, class_=kind))
-        text = "1 = real" if power == 0 else f"{value:g}"
+        text = "1 = real trials" if power == 0 else f"{value:g}"
         parts.append(element("text", text, x=f"{x:.1f}", y=bottom + 13, text_anchor="middle", class_="quiet"))
     for number, row in enumerate(rows):
         y = TOP + ROW * (number + 0.5)

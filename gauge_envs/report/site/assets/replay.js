@@ -6,6 +6,7 @@
 
 (function () {
   const MOST = 32767; // Largest component of a stored quaternion.
+  const CROWD = 20; // Most bodies of one shape that are drawn one by one, with their edges.
   const waiting = {};
 
   window.gaugeReplay = (key, data) => waiting[key](data);
@@ -93,6 +94,25 @@
       group.add(mesh);
     }
     return group;
+  }
+
+  // Equal bodies, as the bricks of a wall: one drawing for all, in shades, because it has no edges.
+  function crowd(members, solid, scene) {
+    const mesh = new THREE.InstancedMesh(geometryOf(solid), new THREE.MeshLambertMaterial(), members.length);
+    mesh.frustumCulled = false;
+    const shade = new THREE.Color();
+    members.forEach(({ body }, index) => {
+      shade.set(body.color).offsetHSL(0, 0, 0.03 * ((index * 7) % 5) - 0.06);
+      mesh.setColorAt(index, shade);
+    });
+    scene.add(mesh);
+    return () => {
+      members.forEach(({ object }, index) => {
+        matrix.compose(object.position, object.quaternion, size.set(1, 1, 1));
+        mesh.setMatrixAt(index, matrix);
+      });
+      mesh.instanceMatrix.needsUpdate = true;
+    };
   }
 
   // --- moving parts ---
@@ -241,8 +261,17 @@
     const sun = new THREE.DirectionalLight(0xffffff, 1.6);
     sun.position.set(-0.4, -1, 2.5);
     scene.add(sun);
+    const crowds = {}, alike = {};
+    for (const body of data.scene.bodies) alike[body.shape] = (alike[body.shape] ?? 0) + 1;
     for (const body of data.scene.bodies) {
-      const isPlane = data.scene.shapes[body.shape][0].kind === "plane";
+      const solids = data.scene.shapes[body.shape], isPlane = solids[0].kind === "plane";
+      if (!isPlane && solids.length === 1 && !solids[0].pose && alike[body.shape] > CROWD) {
+        const object = new THREE.Group();
+        place(object, body.pose);
+        bodies[body.name] = object;
+        (crowds[body.shape] ??= []).push({ body, object });
+        continue;
+      }
       const object = isPlane ? ground(data.scene.camera) : bodyOf(body, data.scene.shapes);
       place(object, body.pose);
       if (isPlane) {
@@ -254,6 +283,7 @@
       scene.add(object);
     }
     const moves = [movingBodies(data, scene, bodies)];
+    for (const shape in crowds) moves.push(crowd(crowds[shape], data.scene.shapes[shape][0], scene));
     if (data.scene.strings.length) {
       const drawn = strings(data, scene, bodies);
       painted.push(drawn);
