@@ -19,6 +19,7 @@ from gauge_envs.cli.interrupts import (
     was_interrupted,
 )
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
+from gauge_envs.cli.report import report
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
 from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
@@ -95,7 +96,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("list")(list_)
-for command in (show, run, score, plot, compare, diagnose, sanity, materials):
+for command in (show, run, score, plot, compare, diagnose, report, sanity, materials):
     app.command()(command)
 app.command("sanity probe")(sanity_probe)
 app.command("sanity export")(sanity_export)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-__all__ = ["compare", "diagnose", "plot"]
+__all__ = ["compare", "diagnose", "loaded_files", "plot"]
 
 
 def plot(
@@ -135,7 +135,12 @@ def diagnose(
 
 
 def _loaded(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[list[Result], int]:
-    """Return the results of files and folders, each file once, and the number of skipped files.
+    results, skipped = loaded_files(sources, with_scene=with_scene)
+    return list(results.values()), skipped
+
+
+def loaded_files(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[dict[Path, Result], int]:
+    """Return the results of files and folders by file, each file once, and the number of skipped files.
 
     Args:
         sources: Files and folders; None for `results/`.
@@ -145,13 +150,13 @@ def _loaded(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[list[R
     from gauge_envs.runs.scene_record import recorded_experiment
 
     files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))
-    results: list[Result] = []
+    results: dict[Path, Result] = {}
     for file in files:
         try:
             result = load_result(file)
             if with_scene:
                 recorded_experiment(result)
-            results.append(result)
+            results[file] = result
         except GaugeError as error:
             place = "" if isinstance(error, ResultFileError) else f"{file}: "
             stderr_console().print(f"[yellow]skipped:[/] {plain_text(f'{place}{error}')}", soft_wrap=True)

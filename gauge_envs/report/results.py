@@ -38,6 +38,7 @@ __all__ = [
     "configuration_labels",
     "configuration_parts",
     "deformation_table",
+    "discretization_text",
     "result_label",
     "summary_view",
     "versions_text",
@@ -269,8 +270,8 @@ def _outcome_lines(results: Sequence[Result]) -> Iterator[Text]:
             yield Text.assemble((f"{outcome.value}: ", style), f"{shortened(ids)}: {reason}")
 
 
-def _convergence(result: Result) -> str | None:
-    """Return the convergence of the experiment on the engine, or None for other settings or another scene."""
+def discretization_text(result: Result) -> str | None:
+    """Return what half the step and half the cell change, or None for other settings or another scene."""
     if result.backend is None or result.settings_given or result.is_edited or result.has_experiment_file:
         return None
     name = short_id(result.id)
@@ -318,7 +319,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         }
         if metric == "rmse":
             row |= {"z": score.mean_abs_z, "percentile": score.percentile, "extrapolated": score.extrapolated_share}
-            row["convergence"] = _convergence(result)
+            row["convergence"] = discretization_text(result)
         rows.append(row)
     # The aligned score comes first where the experiment starts with a release, else after the raw one.
     if score.primary == "rmse" and len(rows) > 1 and rows[0]["metric"] == ALIGNED_TITLE:

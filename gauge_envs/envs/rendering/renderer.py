@@ -19,18 +19,28 @@ from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import RenderError
 from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, Rope, Scene, SoftBody
 
-__all__ = ["FlatView", "SceneRenderer"]
+__all__ = [
+    "COLORS",
+    "FIELD_OF_VIEW_DEG",
+    "STRING_RADIUS_M",
+    "FlatView",
+    "SceneRenderer",
+    "scene_camera",
+]
 
 COLORS = {
     Motion.DYNAMIC: (0.90, 0.52, 0.17, 1.0),
     Motion.KINEMATIC: (0.30, 0.50, 0.75, 1.0),
     Motion.FIXED: (0.72, 0.66, 0.56, 1.0),
 }
+"""Colours of bodies: red, green, blue and opacity from 0 to 1."""
 STRING_COLOR = (0.25, 0.25, 0.25, 1.0)
 STRING_RADIUS_M = 0.0015
+"""Radius of a string in pictures [m]."""
 ELEVATION_DEG = -18.0
 AZIMUTH_DEG = 125.0
 FIELD_OF_VIEW_DEG = 40.0
+"""Vertical field of view of the camera [deg]."""
 FLOOR_IN_VIEW_M = 0.6
 """Largest distance of the floor below all bodies at which the picture shows it [m]."""
 
@@ -132,7 +142,7 @@ class SceneRenderer:
         self._drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         if view is not None:
             self._drawing.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0
-        self._camera = _camera(scene)
+        self._camera = scene_camera(scene)
         self._device = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
 
@@ -287,7 +297,7 @@ def _add_backdrop(spec: mujoco.MjSpec, view: FlatView, width: int, height: int) 
     plane.quat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
 
 
-def _camera(scene: Scene) -> mujoco.MjvCamera:
+def scene_camera(scene: Scene) -> mujoco.MjvCamera:
     """Return a camera that sees the bodies at the start and their reach: driven motion, swings, and a floor below."""
     points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
     points += [body.pose.to_world(_outline_m(body)) for body in scene.deformables]

@@ -1,0 +1,150 @@
+"""Replays of results: poses of the same run, bit for bit, or a reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gauge_envs.errors import MissingExtraError
+from gauge_envs.runs import replay as replay_module
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.replay import Replay, ReplayError, load_or_replay, replay, replay_path, replayed_experiment
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.runs.result_file import load_result, write_result
+from gauge_envs.scene.jitter import Jitter
+
+
+def first_file(folder: Path, request: RunRequest) -> Path:
+    list(run_many([request], out=folder))
+    return sorted(folder.glob("*.json"))[0]
+
+
+@pytest.fixture(scope="module")
+def slide_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return first_file(tmp_path_factory.mktemp("results"), RunRequest("SlopeSlider-2-wood"))
+
+
+@pytest.fixture
+def slide(slide_file: Path) -> Result:
+    return load_result(slide_file)
+
+
+def test_poses_are_those_of_the_trajectory(slide: Result) -> None:
+    made = replay(slide)
+    assert slide.trajectory is not None
+    _, values = slide.trajectory.arrays()
+    # 180 samples a second in the result, 60 views a second in the replay, single precision.
+    assert made.rate_hz == 60.0
+    assert made.bodies == ("cube",)
+    np.testing.assert_allclose(1e3 * made.poses[:, 0, :3], values[::3], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["Pendulum-metal", "SlopeSlider-3-metal", "BouncingBall-rubber"])
+def test_tethered_driven_and_colliding_bodies_have_the_same_bits(name: str, tmp_path: Path) -> None:
+    request = RunRequest(name, settings={"timestep_s": 1 / 900} if name.startswith("Pendulum") else None)
+    result = load_result(first_file(tmp_path, request))
+    made = replay(result)
+    assert made.poses.shape[1] == len(made.bodies)
+
+
+def test_a_jittered_repeat_starts_where_it_started(tmp_path: Path) -> None:
+    list(run_many([RunRequest("SlopeSlider-2-wood", repeats=2, jitter=Jitter(position_m=0.002))], out=tmp_path))
+    results = [load_result(file) for file in sorted(tmp_path.glob("*.json"))]
+    starts = [replay(result).poses[0, 0, :3] for result in results]
+    assert np.linalg.norm(starts[0] - starts[1]) > 1e-4
+
+
+def test_one_bit_of_the_trajectory_is_found(slide: Result) -> None:
+    trajectory = slide.trajectory
+    assert trajectory is not None
+    samples = [list(row) for row in trajectory.samples]
+    value = samples[40][0]
+    assert value is not None
+    samples[40][0] = float(np.nextafter(value, np.inf))
+    changed = replace(slide, trajectory=replace(trajectory, samples=samples))
+    with pytest.raises(ReplayError, match=r"differs from the result by up to .* mm; the versions of the engine are"):
+        replay(changed)
+
+
+def test_another_setting_is_found(slide: Result) -> None:
+    with pytest.raises(ReplayError, match="differs from the result"):
+        replay(replace(slide, settings_given={"timestep_s": 1 / 900}))
+
+
+def test_another_version_is_named(slide: Result) -> None:
+    changed = replace(slide, versions=slide.versions | {"mujoco": "0.1"}, settings_given={"timestep_s": 1 / 900})
+    with pytest.raises(ReplayError, match=r"versions: mujoco 0\.1 in the result, .* installed"):
+        replay(changed)
+
+
+def test_a_result_of_another_length_is_found(slide: Result) -> None:
+    trajectory = slide.trajectory
+    assert trajectory is not None
+    shorter = RecordedTrajectory(
+        unit=trajectory.unit,
+        coordinates=trajectory.coordinates,
+        times_s=trajectory.times_s[:-6],
+        samples=trajectory.samples[:-6],
+    )
+    with pytest.raises(ReplayError, match=r"109 samples of 3 coordinates, the result has 103 of 3"):
+        replay(replace(slide, trajectory=shorter))
+
+
+def test_an_engine_that_is_not_installed_is_named(slide: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> dict[str, str]:
+        raise MissingExtraError(f"backend {name!r}", "newton", ImportError("newton"))
+
+    monkeypatch.setattr(replay_module, "versions_of", missing)
+    with pytest.raises(ReplayError, match="newton"):
+        replay(slide)
+
+
+def test_a_trajectory_file_has_no_replay(slide: Result) -> None:
+    with pytest.raises(ReplayError, match="trajectory file"):
+        replay(replace(slide, backend=None))
+
+
+def test_a_model_file_is_no_part_of_the_result(slide: Result) -> None:
+    asset = {"file": "slide.xml", "kind": "model", "sha256": "0" * 64, "edited": True, "changes": []}
+    with pytest.raises(ReplayError, match=r"slide\.xml"):
+        replayed_experiment(replace(slide, asset=asset))
+
+
+# --- the file beside the result ---
+
+
+def forbidden(result: Result) -> Replay:
+    raise AssertionError("the episode ran again")
+
+
+def test_the_file_beside_the_result_spares_the_run(slide_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = load_result(slide_file)
+    made = load_or_replay(result, slide_file)
+    assert replay_path(slide_file).is_file()
+    monkeypatch.setattr(replay_module, "replay", forbidden)
+    known = load_or_replay(result, slide_file)
+    np.testing.assert_array_equal(known.poses, made.poses)
+    assert (known.bodies, known.rate_hz) == (made.bodies, made.rate_hz)
+
+
+@pytest.mark.parametrize("damage", ["other result", "cut", "text"])
+def test_a_file_of_another_result_or_a_damaged_one_does_not_count(
+    damage: str, slide_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result, file = load_result(slide_file), tmp_path / slide_file.name
+    write_result(result, file)
+    load_or_replay(result, file)
+    path = replay_path(file)
+    if damage == "other result":
+        write_result(replace(result, seed=1), file)
+    elif damage == "cut":
+        path.write_bytes(path.read_bytes()[:200])
+    else:
+        path.write_text("no archive")
+    monkeypatch.setattr(replay_module, "replay", forbidden)
+    with pytest.raises(AssertionError, match="ran again"):
+        load_or_replay(result, file)
