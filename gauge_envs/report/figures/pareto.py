@@ -103,13 +103,13 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
         line = [p for p in family.points if p.is_on_main_line and _value(p, error) is not None]
         line.sort(key=lambda point: -(point.step_s or 0.0))
         if line:
-            axis.plot([p.cost for p in line], [_value(p, error) for p in line], **style)
+            axis.plot([p.cost for p in line], [_value(p, error) or math.nan for p in line], **style)
             if error == "numerical":
                 _name_line(axis, family, (line[-1].cost, _value(line[-1], error) or LEAST_SHOWN), style["color"])
         others = [p for p in family.points if not p.is_on_main_line and _value(p, error) is not None]
         if others:
             cross: dict[str, Any] = {"marker": "x", "ms": 6, "mew": 1.6, "ls": "", "color": style["color"]}
-            axis.plot([p.cost for p in others], [_value(p, error) for p in others], **cross)
+            axis.plot([p.cost for p in others], [_value(p, error) or math.nan for p in others], **cross)
     unit = "real scatter" if phenomenon.unit == "scatter" else phenomenon.unit
     axis.set_ylabel(f"{title}\n[{unit}]", fontsize=8.5)
     axis.tick_params(labelsize=8)
@@ -148,7 +148,7 @@ def _set_ticks(axis: Axes) -> None:
     low, high = axis.get_ylim()
     axis.set_ylim(min(low, 0.5 * high), max(high, 2.0 * low))
     low, high = axis.get_ylim()
-    axis.set_ylim(10.0 ** math.floor(math.log10(low) + 0.3), 10.0 ** math.ceil(math.log10(high) - 0.1))
+    axis.set_ylim(0.7 * 10.0 ** math.floor(math.log10(low) + 0.3), 10.0 ** math.ceil(math.log10(high) - 0.1))
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     for one in (axis.xaxis, axis.yaxis):
         one.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
