@@ -27,16 +27,19 @@ WORDS = {
     Status.ERROR: "&#10007; error",
 }
 
+LEAST_PERCENT = 1e-4
+"""Relative errors below this are not written out [%]."""
+
 MATRIX_STYLE = """
 .scroll { overflow-x: auto; max-width: 100%; } body { max-width: none; }
-.matrix { width: auto; } .matrix td, .matrix th { padding: .25rem .45rem; vertical-align: top; white-space: nowrap; }
+.matrix { width: auto; font-size: .8rem; line-height: 1.3; }
+.matrix td, .matrix th { padding: .2rem .35rem; vertical-align: top; white-space: nowrap; }
 .matrix th:first-child, .matrix td:first-child { position: sticky; left: 0; background: var(--back); z-index: 1;
-  white-space: normal; min-width: 9rem; max-width: 17rem; border-right: 1px solid var(--line); }
-.matrix th { white-space: normal; vertical-align: bottom; } .matrix td small { color: var(--quiet); display: block; }
-.matrix tr:hover td { background: var(--grey); }
+  white-space: normal; overflow-wrap: normal; width: 13rem; min-width: 13rem; border-right: 1px solid var(--line); }
+.matrix th { vertical-align: bottom; } .matrix small { color: var(--quiet); display: block; font-weight: 400; }
+.matrix .badge { padding: 0 .3rem; } .matrix tbody tr:hover td { background: var(--grey); }
 section { max-width: 72rem; } code { font-size: .85rem; overflow-wrap: anywhere; }
-@media (max-width: 760px) { .matrix th:first-child, .matrix td:first-child { min-width: 6.5rem; max-width: 7.5rem;
-  font-size: .85rem; } }
+@media (max-width: 760px) { .matrix th:first-child, .matrix td:first-child { width: 7.5rem; min-width: 7.5rem; } }
 """
 
 
@@ -77,8 +80,8 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
     parts = [
         f"<h1>{title}</h1>",
         '<p class="lead">One row per phenomenon: a small scene with a closed form. One column per engine and solver or '
-        "preset. A cell has the measured value and its relative error. The tolerance is the same for every engine. A "
-        "phenomenon that an engine declines is no failure.</p>",
+        "preset. A cell has the measured value and its relative error, or its error in tolerances where 0 is expected. "
+        "The tolerance is the same for every engine. A phenomenon that an engine declines is no failure.</p>",
         _matrix(ran, checks),
         _left_out([column for column in columns if column.reason]),
         "<h2>Checks</h2>",
@@ -97,7 +100,7 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
 
 
 def _matrix(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> str:
-    head = "".join(f"<th>{escape(column.title)}<br>{_tally(column)}</th>" for column in columns)
+    head = "".join(f"<th>{escape(column.backend)}<br>{escape(column.name)}{_tally(column)}</th>" for column in columns)
     rows = "".join(_row(check, columns) for check in checks)
     return (
         f'<div class="scroll"><table class="matrix"><thead><tr><th>phenomenon</th>{head}</tr></thead>'
@@ -109,24 +112,25 @@ def _tally(column: MatrixColumn) -> str:
     """Return how many of the checks that were not declined passed."""
     statuses = [finding.status for finding in column.findings.values()]
     count = sum(status is not Status.DECLINED for status in statuses)
-    return f'<small class="small">{statuses.count(Status.PASS)} of {count}</small>'
+    return f"<small>{statuses.count(Status.PASS)} of {count}</small>"
 
 
 def _row(check: Check, columns: Sequence[MatrixColumn]) -> str:
     findings = [column.findings.get(check.id) for column in columns]
     name = f'<a href="#{escape(check.id)}">{escape(check.title)}</a><small>{escape(_expected(findings))}</small>'
-    return f"<tr><td>{name}</td>{''.join(map(_cell, findings))}</tr>"
+    return f"<tr><td>{name}</td>{''.join(_cell(column, check.id) for column in columns)}</tr>"
 
 
-def _cell(finding: CheckResult | None) -> str:
+def _cell(column: MatrixColumn, check: str) -> str:
+    finding = column.findings.get(check)
     if finding is None:
-        return "<td></td>"
+        reason = column.refused.get(check, column.reason)
+        word = "refused" if check in column.refused else "not run"
+        return f'<td title="{escape(reason)}"><span class="badge declined">&ndash; {word}</span></td>'
     hint = "; ".join(finding.missing) or finding.diagnosis
     title = f' title="{escape(hint)}"' if hint else ""
-    value = (
-        "" if finding.measured is None else f"<small>{escape(_number(finding.measured))} ({_error(finding)})</small>"
-    )
-    return f"<td{title}>{_badge(finding.status)}{value}</td>"
+    texts = [] if finding.measured is None else [_number(finding.measured), _error(finding)]
+    return f"<td{title}>{_badge(finding.status)}{''.join(f'<small>{escape(text)}</small>' for text in texts)}</td>"
 
 
 def _badge(status: Status) -> str:
@@ -143,15 +147,16 @@ def _expected(findings: Sequence[CheckResult | None]) -> str:
 
 
 def _error(finding: CheckResult) -> str:
-    """Return the error relative to the expected value, or to the tolerance where that is 0."""
+    """Return the error relative to the expected value, or in tolerances where that is 0."""
     if finding.measured is None or finding.expected is None or finding.width is None:
         return ""
     difference = finding.measured - finding.expected
     if not math.isfinite(difference):
         return "not finite"
     if finding.expected:
-        return f"{100.0 * difference / abs(finding.expected):+.2g} %"
-    return f"{abs(difference) / finding.width:.2g} of tolerance" if finding.width else f"{difference:+.2g}"
+        percent = 100.0 * difference / abs(finding.expected)
+        return f"{percent:+.3g} %" if abs(percent) >= LEAST_PERCENT else f"below {LEAST_PERCENT:g} %"
+    return f"{abs(difference) / finding.width:.2g} tol." if finding.width else f"{difference:+.2g}"
 
 
 def _number(value: float) -> str:
@@ -163,12 +168,17 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> str:
     facts = {"scene": check.scene, "measures": check.measures, "law": check.law, "source": check.source}
     facts["tolerance"] = check.tolerance.rationale
     described = "".join(f"<li>{name}: {escape(text)}</li>" for name, text in facts.items())
-    rows = "".join(
-        _result(column, finding) for column in columns if (finding := column.findings.get(check.id)) is not None
+    found = [(column, column.findings[check.id]) for column in columns if check.id in column.findings]
+    rows = "".join(_result(column, finding) for column, finding in found)
+    rows += "".join(
+        f"<tr><td>{escape(column.title)}</td><td>refused</td></tr>"
+        f'<tr class="more"><td colspan="6">{escape(column.refused[check.id])}</td></tr>'
+        for column in columns
+        if check.id in column.refused
     )
     return (
         f'<section id="{escape(check.id)}"><h3>{escape(check.title)} <code>{escape(check.id)}</code></h3>'
-        f"<ul>{described}</ul><details><summary>{len(columns)} results with their commands</summary>"
+        f"<ul>{described}</ul><details><summary>{len(found)} results with their commands</summary>"
         '<table class="stack wide"><thead><tr><th>engine</th><th>outcome</th><th>measured</th><th>expected</th>'
         f"<th>error</th><th>command</th></tr></thead><tbody>{rows}</tbody></table></details></section>"
     )

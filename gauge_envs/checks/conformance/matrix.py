@@ -11,6 +11,7 @@ from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.registry import engine_call
 from gauge_envs.checks.conformance.lab import RefusedSettingsError
 from gauge_envs.checks.conformance.model import CheckResult
+from gauge_envs.checks.conformance.registry import checks
 from gauge_envs.checks.conformance.run import run_checks
 from gauge_envs.errors import GaugeError, UnknownNameError
 from gauge_envs.runs.isolation import Worker
@@ -67,13 +68,15 @@ class MatrixColumn:
         name: Name of the configuration; `default` for the engine's own choice.
         settings: Settings that select it.
         findings: Results of the checks, by id.
-        reason: Why no check ran; empty if they did.
+        refused: Why the engine refuses the settings in the scene of a check, by id.
+        reason: Why no check ran; empty if one did.
     """
 
     backend: str
     name: str
     settings: Mapping[str, Any]
     findings: dict[str, CheckResult] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
     reason: str = ""
 
     @property
@@ -144,13 +147,17 @@ def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None)
         only: Ids or patterns of checks.
         worker: Another process for the checks, so that an engine that crashes costs one of them; None for this one.
     """
-    if column.reason:
-        return
-    try:
-        for finding in run_checks(column.backend, settings=column.settings or None, only=only, worker=worker):
-            column.findings[finding.check] = finding
-            yield finding
-    except RefusedSettingsError as error:
-        column.reason = f"the settings are refused: {error}"
-    except GaugeError as error:
-        column.reason = str(error)
+    for one in () if column.reason else checks(only):
+        try:
+            # One by one, as a solver that refuses the scene of one check may take that of the next.
+            (finding,) = run_checks(column.backend, settings=column.settings or None, only=[one.id], worker=worker)
+        except RefusedSettingsError as error:
+            column.refused[one.id] = str(error)
+            continue
+        except GaugeError as error:
+            column.reason = str(error)
+            return
+        column.findings[finding.check] = finding
+        yield finding
+    if column.refused and not column.findings:
+        column.reason = f"the settings are refused: {next(iter(column.refused.values()))}"
