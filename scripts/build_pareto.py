@@ -2,6 +2,7 @@
 
     python scripts/build_pareto.py --results DIR                  runs what DIR lacks, then writes all files
     python scripts/build_pareto.py --results DIR --engine rapier  runs this engine only, and writes nothing else
+    python scripts/build_pareto.py --results DIR --no-runs        writes all files from what DIR has
     python scripts/build_pareto.py --docs                         writes the page from `scoring/pareto.json`
     python scripts/build_pareto.py --check                        fails if the page is not current
 
@@ -14,17 +15,32 @@ out. Runs of more than `REPEAT_BELOW_S` are not repeated. The script can be stop
 from __future__ import annotations
 
 import argparse
+import json
+import os
+import platform
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
+from gauge_envs.analysis.pareto import Tradeoff, tradeoff
+from gauge_envs.files import json_ready, write_whole
+from gauge_envs.report.figures.pareto import save_pareto
+from gauge_envs.report.pareto import pareto_markdown
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import load_result
 
 ROOT = Path(__file__).parents[1]
+DATA = ROOT / "scoring" / "pareto.json"
+PAGE = ROOT / "docs" / "accuracy_and_cost.md"
+FIGURE = ROOT / "docs" / "images" / "accuracy_and_cost.png"
+BEGIN, END = "<!-- pareto, written by scripts/build_pareto.py -->", "<!-- end of pareto -->"
 
 REPEATS = 3
 REPEAT_BELOW_S = 2.0
@@ -87,9 +103,7 @@ def sweeps(engine: str) -> Iterator[Sweep]:
     if engine in ("mujoco", "rapier", "physx", "newton"):
         own = {"drive_interval_s": INTERVAL_S} if engine == "mujoco" else {}
         for variant in CONTACTS:
-            points = tuple(
-                {"preset": "out_of_box", "timestep_s": INTERVAL_S / count} | own for count in PRESET_STEPS
-            )
+            points = tuple({"preset": "out_of_box", "timestep_s": INTERVAL_S / count} | own for count in PRESET_STEPS)
             yield Sweep(engine=engine, variant=variant, points=points)
     if engine in ITERATIONS:
         name, values = ITERATIONS[engine]
@@ -130,15 +144,93 @@ def _predicted_s(before: Result | None, settings: Mapping[str, Any]) -> float:
     return before.cpu_s * float(before.settings["timestep_s"]) / float(settings["timestep_s"])
 
 
+def gathered(folder: Path) -> Tradeoff:
+    """Return error over cost of the results in a folder, rounded to four digits."""
+    found = tradeoff([load_result(file) for file in sorted(folder.glob("*.json"))])
+    for note in found.notes:
+        print(f"note: {note}", file=sys.stderr)
+    return TypeAdapter(Tradeoff).validate_python(_rounded(json_ready(asdict(found))))
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        # Settings are requests, which have to be exact.
+        return {key: one if key in ("settings_given", "effort") else _rounded(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def provenance() -> dict[str, Any]:
+    """Return when and on what kind of machine the results were made."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
+    model = next((line.partition(": ")[2] for line in lines if line.startswith("model name")), platform.machine())
+    return {
+        "written by": "scripts/build_pareto.py",
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{os.cpu_count()} cores of {model}, shared with other work",
+    }
+
+
+def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
+    """Return the generated part of the page."""
+    engines = {
+        f"{family.backend} {', '.join(f'{key} {text}' for key, text in family.versions.items() if key != 'python')}"
+        for phenomenon in found.phenomena
+        for family in phenomenon.families
+    }
+    counts = [p.repeats for one in found.phenomena for family in one.families for p in family.points]
+    return "\n".join(
+        [
+            "",
+            f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each the least CPU time of "
+            f"{min(counts)} to {max(counts)} runs: one run of more than {REPEAT_BELOW_S:g} s, and up to {REPEATS} of each "
+            "request that is shorter. Costs are relative to MuJoCo's default preset, which ran in the same session on the "
+            "same experiments.",
+            "",
+            f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}.",
+            "",
+            pareto_markdown(found),
+        ]
+    )
+
+
+def written(text: str, notes: Mapping[str, Any], found: Tradeoff) -> str:
+    """Return the page with its generated part replaced."""
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{page(notes, found)}{END}{after}"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script; return its exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", type=Path, help="folder of the results")
-    parser.add_argument("--engine", action="append", help="measure this engine only; repeatable")
-    parser.add_argument("--limit-s", type=float, default=12.0, help="CPU time of an episode at most [s]")
+    mode = parser.add_mutually_exclusive_group(required=True)
+    mode.add_argument("--results", type=Path, help="folder of the results")
+    mode.add_argument("--docs", action="store_true", help="write page and figure from the data file")
+    mode.add_argument("--check", action="store_true", help="fail if the page is not current")
+    parser.add_argument("--engine", action="append", help="run this engine only, and write nothing; repeatable")
+    parser.add_argument("--no-runs", action="store_true", help="take the results as they are")
+    parser.add_argument("--limit-s", type=float, default=10.0, help="CPU time of an episode at most [s]")
     options = parser.parse_args(arguments)
-    for engine in options.engine or DEFAULT_STEPS:
-        measure(engine, options.results, options.limit_s)
+    if options.results:
+        for engine in () if options.no_runs else options.engine or DEFAULT_STEPS:
+            measure(engine, options.results, options.limit_s)
+        if options.engine:
+            return 0
+        values = {"provenance": provenance(), "tradeoff": json_ready(asdict(gathered(options.results)))}
+        write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())
+    values = json.loads(DATA.read_text(encoding="utf-8"))
+    found = TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
+    text = PAGE.read_text(encoding="utf-8")
+    new = written(text, values["provenance"], found)
+    if options.check:
+        if new != text:
+            print(f"{PAGE} is not current: run python scripts/build_pareto.py --docs", file=sys.stderr)
+        return int(new != text)
+    write_whole(PAGE, new.encode())
+    save_pareto(found, FIGURE)
     return 0
 
 
