@@ -20,6 +20,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -252,11 +253,14 @@ class Backend(ABC):
         name: Name that users type, as in `backend="mujoco"`.
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
         applies_air: Whether `build` applies `Scene.air` to cloth. Scenes with air are declined for other engines.
+        configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
+            must suit any scene; a scene that a solver cannot build is declined.
     """
 
     name: ClassVar[str]
     file_suffixes: ClassVar[tuple[str, ...]] = ()
     applies_air: ClassVar[bool] = False
+    configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
 
     @abstractmethod
     def versions(self) -> dict[str, str]:

@@ -6,11 +6,12 @@ import time
 from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gauge_envs.cli.arguments import Json, Wide, check_one_format, parsed_settings
+from gauge_envs.cli.check_matrix import check_matrix
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from gauge_envs.checks.conformance import CheckResult
     from gauge_envs.checks.sanity import PhenomenonResult, Report, Verdict
 
 
@@ -256,6 +258,18 @@ def backend_check(
     memory_limit_gb: Annotated[
         float | None, typer.Option(help="Limit of the resident memory of that process [GB], on Linux.")
     ] = None,
+    every: Annotated[
+        bool,
+        typer.Option(
+            "--all",
+            help="Every solver and preset that the backends declare, of all installed ones if none is named; one check "
+            "per phenomenon without --only. Needs --report or --json.",
+        ),
+    ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="PAGE", help="One HTML page: checks in rows, backends in columns, with all commands."),
+    ] = None,
     json_lines: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
     wide: Wide = False,
@@ -263,33 +277,74 @@ def backend_check(
     """Check backends against closed forms in small scenes, with a diagnosis of each failure.
 
     Exit code 1 when a check failed or raised an error. A declined check is no failure. An engine that crashes, exits or
-    hangs in another process costs one check. A limit implies --isolate.
+    hangs in another process costs one check. A limit implies --isolate, and so do --all and --report.
     """
-    from gauge_envs.backends import backend_names
-    from gauge_envs.backends.registry import is_bundled
-    from gauge_envs.checks.conformance import checks, run_checks
+    from gauge_envs.checks.conformance import checks
+    from gauge_envs.checks.conformance.matrix import CANONICAL
     from gauge_envs.checks.conformance.run import CHECK_LIMIT_S
     from gauge_envs.report.conformance import checks_table, findings_markdown, findings_view
-    from gauge_envs.runs.isolation import Worker
 
     patterns = only or []
     if describe:
         print_table(checks_table(checks(patterns)), json_lines=json_lines, wide=wide)
         return
-    if not names:
-        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list")
-    engines = list(dict.fromkeys(names))
-    settings = parsed_settings(changes or [])
-    isolate = isolate or time_limit_s is not None or memory_limit_gb is not None
-    findings = []
+    if not names and not every:
+        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list or --all")
+    limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s
+    if every or report is not None:
+        if markdown or (report is None and not json_lines):
+            raise ParameterError("--all and --report write a page or JSON: give --report PAGE.html or --json alone")
+        check_matrix(
+            names or [],
+            every=every,
+            settings=parsed_settings(changes or []),
+            only=patterns or (CANONICAL if every else []),
+            limits=(limit_s, memory_limit_gb),
+            report=report,
+            json_lines=json_lines,
+        )
+        return
+    findings = _findings(
+        list(dict.fromkeys(names or [])),
+        patterns,
+        parsed_settings(changes or []),
+        isolate=isolate or time_limit_s is not None or memory_limit_gb is not None,
+        limits=(limit_s, memory_limit_gb),
+        json_lines=json_lines,
+    )
+    if markdown:
+        echo(findings_markdown(findings))
+    elif not json_lines:
+        stdout_console().print(findings_view(findings, wide=wide))
+    bad = sum(finding.is_bad for finding in findings)
+    stderr_console().print(f"{counted(len(findings), 'check')}, {bad} failed")
+    if bad:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _findings(
+    engines: list[str],
+    patterns: list[str],
+    settings: Mapping[str, Any] | None,
+    *,
+    isolate: bool,
+    limits: tuple[float, float | None],
+    json_lines: bool,
+) -> list[CheckResult]:
+    """Run checks on engines and return the results, with a bar or lines of progress."""
+    from gauge_envs.backends import backend_names
+    from gauge_envs.backends.registry import is_bundled
+    from gauge_envs.checks.conformance import checks, run_checks
+    from gauge_envs.runs.isolation import Worker
+
+    findings: list[CheckResult] = []
     stderr = stderr_console()
     total = len(checks(patterns)) * len(engines)
     lines = _ProgressLines(stderr, total)
     apart = {name for name in backend_names() if isolate or not is_bundled(name)}
     with ExitStack() as stack:
         progress = stack.enter_context(progress_bar(stderr))
-        limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s
-        worker = stack.enter_context(Worker(limit_s, memory_limit_gb))
+        worker = stack.enter_context(Worker(*limits))
         bar = progress.add_task("checks", total=total)
         runs = [
             run_checks(name, settings=settings, only=patterns, worker=worker if name in apart else None)
@@ -302,14 +357,7 @@ def backend_check(
                 lines.update(len(findings), f"{finding.backend}: {finding.check}")
                 if json_lines:
                     print_json_lines([finding.to_dict()])
-    if markdown:
-        echo(findings_markdown(findings))
-    elif not json_lines:
-        stdout_console().print(findings_view(findings, wide=wide))
-    bad = sum(finding.is_bad for finding in findings)
-    stderr.print(f"{counted(len(findings), 'check')}, {bad} failed")
-    if bad:
-        raise typer.Exit(EXIT_FAILED)
+    return findings
 
 
 class _ProgressLines:

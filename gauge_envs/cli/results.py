@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,15 +26,42 @@ def plot(
         list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
+    pareto: Annotated[
+        bool,
+        typer.Option(
+            "--pareto",
+            help="Error over cost instead, of runs with several steps: pareto.png, pareto.md and pareto.json.",
+        ),
+    ] = False,
 ) -> None:
     """Plot results over the real band, one PNG per experiment. Exit code 1 when a damaged file was skipped."""
     from gauge_envs.report.figures.experiment import save_figures
 
     results, skipped = _loaded(sources, with_scene=True)
-    for path in save_figures(results, out):
+    for path in _save_pareto(results, out) if pareto else save_figures(results, out):
         echo(path)
     if skipped:
         raise typer.Exit(EXIT_FAILED)
+
+
+def _save_pareto(results: Sequence[Result], folder: Path) -> Iterator[Path]:
+    """Write error over cost as a picture, in Markdown and in JSON; yield each path."""
+    from gauge_envs.analysis.pareto import tradeoff
+    from gauge_envs.files import write_whole
+    from gauge_envs.report.figures.pareto import save_pareto
+    from gauge_envs.report.pareto import pareto_json, pareto_markdown
+
+    found = tradeoff(results)
+    for note in found.notes:
+        stderr_console().print(f"[yellow]note:[/] {plain_text(note)}", soft_wrap=True)
+    yield save_pareto(found, folder / "pareto.png")
+    texts = {"pareto.md": pareto_markdown(found), "pareto.json": json.dumps(pareto_json(found), indent=1) + "\n"}
+    for name, text in texts.items():
+        try:
+            write_whole(folder / name, text.encode())
+        except OSError as error:
+            raise ResultFileError(f"{folder / name}: cannot be written: {error.strerror or error}") from error
+        yield folder / name
 
 
 def compare(

@@ -41,6 +41,21 @@ __all__ = [
 ]
 
 
+class _Clock:
+    """Wall and CPU time of this process since its creation [s]."""
+
+    def __init__(self) -> None:
+        self._start_s = time.perf_counter(), time.process_time()
+
+    @property
+    def wall_s(self) -> float:
+        return time.perf_counter() - self._start_s[0]
+
+    @property
+    def cpu_s(self) -> float:
+        return time.process_time() - self._start_s[1]
+
+
 def run_episode(request: RunRequest) -> Result:
     """Run one episode with zero actions, which replay the recorded motion, and score it.
 
@@ -57,14 +72,14 @@ def run_episode(request: RunRequest) -> Result:
     try:
         space = env.action_space
         zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
-        start = time.perf_counter()
+        clock = _Clock()
         env.reset(seed=request.seed)
         over = False
         info: dict[str, Any] = {}
         while not over:
             *_, terminated, truncated, info = env.step(zero)
             over = terminated or truncated
-        result = episode_result(env, info, wall_s=time.perf_counter() - start)
+        result = episode_result(env, info, wall_s=clock.wall_s, cpu_s=clock.cpu_s)
     finally:
         env.close()
     return with_measured_uncertainty(request, [result])[0] if request.uncertainty else result
@@ -102,13 +117,16 @@ def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) ->
     return rescored
 
 
-def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any], *, wall_s: float | None = None) -> Result:
+def episode_result(
+    env: gymnasium.Env[Any, Any], info: Mapping[str, Any], *, wall_s: float | None = None, cpu_s: float | None = None
+) -> Result:
     """Return the result of an episode that has just ended.
 
     Args:
         env: Environment made by `gymnasium.make`, which the caller has stepped to the end.
         info: The `info` of its last step.
         wall_s: Duration of the episode [s].
+        cpu_s: CPU time of the process in the episode [s].
 
     Raises:
         KeyError: The episode is not over: `info` has no score.
@@ -116,7 +134,7 @@ def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any], *, wal
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
     planned = planned_result(inner.arguments, inner.experiment, seed=inner.seed_used, jitter=inner.jitter)
-    return _finished(planned, inner.episode, info["score"], engine_versions=inner.versions, wall_s=wall_s)
+    return _finished(planned, inner.episode, info["score"], engine_versions=inner.versions, times_s=(wall_s, cpu_s))
 
 
 def run_repeats(request: RunRequest) -> list[Result]:
@@ -147,7 +165,7 @@ def run_repeats(request: RunRequest) -> list[Result]:
     ]
     worlds = engine.build_worlds([run.scene for run in runs], request.settings)
     try:
-        start = time.perf_counter()
+        clock = _Clock()
         worlds.reset(request.seed)
         episodes = [
             Episode(
@@ -160,14 +178,14 @@ def run_repeats(request: RunRequest) -> list[Result]:
             for run, world in zip(runs, worlds.worlds, strict=True)
         ]
         run_together(episodes, worlds)
-        share_s = (time.perf_counter() - start) / request.repeats
+        shares_s = clock.wall_s / request.repeats, clock.cpu_s / request.repeats
         results = [
             _finished(
                 planned_result(request, episode.experiment, seed=seed, jitter=jitter),
                 episode,
                 episode.score(),
                 engine_versions=engine.versions(),
-                wall_s=share_s,
+                times_s=shares_s,
             )
             for seed, jitter, episode in zip(seeds, starts, episodes, strict=True)
         ]
@@ -248,9 +266,9 @@ def _finished(
     score: Score,
     *,
     engine_versions: Mapping[str, str],
-    wall_s: float | None,
+    times_s: tuple[float | None, float | None],
 ) -> Result:
-    """Return a planned result with what its episode gave."""
+    """Return a planned result with what its episode gave; `times_s` are its wall and its CPU time."""
     recorded = episode.trajectory()
     return replace(
         planned,
@@ -260,7 +278,8 @@ def _finished(
         frames=len(recorded.frames),
         diverged=bool(episode.fault),
         diverged_reason=episode.fault,
-        wall_s=wall_s,
+        wall_s=times_s[0],
+        cpu_s=times_s[1],
         sim_s=float(recorded.times_s[-1]),
         settings=settings_record(planned.backend, episode.settings),
         versions={**engine_versions, **versions()},

@@ -98,7 +98,7 @@ class RecordedTrajectory:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Result of one episode, or of one trajectory file of a user, which has no `backend`, `seed` and `wall_s`.
+    """Result of one episode, or of one trajectory file of a user, which has no `backend`, `seed`, `wall_s` and `cpu_s`.
 
     Attributes:
         id: Gymnasium id.
@@ -113,6 +113,8 @@ class Result:
         diverged_reason: Bound that it left; None without divergence.
         wall_s: Wall time of reset and steps [s], without building the scene. Episodes that ran together share it
             evenly.
+        cpu_s: CPU time of the process over the same span [s], all its threads, shared in the same way. Other processes
+            on the machine change it far less than `wall_s`. It has no time of a GPU. None in files of older versions.
         sim_s: Simulated time [s].
         settings: All numerical settings of the engine.
         settings_given: The settings that the caller gave.
@@ -143,6 +145,7 @@ class Result:
     diverged: bool = False
     diverged_reason: str | None = None
     wall_s: float | None = None
+    cpu_s: float | None = None
     sim_s: float = 0.0
     settings: dict[str, Any] = field(default_factory=dict)
     settings_given: dict[str, Any] = field(default_factory=dict)

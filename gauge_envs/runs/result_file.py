@@ -86,6 +86,7 @@ def load_result(file: Path) -> Result:
         content["dataset"] = BUNDLED_DATA | stated if isinstance(stated, dict) else stated
         content.setdefault("asset", {})
         content.setdefault("deformation", None)
+        content.setdefault("cpu_s", None)
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")

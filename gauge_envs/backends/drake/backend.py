@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support
@@ -26,6 +27,9 @@ class BackendDrake(Backend):
     """
 
     name = "drake"
+    configurations = MappingProxyType(
+        {name: {"preset": name} for name in ("tamsi", "sap", "similar", "point", "out_of_box")}
+    )
 
     def __init__(self) -> None:
         if find_spec("pydrake") is None:

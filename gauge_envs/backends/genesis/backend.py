@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support, Worlds
@@ -28,6 +29,7 @@ class BackendGenesis(Backend):
     """
 
     name = "genesis"
+    configurations = MappingProxyType({"CG": {"constraint_solver": "CG"}, "out_of_box": {"preset": "out_of_box"}})
 
     def __init__(self) -> None:
         for module in MODULES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -27,6 +28,14 @@ class BackendMuJoCo(Backend):
     name = "mujoco"
     file_suffixes = (".xml",)
     applies_air = True
+    configurations = MappingProxyType(
+        {
+            "PGS": {"solver": "PGS"},
+            "CG": {"solver": "CG"},
+            # Its own step of 2 ms does not divide the drive interval.
+            "out_of_box": {"preset": "out_of_box", "timestep_s": 1 / 540, "drive_interval_s": 1 / 180},
+        }
+    )
 
     def versions(self) -> dict[str, str]:
         """Return the version of the engine."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support, Worlds
@@ -29,6 +30,7 @@ class BackendNewton(Backend):
     """
 
     name = "newton"
+    configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
 
     def __init__(self) -> None:
         for module in MODULES:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib.metadata import version
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support
@@ -27,6 +28,9 @@ class BackendPhysX(Backend):
     """
 
     name = "physx"
+    configurations = MappingProxyType(
+        {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
+    )
 
     def __init__(self) -> None:
         if find_spec("sapien") is None:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping
 from importlib.metadata import version
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support
@@ -32,6 +33,7 @@ class BackendPyBullet(Backend):
     """
 
     name = "pybullet"
+    configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}})
 
     def __init__(self) -> None:
         if find_spec("pybullet") is None:

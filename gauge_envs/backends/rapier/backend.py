@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Backend, Simulation, Support, Worlds
@@ -26,6 +27,9 @@ class BackendRapier(Backend):
     """
 
     name = "rapier"
+    configurations = MappingProxyType(
+        {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
+    )
 
     def __init__(self) -> None:
         if find_spec("rapier3d") is None:

@@ -1,0 +1,163 @@
+"""One canonical check per phenomenon on many engines, each with its solvers and presets: a matrix."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from gauge_envs.backends import backend, backend_names
+from gauge_envs.backends.registry import engine_call
+from gauge_envs.checks.conformance.lab import RefusedSettingsError
+from gauge_envs.checks.conformance.model import CheckResult
+from gauge_envs.checks.conformance.registry import checks
+from gauge_envs.checks.conformance.run import run_checks
+from gauge_envs.errors import GaugeError, UnknownNameError
+from gauge_envs.runs.isolation import Worker
+
+__all__ = ["CANONICAL", "MatrixColumn", "matrix_columns", "run_column"]
+
+CANONICAL = (
+    "determinism",
+    "free-fall",
+    "pendulum-period",
+    "pendulum-energy",
+    "hinge-radius",
+    "tether-length",
+    "spin-momentum",
+    "spin-orientation",
+    "wrench-force",
+    "rest-box",
+    "hold",
+    "slide",
+    "slide-plane",
+    "roll-ball",
+    "roll-cylinder",
+    "rebound-0.5",
+    "rebound-0.95",
+    "rebound-slow",
+    "drop-energy",
+    "pile-sinks",
+    "collision-momentum",
+    "collision-rebound",
+    "driven-velocity",
+    "carry-line",
+    "carry-turn",
+    "carry-slip",
+    "start-velocity",
+    "cloth-stretch",
+    "cloth-shear",
+    "cloth-bending",
+    "cloth-slide",
+    "air-terminal",
+    "foam-tension",
+    "foam-poisson",
+    "rope-length",
+    "rod-bending",
+)
+"""One check per phenomenon, or one per quantity where a phenomenon has several that fail apart."""
+
+
+@dataclass(kw_only=True)
+class MatrixColumn:
+    """One engine with one configuration.
+
+    Attributes:
+        backend: Name of the engine.
+        name: Name of the configuration; `default` for the engine's own choice.
+        settings: Settings that select it.
+        findings: Results of the checks, by id.
+        refused: Why the engine refuses the settings in the scene of a check, by id.
+        reason: Why no check ran; empty if one did.
+    """
+
+    backend: str
+    name: str
+    settings: Mapping[str, Any]
+    findings: dict[str, CheckResult] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    reason: str = ""
+
+    @property
+    def title(self) -> str:
+        """Engine and configuration, as `physx PGS`."""
+        return self.backend if self.name == "default" else f"{self.backend} {self.name}"
+
+    def command(self, check: str) -> str:
+        """Return the command that repeats one check."""
+        words = ["gauge", "backend", "check", self.backend, "--only", check]
+        for name, value in self.settings.items():
+            words += ["--set", f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}"]
+        return shlex.join(words)
+
+
+def matrix_columns(
+    names: Sequence[str], settings: Mapping[str, Any] | None = None, *, every: bool, worker: Worker | None = None
+) -> list[MatrixColumn]:
+    """Return the columns of a matrix, without running a check.
+
+    Args:
+        names: Engines; with none, all that are installed.
+        settings: Settings for every column, beside those of its configuration.
+        every: Whether each engine has a column for each configuration that it declares, beside its default.
+        worker: Another process that imports the engines; None for this one.
+
+    Returns:
+        The columns. An engine that cannot be imported has one column, with the reason.
+
+    Raises:
+        UnknownNameError: An engine that was named is not known.
+    """
+    known = backend_names()
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("backend", name, known)
+    columns = []
+    for name in dict.fromkeys(names or known):
+        configurations: dict[str, dict[str, Any]] = {"default": {}}
+        reason = ""
+        if every:
+            try:
+                declared = _declared(name) if worker is None else worker.call(_declared, name)
+                configurations |= declared
+            except GaugeError as error:
+                reason = str(error)
+        columns += [
+            MatrixColumn(backend=name, name=key, settings={**(settings or {}), **values}, reason=reason)
+            for key, values in configurations.items()
+        ]
+    return columns
+
+
+def _declared(name: str) -> dict[str, dict[str, Any]]:
+    """Return the configurations that an engine declares."""
+    engine = backend(name)
+    with engine_call(name, "configurations"):
+        return {str(key): dict(values) for key, values in engine.configurations.items()}
+
+
+def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None) -> Iterator[CheckResult]:
+    """Run the checks of a column, keep each result in it, and yield it.
+
+    An engine that cannot be imported, or that refuses the settings, gives the column a reason and no result.
+
+    Args:
+        column: The column.
+        only: Ids or patterns of checks.
+        worker: Another process for the checks, so that an engine that crashes costs one of them; None for this one.
+    """
+    for one in () if column.reason else checks(only):
+        try:
+            # One by one, as a solver that refuses the scene of one check may take that of the next.
+            (finding,) = run_checks(column.backend, settings=column.settings or None, only=[one.id], worker=worker)
+        except RefusedSettingsError as error:
+            column.refused[one.id] = str(error)
+            continue
+        except GaugeError as error:
+            column.reason = str(error)
+            return
+        column.findings[finding.check] = finding
+        yield finding
+    if column.refused and not column.findings:
+        column.reason = f"the settings are refused: {next(iter(column.refused.values()))}"

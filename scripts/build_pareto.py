@@ -1,0 +1,238 @@
+"""Measure error over cost for every installed engine, and write `docs/accuracy_and_cost.md`'s tables and figure.
+
+    python scripts/build_pareto.py --results DIR                  runs what DIR lacks, then writes all files
+    python scripts/build_pareto.py --results DIR --engine rapier  runs this engine only, and writes nothing else
+    python scripts/build_pareto.py --results DIR --no-runs        writes all files from what DIR has
+    python scripts/build_pareto.py --docs                         writes the page from `scoring/pareto.json`
+    python scripts/build_pareto.py --check                        fails if the page is not current
+
+DIR holds result files of `gauge run`. Repeats differ in their seed alone, which changes no start without jitter, and so
+are the same episode. They run in rounds: each round runs every setting once, so that other work on the machine does not
+fall on one setting alone. A run that is predicted to take longer than `--limit-s`, from the last coarser step, is left
+out. Runs of more than `REPEAT_BELOW_S` are not repeated. The script can be stopped at any time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from gauge_envs.analysis.pareto import Tradeoff, tradeoff
+from gauge_envs.files import json_ready, write_whole
+from gauge_envs.report.figures.pareto import save_pareto
+from gauge_envs.report.pareto import pareto_markdown
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import load_result
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT / "scoring" / "pareto.json"
+PAGE = ROOT / "docs" / "accuracy_and_cost.md"
+FIGURE = ROOT / "docs" / "images" / "accuracy_and_cost.png"
+BEGIN, END = "<!-- pareto, written by scripts/build_pareto.py -->", "<!-- end of pareto -->"
+
+REPEATS = 3
+REPEAT_BELOW_S = 2.0
+"""CPU time of an episode above which it runs once [s]: its timing is no longer dominated by short disturbances."""
+
+INTERVAL_S = 1 / 180
+"""Interval of the environments [s]; every step divides it."""
+
+SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
+BALL, CRADLE, PENDULUM = "BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal"
+CARRIED, TURNED = "Turntable-1-wood", "Turntable-3-metal"
+VARIANTS = (*SLIDES, BALL, CARRIED, TURNED, PENDULUM, CRADLE)
+CONTACTS = (*SLIDES, BALL, TURNED)
+
+DEFAULT_STEPS = {
+    "mujoco": (1, 2, 5, 10, 25, 50, 100, 200),
+    "rapier": (1, 2, 5, 10, 20, 40),
+    "physx": (1, 2, 5, 10, 20, 40),
+    "newton": (1, 2, 5, 10, 20, 40),
+    "drake": (1, 2, 5, 10, 20, 40),
+    "pybullet": (1, 2, 5, 10, 25, 50, 100),
+}
+"""Steps in 1/180 s with the engine's own preset for the scene."""
+
+IMPACT_STEPS = {"drake": (25, 50, 100, 200, 400, 800)}
+"""The same for impacts, where an engine's preset has other steps."""
+
+FEW = {"pybullet": ("SlopeSlider-2-wood", BALL)}
+"""Variants of an engine that is slow."""
+
+PRESET_STEPS = (1, 2, 5, 10, 20)
+ITERATIONS = {
+    "mujoco": ("iterations", (1, 3, 10)),
+    "physx": ("position_iterations", (1, 4, 30)),
+    "rapier": ("solver_iterations", (1, 4, 16)),
+}
+"""Setting and values that are varied at the default step of an engine, beside its default."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """Runs of one engine and variant, from the coarsest step on; only the step or the iterations differ."""
+
+    engine: str
+    variant: str
+    points: tuple[Mapping[str, Any], ...]
+    parameters: str = "calibrated"
+    skipped: list[Mapping[str, Any]] = field(default_factory=list)
+
+
+def sweeps(engine: str) -> Iterator[Sweep]:
+    """Yield the sweeps of an engine, the quick variants first."""
+    for variant in FEW.get(engine, VARIANTS):
+        impact = variant in (BALL, CRADLE)
+        steps = IMPACT_STEPS.get(engine, DEFAULT_STEPS[engine]) if impact else DEFAULT_STEPS[engine]
+        points = tuple({"timestep_s": INTERVAL_S / count} for count in steps)
+        yield Sweep(engine=engine, variant=variant, points=({}, *points))
+        if variant == BALL:
+            yield Sweep(engine=engine, variant=variant, points=({}, *points), parameters="recorded")
+    if engine in ("mujoco", "rapier", "physx", "newton"):
+        own = {"drive_interval_s": INTERVAL_S} if engine == "mujoco" else {}
+        for variant in CONTACTS:
+            points = tuple({"preset": "out_of_box", "timestep_s": INTERVAL_S / count} | own for count in PRESET_STEPS)
+            yield Sweep(engine=engine, variant=variant, points=points)
+    if engine in ITERATIONS:
+        name, values = ITERATIONS[engine]
+        for variant in (SLIDES[0], CRADLE):
+            yield Sweep(engine=engine, variant=variant, points=tuple({name: value} for value in values))
+
+
+def request_of(sweep: Sweep, settings: Mapping[str, Any], seed: int) -> RunRequest:
+    """Return the request of one run."""
+    return RunRequest(
+        sweep.variant, backend=sweep.engine, settings=dict(settings), parameters=sweep.parameters, seed=seed
+    )
+
+
+def measure(engine: str, folder: Path, limit_s: float) -> None:
+    """Run what a folder lacks of one engine."""
+    chosen = list(sweeps(engine))
+    for seed in range(REPEATS):
+        for sweep in chosen:
+            before: Result | None = None
+            for settings in sweep.points:
+                if settings in sweep.skipped or _predicted_s(before, settings) > limit_s:
+                    sweep.skipped.append(settings)
+                    continue
+                (result,) = run_many([request_of(sweep, settings, seed)], out=folder, resume=True)
+                spent_s = result.cpu_s or 0.0
+                print(f"{engine} {sweep.variant} {dict(settings)} {result.outcome.value} {spent_s:.2f} s", flush=True)
+                if result.error is not None or spent_s > REPEAT_BELOW_S:
+                    sweep.skipped.append(settings)
+                if settings.get("timestep_s"):
+                    before = result
+
+
+def _predicted_s(before: Result | None, settings: Mapping[str, Any]) -> float:
+    """Return the CPU time that a run will take, from that with a coarser step; 0 without one."""
+    if before is None or not before.cpu_s or before.diverged or not settings.get("timestep_s"):
+        return 0.0
+    return before.cpu_s * float(before.settings["timestep_s"]) / float(settings["timestep_s"])
+
+
+def gathered(folder: Path) -> Tradeoff:
+    """Return error over cost of the results in a folder, rounded to four digits."""
+    found = tradeoff([load_result(file) for file in sorted(folder.glob("*.json"))])
+    for note in found.notes:
+        print(f"note: {note}", file=sys.stderr)
+    return TypeAdapter(Tradeoff).validate_python(_rounded(json_ready(asdict(found))))
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        # Settings are requests, which have to be exact.
+        return {key: one if key in ("settings_given", "effort") else _rounded(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def provenance() -> dict[str, Any]:
+    """Return when and on what kind of machine the results were made."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
+    model = next((line.partition(": ")[2] for line in lines if line.startswith("model name")), platform.machine())
+    return {
+        "written by": "scripts/build_pareto.py",
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{os.cpu_count()} cores of {model}, shared with other work",
+    }
+
+
+def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
+    """Return the generated part of the page."""
+    engines = {
+        f"{family.backend} {', '.join(f'{key} {text}' for key, text in family.versions.items() if key != 'python')}"
+        for phenomenon in found.phenomena
+        for family in phenomenon.families
+    }
+    counts = [p.repeats for one in found.phenomena for family in one.families for p in family.points]
+    return "\n".join(
+        [
+            "",
+            f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each the least CPU time of "
+            f"{min(counts)} to {max(counts)} runs: one run of more than {REPEAT_BELOW_S:g} s, and up to {REPEATS} of each "
+            "request that is shorter. Costs are relative to MuJoCo's default preset, which ran in the same session on the "
+            "same experiments.",
+            "",
+            f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}.",
+            "",
+            pareto_markdown(found),
+        ]
+    )
+
+
+def written(text: str, notes: Mapping[str, Any], found: Tradeoff) -> str:
+    """Return the page with its generated part replaced."""
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{page(notes, found)}{END}{after}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the script; return its exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    mode = parser.add_mutually_exclusive_group(required=True)
+    mode.add_argument("--results", type=Path, help="folder of the results")
+    mode.add_argument("--docs", action="store_true", help="write page and figure from the data file")
+    mode.add_argument("--check", action="store_true", help="fail if the page is not current")
+    parser.add_argument("--engine", action="append", help="run this engine only, and write nothing; repeatable")
+    parser.add_argument("--no-runs", action="store_true", help="take the results as they are")
+    parser.add_argument("--limit-s", type=float, default=10.0, help="CPU time of an episode at most [s]")
+    options = parser.parse_args(arguments)
+    if options.results:
+        for engine in () if options.no_runs else options.engine or DEFAULT_STEPS:
+            measure(engine, options.results, options.limit_s)
+        if options.engine:
+            return 0
+        values = {"provenance": provenance(), "tradeoff": json_ready(asdict(gathered(options.results)))}
+        write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())
+    values = json.loads(DATA.read_text(encoding="utf-8"))
+    found = TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
+    text = PAGE.read_text(encoding="utf-8")
+    new = written(text, values["provenance"], found)
+    if options.check:
+        if new != text:
+            print(f"{PAGE} is not current: run python scripts/build_pareto.py --docs", file=sys.stderr)
+        return int(new != text)
+    write_whole(PAGE, new.encode())
+    save_pareto(found, FIGURE)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
