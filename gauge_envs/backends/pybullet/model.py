@@ -201,6 +201,7 @@ class WorldPyBullet(BulletWorld):
         late = impact_bodies(self.scene) if self.settings.late_impacts else set()
         awake = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
         for name in self.handles:
+            is_dynamic = self.scene.body(name).motion is Motion.DYNAMIC
             for surface, handle in self._surface_handles(name):
                 self.set_dynamics(
                     handle,
@@ -213,7 +214,18 @@ class WorldPyBullet(BulletWorld):
                     frictionAnchor=int(self.settings.friction_anchors),
                     contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
                     activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self.settings.sleeping else awake,
+                    **(self._springs() if is_dynamic else {}),
                 )
+
+    def _springs(self) -> dict[str, float]:
+        """Return the arguments of compliant contacts, nothing for rigid ones."""
+        settings = self.settings
+        if settings.contact_stiffness_n_per_m is None:
+            return {}
+        return {
+            "contactStiffness": settings.contact_stiffness_n_per_m,
+            "contactDamping": settings.contact_damping_n_s_per_m,
+        }
 
     def _surface_handles(self, name: str) -> list[tuple[Surface, Handle]]:
         """Return the surfaces of a rigid body, each with its copy of the body."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from math import ceil, log2, sqrt
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
@@ -59,6 +59,10 @@ class SettingsPyBullet(SteppedSettings):
             units, or none. Bodies in reduced coordinates, on joints or driven, are always corrected by velocity.
         rebound_threshold: Speed of approach in units per second below which nothing rebounds.
         contact_slop: Penetration in units that is not corrected.
+        contact_stiffness_n_per_m: Stiffness of the contacts of dynamic bodies, Bullet's `contactStiffness`; None for
+            rigid contacts. Each contact point is such a spring. It needs `contact_damping_n_s_per_m` and
+            `split_impulse` `none`. Bullet adds a rebound by restitution to that of the spring.
+        contact_damping_n_s_per_m: Damping of the same springs, Bullet's `contactDamping`.
         late_impacts: Start an impact when the bodies overlap. Otherwise Bullet brakes them shortly before they touch,
             and restitution then acts on the braked speed.
         planes: Shape of planes: Bullet's plane, or a box of 16 m, on which more contact points are found.
@@ -86,6 +90,8 @@ class SettingsPyBullet(SteppedSettings):
     split_impulse: Literal["all", "deep", "none"] = "all"
     rebound_threshold: float = Field(default=0.0, ge=0.0)
     contact_slop: float = Field(default=1e-5, ge=0.0)
+    contact_stiffness_n_per_m: float | None = Field(default=None, gt=0.0)
+    contact_damping_n_s_per_m: float | None = Field(default=None, gt=0.0)
     late_impacts: bool = True
     planes: Literal["box", "plane"] = "box"
     polyhedral_features: bool = True
@@ -95,6 +101,17 @@ class SettingsPyBullet(SteppedSettings):
     angular_damping: float = Field(default=0.0, ge=0.0, le=1.0)
     sleeping: bool = False
     cell_m: CellSize = None
+
+    @field_validator("contact_damping_n_s_per_m")
+    @classmethod
+    def _springs_act(cls, damping: float | None, info: ValidationInfo) -> float | None:
+        # An invalid stiffness or split impulse is not in the data; its own error is reported first.
+        stiffness = info.data.get("contact_stiffness_n_per_m")
+        if "contact_stiffness_n_per_m" in info.data and (damping is None) != (stiffness is None):
+            raise ValueError("contact_stiffness_n_per_m and this must be given together")
+        if stiffness is not None and info.data.get("split_impulse", "none") != "none":
+            raise ValueError("split_impulse must be 'none' beside it: split impulses exert no force")
+        return damping
 
 
 PRESETS: dict[str, SettingsPyBullet] = {

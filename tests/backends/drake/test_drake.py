@@ -350,11 +350,43 @@ def test_a_scene_gets_its_preset_by_its_contents() -> None:
         "NewtonsCradle-metal": "impact_chain",
         "Pendulum-metal": "contact_free",
         "WallBreaking-wood": "stack",
+        "CubeToss-acrylic": "corners",
     }
     assert {name: settings_for(load_experiment(name).scene).preset for name in expected} == expected
     cylinder = solid("can", Cylinder(radius_m=0.03, length_m=0.1), (0.0, 0.0, 0.05))
     contact = Contact(first=("can",), second=("ground",), friction=0.5, restitution=0.0)
     assert settings_for(Scene(bodies=(GROUND, cylinder), contacts=(contact,), duration_s=1.0)).preset == "rolling"
+
+
+def sinking_corner_mm(preset: str) -> float:
+    """Return how deep a cube of 105 mm sinks in that strikes on one corner, without friction."""
+    start = {"cube.position_m": (0.0, 0.0, 0.2), "cube.euler_deg": (35.0, 25.0, 0.0), "cube.friction": 0.0}
+    scene = load_experiment("CubeToss-acrylic", {"cube.restitution": 0.5, **start}).scene
+    simulation = DRAKE.build(scene, {"preset": preset})
+    simulation.reset(0)
+    corners, lowest_m = scene.body("cube").shape.corners_m, 0.0
+    for _ in range(108):
+        simulation.advance(1 / 540)
+        state = simulation.body_states(("cube",))[0]
+        turned = Rotation.from_quat(state[3:7], scalar_first=True).apply(corners)
+        lowest_m = min(lowest_m, float(turned[:, 2].min() + state[2]))
+    return -1e3 * lowest_m
+
+
+def test_a_hydroelastic_corner_sinks_in_as_its_cubic_force_says() -> None:
+    """The force of a corner is c d^3: pressure in proportion to the depth below the nearest face, on a triangle.
+
+    Integrated over the triangle of this corner, c is 0.607 times modulus over half width. Dissipation makes the depth
+    smaller than that of energy alone.
+    """
+    mass_kg, inertia, half_m, speed = 0.37, 8.1e-4, 0.0524, np.sqrt(2.0 * GRAVITY_M_PER_S2 * (0.2 - 0.0883))
+    arm = np.array([0.0166, -0.0129])  # The corner beside the centre, horizontally.
+    reduced_kg = 1.0 / (1.0 / mass_kg + float(arm @ arm) / inertia)
+    face_n_per_m = mass_kg * (0.1 * 3600.0) ** 2
+    cubic = 0.607 * face_n_per_m / (2.0 * half_m) ** 2
+    deepest_mm = 1e3 * (2.0 * reduced_kg * speed**2 / cubic) ** 0.25
+    assert 0.8 * deepest_mm < sinking_corner_mm("default") < deepest_mm
+    assert sinking_corner_mm("corners") < 0.06 * deepest_mm
 
 
 def test_the_impact_speed_is_that_of_the_scene() -> None:

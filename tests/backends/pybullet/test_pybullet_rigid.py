@@ -461,3 +461,39 @@ def test_a_body_beyond_the_plane_ends_the_episode() -> None:
     simulation.advance(0.5)
     assert simulation.fault() == "ball is beyond the 8 m that this backend's planes reach"
     simulation.close()
+
+
+def test_springs_of_contacts_carry_and_throw_back_a_cube() -> None:
+    """Four corners on springs: depth at rest m g / 4 k, and depth v sqrt(m / 4 k) of a fast impact."""
+    stiffness, mass_kg, half_m = 1e4, 0.37, 0.0524
+    upright = {"cube.euler_deg": (0.0, 0.0, 0.0), "cube.restitution": 0.0}
+    springs = {"contact_stiffness_n_per_m": stiffness, "split_impulse": "none"}
+
+    def heights_m(start_m: float, damping: float, seconds: float) -> np.ndarray:
+        experiment = load_experiment("CubeToss-acrylic", {"cube.position_m": (0.0, 0.0, start_m), **upright})
+        settings = {**springs, "contact_damping_n_s_per_m": damping}
+        simulation = SimulationPyBullet(experiment.scene, settings_for(experiment.scene, settings))
+        simulation.reset(0)
+        found = []
+        for _ in range(round(900 * seconds)):
+            simulation.advance(1 / 900)
+            found.append(simulation.body_states(("cube",))[0, 2])
+        simulation.close()
+        return np.array(found)
+
+    at_rest_m = half_m - heights_m(half_m, 30.0, 0.3)[-1]
+    assert at_rest_m == pytest.approx(mass_kg * GRAVITY_M_PER_S2 / (4.0 * stiffness), rel=0.01)
+    deepest_m = half_m - heights_m(half_m + 0.05, 1e-6, 0.15).min()
+    speed = np.sqrt(2.0 * GRAVITY_M_PER_S2 * 0.05)
+    # Bullet integrates the spring implicitly, which damps it by the ratio w h / 2. Gravity adds the depth at rest.
+    rate = np.sqrt(4.0 * stiffness / mass_kg)
+    closed_m = speed / rate * np.exp(-0.25 * np.pi * rate / 9000.0) + at_rest_m
+    assert deepest_m == pytest.approx(closed_m, rel=0.01)
+
+
+def test_springs_of_contacts_need_damping_and_no_split_impulse() -> None:
+    scene = load_experiment("CubeToss-acrylic").scene
+    with pytest.raises(ParameterError, match="must be given together"):
+        settings_for(scene, {"contact_stiffness_n_per_m": 1e4, "split_impulse": "none"})
+    with pytest.raises(ParameterError, match="split_impulse must be 'none'"):
+        settings_for(scene, {"contact_stiffness_n_per_m": 1e4, "contact_damping_n_s_per_m": 1.0})
