@@ -281,8 +281,9 @@ def _run(
             _run_left(session, lanes, progress, counts, json_lines=json_lines)
         except KeyboardInterrupt:
             command = shlex.join(["gauge", *sys.argv[1:]])
-            left = plan.episode_count - counts.total()
-            stderr.print(plain_text(f"interrupted: {left} of {plan.episode_count} episodes left; continue with:"))
+            stderr.print(
+                plain_text(f"interrupted: {session.left()} of {plan.episode_count} episodes left; continue with:")
+            )
             stderr.print(plain_text(command), soft_wrap=True)
             raise typer.Exit(EXIT_INTERRUPTED) from None
     if json_lines:

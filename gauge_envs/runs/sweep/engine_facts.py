@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gauge_envs.backends import Backend, backend_for, engine_call, is_bundled, support_of, versions_of
+from gauge_envs.backends import Backend, backend_for, backend_names, engine_call, is_bundled, support_of, versions_of
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import versions
@@ -66,6 +66,8 @@ def engine_facts(
         ParameterError: A setting does not exist or has an invalid value.
         GaugeError: The engine crashed, or exceeded the time limit.
     """
+    if backend not in backend_names():
+        raise UnknownNameError("backend", backend, backend_names())
     if is_bundled(backend) and not isolate:
         return _facts(backend, experiments, choices)
     with Worker(FACTS_LIMIT_S) as worker:

@@ -96,6 +96,11 @@ class SweepSession:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
+    def left(self) -> int:
+        """Return the number of episodes that have no file now."""
+        there = {entry.name for entry in self._folder.files()}
+        return sum(run.file_name(seed) not in there for run in self._plan.runs for seed in run.seeds)
+
     def run(self, lanes: Sequence[Lane]) -> Generator[Result, None, None]:
         """Run what is left, and yield each result after it is written; close the iterator to stop.
 
