@@ -24,6 +24,7 @@ __all__ = [
     "RenderError",
     "ResultFileError",
     "ShapeError",
+    "SweepFileError",
     "TargetError",
     "TaskFileError",
     "TrajectoryFileError",
@@ -115,6 +116,22 @@ class TargetError(GaugeError, ValueError):
 
 class TaskFileError(GaugeError, ValueError):
     """A task file or an experiment file is wrong.
+
+    Args:
+        file: The file.
+        key: Dotted key; `(file)` for the file as a whole.
+        reason: What is wrong, and what to do.
+    """
+
+    def __init__(self, file: Path | str, key: str, reason: str) -> None:
+        super().__init__(f"{file}: {key}: {reason}")
+        self.file = Path(file)
+        self.key = key
+        self.reason = reason
+
+
+class SweepFileError(GaugeError, ValueError):
+    """A sweep file is wrong.
 
     Args:
         file: The file.

@@ -336,19 +336,31 @@ def write_whole(file: Path, content: bytes) -> None:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path, *, name: str = ".lock", waits: bool = True, shared: bool = False) -> Iterator[None]:
     """Hold the lock of a folder, which one process at a time has; the end of a process releases it.
 
+    Args:
+        folder: The folder.
+        name: Name of the file that carries the lock.
+        waits: Whether to wait for a process that holds it.
+        shared: Whether other processes may hold it, too, if they share it. Windows has no such lock, and takes none.
+
     Raises:
+        BlockingIOError: Another process holds the lock, and `waits` is False.
         OSError: The folder cannot be written.
     """
-    with (folder / ".lock").open("a") as stream:
+    with (folder / name).open("a") as stream:
         if sys.platform == "win32":
             import msvcrt
 
-            msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
+            if not shared:
+                try:
+                    msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK if waits else msvcrt.LK_NBLCK, 1)
+                except PermissionError as error:
+                    raise BlockingIOError(error.errno, error.strerror) from None
         else:
             import fcntl
 
-            fcntl.flock(stream, fcntl.LOCK_EX)
+            kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+            fcntl.flock(stream, kind if waits else kind | fcntl.LOCK_NB)
         yield

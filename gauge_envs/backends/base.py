@@ -294,6 +294,23 @@ class Backend(ABC):
         """
         return _SeparateWorlds([self.build(scene, settings) for scene in scenes])
 
+    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Mapping[str, Any] | None:
+        """Return the numerical settings that `build` would use, without building; None where an engine does not tell.
+
+        A sweep checks its settings with it before anything runs, and finds settings that are the same.
+
+        Args:
+            scene: A scene that `supports` accepts.
+            settings: As in `build`.
+
+        Returns:
+            A flat, JSON-ready mapping, or None.
+
+        Raises:
+            ParameterError: A setting does not exist or has an invalid value.
+        """
+        return None
+
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
         """Read a model file in the engine's format that replaces a scene. Backends with `file_suffixes` implement it.
 

@@ -25,6 +25,7 @@ from gauge_envs.cli.run import run, score
 from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
 from gauge_envs.cli.sanity_probe import sanity_probe
 from gauge_envs.cli.streams import reserved_stdout
+from gauge_envs.cli.sweep import query, sweep
 from gauge_envs.cli.video import video_app
 from gauge_envs.errors import GaugeError
 
@@ -98,6 +99,8 @@ app = typer.Typer(
 app.command("list")(list_)
 for command in (show, run, score, plot, compare, diagnose, report, sanity, materials):
     app.command()(command)
+app.command()(sweep)
+app.command()(query)
 app.command("sanity probe")(sanity_probe)
 app.command("sanity export")(sanity_export)
 app.command("sanity judge")(sanity_judge)

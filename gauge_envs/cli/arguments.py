@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.variants import Variant, beyond_variants, find_variant, variants
 from gauge_envs.references.imported import DataSource
 
 __all__ = [
-    "GLOB_CHARACTERS",
     "AssetOption",
     "DriversOption",
     "Json",
@@ -25,11 +22,10 @@ __all__ = [
     "Wide",
     "WithheldOption",
     "check_one_format",
-    "is_glob",
-    "matching_subjects",
-    "matching_variants",
+    "json_or_text",
     "parsed_parameters",
     "parsed_settings",
+    "split_list",
 ]
 
 
@@ -71,40 +67,8 @@ WithheldOption = Annotated[
     ),
 ]
 
-GLOB_CHARACTERS = "*?["
 
-
-def is_glob(pattern: str) -> bool:
-    """Return whether a text is a pattern, not an id."""
-    return any(character in pattern for character in GLOB_CHARACTERS)
-
-
-def matching_variants(pattern: str) -> list[Variant]:
-    """Return the variants of an id or a pattern, with or without `GAUGE/`.
-
-    A pattern matches the benchmark; only one that matches nothing there matches the variants beyond it.
-
-    Raises:
-        UnknownNameError: No variant matches; the message offers the nearest name.
-    """
-    if not is_glob(pattern):
-        return [find_variant(pattern)]
-    stem = pattern.removeprefix("GAUGE/")
-    for known in (variants(), beyond_variants()):
-        found = [variant for variant in known if fnmatchcase(variant.name, stem)]
-        if found:
-            return found
-    raise UnknownNameError("experiment", pattern, (variant.name for variant in (*variants(), *beyond_variants())))
-
-
-def matching_subjects(pattern: str) -> Sequence[Variant | str]:
-    """Return the variants of an id or a pattern, or the path of an experiment file."""
-    from gauge_envs.experiments.scene_source import is_experiment_file
-
-    return [pattern] if is_experiment_file(Path(pattern)) else matching_variants(pattern)
-
-
-def _split(text: str) -> list[str]:
+def split_list(text: str) -> list[str]:
     """Split at the commas that are outside brackets."""
     parts, depth = [""], 0
     for character in text:
@@ -120,17 +84,22 @@ def _assigned(text: str) -> tuple[str, Any]:
     key, equals, value = (part.strip() for part in text.partition("="))
     if not (key and equals and value):
         raise ParameterError(f"{text!r}: expected NAME=VALUE")
+    return key, json_or_text(value)
+
+
+def json_or_text(value: str) -> Any:
+    """Return the value of a JSON text, or the text itself if it is none."""
     try:
-        return key, json.loads(value)
+        return json.loads(value)
     except (ValueError, RecursionError):
-        return key, value
+        return value
 
 
 def parsed_parameters(text: str | None) -> Parameters | None:
     """Return the name of a parameter set, or overrides such as `cube.friction=0.3,cube.mass_kg=0.1` as a dictionary."""
     if text is None or "=" not in text:
         return text
-    return dict(_assigned(part) for part in _split(text))
+    return dict(_assigned(part) for part in split_list(text))
 
 
 def parsed_settings(changes: Sequence[str]) -> dict[str, Any] | None:

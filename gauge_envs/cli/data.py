@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, matching_variants
+from gauge_envs.cli.arguments import Json, Wide
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
@@ -20,6 +20,7 @@ from gauge_envs.cli.output import (
     stderr_console,
     stdout_console,
 )
+from gauge_envs.experiments.patterns import matching_variants
 
 __all__ = [
     "assets_app",

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, Wide, matching_variants
+from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, Wide
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
@@ -16,6 +16,7 @@ from gauge_envs.cli.output import (
     stderr_console,
     stdout_console,
 )
+from gauge_envs.experiments.patterns import matching_variants
 from gauge_envs.references.imported import DataSource
 
 __all__ = ["list_", "materials", "show"]

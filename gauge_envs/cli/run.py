@@ -17,8 +17,6 @@ from gauge_envs.cli.arguments import (
     ReferenceOption,
     Wide,
     WithheldOption,
-    is_glob,
-    matching_subjects,
     parsed_parameters,
     parsed_settings,
 )
@@ -33,6 +31,7 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.experiments.patterns import is_glob, matching_subjects
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter
 

@@ -21,7 +21,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.jitter import jittered
 
-__all__ = ["check_requests", "run_many"]
+__all__ = ["attempt", "check_requests", "check_writable", "move_aside", "not_run", "planned_results", "run_many"]
 
 Notify = Callable[[str], None]
 
@@ -116,7 +116,7 @@ def run_many(
     place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
     runs = [_Run(replace(request, jitter=request.scatter)) for request in requests]
     if out is not None:
-        _check_writable(out)
+        check_writable(out)
     return _all_results(runs, place, out, notify if resume else None)
 
 
@@ -148,14 +148,14 @@ class _Place:
     def episodes(self, request: RunRequest, planned: Sequence[Result]) -> list[Result]:
         """Return the results of a request; those that were declined or failed hold the reason."""
         if not self._is_isolated(request.backend):
-            results, is_safe = _episodes(request, planned)
+            results, is_safe = attempt(request, planned)
             if not is_safe:
                 self._unsafe.add(request.backend)
             return results
         try:
-            return self._worker.call(_episodes, request, planned)[0]
+            return self._worker.call(attempt, request, planned)[0]
         except GaugeError as error:
-            return _not_run(planned, Outcome.FAILED, str(error))
+            return not_run(planned, Outcome.FAILED, str(error))
         finally:
             if self._isolate:
                 self._worker.close()
@@ -190,12 +190,7 @@ class _Run:
             notify: Receives a sentence for each file that cannot be taken; None takes no files.
         """
         request = self._request
-        seeds = range(request.seed, request.seed + request.repeats)
-        starts = [start_of(self._calibrated, request.jitter, seed=seed) for seed in seeds]
-        planned = [
-            planned_result(request, self._calibrated, seed=seed, jitter=start)
-            for seed, start in zip(seeds, starts, strict=True)
-        ]
+        planned = _planned(request, self._calibrated)
         if out is None:
             yield from place.episodes(request, planned)
             return
@@ -212,13 +207,33 @@ class _Run:
             yield result
 
 
-def _not_run(planned: Sequence[Result], outcome: Outcome, reason: str) -> list[Result]:
+def planned_results(request: RunRequest) -> list[Result]:
+    """Return the results of a request that has not run, in the order of their seeds.
+
+    Args:
+        request: The request, with the jitter that applies.
+
+    Raises:
+        GaugeError: The experiment cannot be loaded, also not with calibrated parameters.
+    """
+    return _planned(request, request.calibrated_experiment())
+
+
+def _planned(request: RunRequest, calibrated: Experiment) -> list[Result]:
+    seeds = range(request.seed, request.seed + request.repeats)
+    return [
+        planned_result(request, calibrated, seed=seed, jitter=start_of(calibrated, request.jitter, seed=seed))
+        for seed in seeds
+    ]
+
+
+def not_run(planned: Sequence[Result], outcome: Outcome, reason: str) -> list[Result]:
     """Return planned results with an outcome and its reason."""
     return [replace(one, outcome=outcome, error=reason) for one in planned]
 
 
-def _episodes(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result], bool]:
-    """Run the episodes of a request.
+def attempt(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result], bool]:
+    """Run the episodes of a request; whatever the engine raises becomes the reason of a result.
 
     Args:
         request: The request.
@@ -234,19 +249,19 @@ def _episodes(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Resu
             jittered(experiment.scene, request.jitter, seed=0)
     except GaugeError as error:
         outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
-        return _not_run(planned, outcome, str(error)), True
+        return not_run(planned, outcome, str(error)), True
     try:
         is_single = request.jitter is None and request.repeats == 1
         return ([run_episode(request)] if is_single else run_repeats(request)), True
     except GaugeError as error:
         outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
-        return _not_run(planned, outcome, str(error)), True
+        return not_run(planned, outcome, str(error)), True
     except KeyboardInterrupt:
         raise
     # An engine may raise any error, SystemExit included, and the other episodes must still run.
     except BaseException as error:
         _log.exception("%s on %s", planned[0].id, request.backend)
-        return _not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": ")), False
+        return not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": ")), False
 
 
 def _remove_leftovers(out: Path) -> None:
@@ -257,7 +272,12 @@ def _remove_leftovers(out: Path) -> None:
                 file.unlink()
 
 
-def _check_writable(out: Path) -> None:
+def check_writable(out: Path) -> None:
+    """Create a folder for results if it does not exist, and remove what killed runs left half-written in it.
+
+    Raises:
+        ResultFileError: No file can be written there.
+    """
     probe = out / f".probe.{os.getpid()}.tmp"
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -290,7 +310,7 @@ def _earlier_result(file: Path, wanted: Result, place: _Place, notify: Notify) -
     try:
         found = load_result(file)
     except ResultFileError as error:
-        notify(f"{error}; moved to {_move_aside(file).name} and run again")
+        notify(f"{error}; moved to {move_aside(file).name} and run again")
         return None
     for key in SAME_EPISODE:
         if getattr(found, key) != getattr(wanted, key):
@@ -308,7 +328,7 @@ def _earlier_result(file: Path, wanted: Result, place: _Place, notify: Notify) -
     return found
 
 
-def _move_aside(file: Path) -> Path:
+def move_aside(file: Path) -> Path:
     """Rename a damaged file to a name that is free, and return that."""
     aside = file.with_name(f"{file.name}.damaged")
     count = 1

@@ -69,8 +69,12 @@ def write_result(result: Result, file: Path) -> None:
         raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
 
 
-def load_result(file: Path) -> Result:
+def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:
     """Read a result file.
+
+    Args:
+        file: The file.
+        needs_trajectory: Whether a result of an episode that did not run is an error.
 
     Raises:
         ResultFileError: The file cannot be read, or is not a complete and consistent result file.
@@ -91,7 +95,7 @@ def load_result(file: Path) -> Result:
         if missing:
             raise ValueError(f"no {missing[0]!r}")
         result = TypeAdapter(Result).validate_python(content)
-        _check(result)
+        _check(result, needs_trajectory=needs_trajectory)
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
@@ -114,7 +118,7 @@ class _AssetRecord(BaseModel):
     changes: list[str]
 
 
-def _check(result: Result) -> None:
+def _check(result: Result, *, needs_trajectory: bool) -> None:
     """Check what types alone do not state.
 
     Raises:
@@ -134,6 +138,8 @@ def _check(result: Result) -> None:
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
     trajectory = result.trajectory
+    if trajectory is None and result.error is not None and not needs_trajectory:
+        return
     if trajectory is None:
         raise ValueError("it has no trajectory")
     if not (trajectory.times_s and trajectory.coordinates):

@@ -44,6 +44,10 @@ class BackendGenesis(Backend):
         """Return the features of a scene that Genesis does not support; see `support.unsupported_features`."""
         return Support(tuple(unsupported_features(scene, settings_for(scene))))
 
+    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
+        """Return the settings of the scene's preset with the given changes."""
+        return settings_for(scene, settings).model_dump(mode="json")
+
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of `SettingsGenesis`, or of the class of the preset's solver.
 

@@ -45,6 +45,10 @@ class BackendMuJoCo(Backend):
         """Return the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""
         return Support((*without_deformables(scene), *unsupported_features(scene)))
 
+    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
+        """Return the settings of the scene's preset with the given changes."""
+        return settings_for(scene, settings).model_dump(mode="json")
+
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
         for reason in without_deformables(scene):

@@ -46,6 +46,10 @@ class BackendPhysX(Backend):
         """Return the features of a scene that this backend does not support, such as deformable bodies."""
         return Support(tuple(unsupported_features(scene)))
 
+    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
+        """Return the settings of the scene's preset with the given changes."""
+        return settings_for(scene, settings).model_dump(mode="json")
+
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of `SettingsPhysX`."""
         chosen = settings_for(scene, settings)

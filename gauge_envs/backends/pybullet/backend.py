@@ -47,6 +47,10 @@ class BackendPyBullet(Backend):
         """Return the features of a scene that this backend does not support; see `support.unsupported_features`."""
         return Support(tuple(unsupported_features(scene)))
 
+    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
+        """Return the settings of the scene's preset with the given changes."""
+        return settings_for(scene, settings).model_dump(mode="json")
+
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of `SettingsPyBullet`."""
         from gauge_envs.backends.pybullet.simulation import SimulationPyBullet

@@ -1,0 +1,75 @@
+"""The cost of a sweep, estimated from earlier results of the same engine and experiment."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from statistics import median
+
+from gauge_envs.runs.sweep.folder import SweepFolder
+from gauge_envs.runs.sweep.plan import SweepTask
+
+__all__ = ["Cost", "EarlierCosts"]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Estimated cost of episodes.
+
+    Attributes:
+        engine_s: Time in the engines of the episodes whose cost is known [s], without their start and building.
+        known: Episodes with an estimate.
+        unknown: Episodes without one: no earlier result of that engine and experiment exists.
+    """
+
+    engine_s: float = 0.0
+    known: int = 0
+    unknown: int = 0
+
+
+class EarlierCosts:
+    """Costs of the results in the store of a folder.
+
+    The cost of an episode is its number of time steps, times the median cost of a step in earlier episodes of the same
+    engine and experiment. Other settings, as iterations, are not considered.
+
+    Args:
+        folder: The folder; without a store nothing is known.
+    """
+
+    def __init__(self, folder: SweepFolder) -> None:
+        per_step: dict[tuple[str, str], list[float]] = defaultdict(list)
+        for experiment, backend, wall_s, steps in _measured(folder):
+            per_step[backend, experiment].append(wall_s / steps)
+        self._per_step = {group: median(values) for group, values in per_step.items()}
+
+    def of(self, tasks: Iterable[SweepTask]) -> Cost:
+        """Return the estimated cost of tasks."""
+        engine_s, known, unknown = 0.0, 0, 0
+        for task in tasks:
+            step_s = self._per_step.get(task.run.group)
+            if step_s is None or task.run.steps is None:
+                unknown += len(task.seeds)
+            else:
+                known += len(task.seeds)
+                engine_s += len(task.seeds) * step_s * task.run.steps
+        return Cost(engine_s, known, unknown)
+
+
+def _measured(folder: SweepFolder) -> list[tuple[str, str, float, float]]:
+    """Return experiment, engine, wall time [s] and number of steps of earlier results."""
+    if not folder.store_path.exists():
+        return []
+    connection = sqlite3.connect(f"{folder.store_path.resolve().as_uri()}?mode=ro", uri=True, timeout=60.0)
+    try:
+        return connection.execute(
+            "SELECT replace(id, 'GAUGE/', ''), backend, wall_s, sim_s / timestep_s FROM results "
+            "WHERE outcome = 'finished' AND wall_s > 0 AND sim_s > 0 AND timestep_s > 0"
+        ).fetchall()
+    except sqlite3.DatabaseError:
+        # A damaged store is made again when the sweep runs.
+        return []
+    finally:
+        connection.close()

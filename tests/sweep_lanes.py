@@ -1,0 +1,36 @@
+"""Lanes of sweeps in the process of the tests."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import load_result
+from gauge_envs.runs.sweep.lanes import run_request
+
+
+class HereLane:
+    """A lane in this process, which counts what it runs."""
+
+    def __init__(self) -> None:
+        self.requests: list[RunRequest] = []
+
+    def run(self, request: RunRequest) -> list[Result]:
+        self.requests.append(request)
+        return run_request(request)
+
+    def close(self) -> None:
+        pass
+
+
+def plain(result: Result) -> str:
+    """A result without the times of its making, to the last bit."""
+    return json.dumps(replace(result, wall_s=None, created="").to_dict())
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """The results of a folder by file name; each must be complete."""
+    return {file.name: plain(load_result(file)) for file in folder.glob("*.json")}
