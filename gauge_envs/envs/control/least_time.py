@@ -46,7 +46,8 @@ class LeastTimeLimit(ControlEnv):
 
     **Reward.** The distance gained over that of the goal, minus the time over the law's least time. That is the time
     to the nearest place and the largest speed that count as arrived. Arrival adds 1, so that an episode earns
-    2 - T / T_law at most, and no policy more than 1. The loss of the cube ends an episode and takes 1.
+    2 - T / T_law at most, and no policy more than 1. The loss of the cube ends an episode and takes 1 and the time that
+    was left, so that it never pays.
 
     **Reached** is the smallest friction with which any motion could bring the cube as far in the same time, with the
     speed that it has left: at most mu. It is 0 if the cube did not arrive.
@@ -155,7 +156,9 @@ class LeastTimeLimit(ControlEnv):
                 break
         gained = (left_m - self._left_m) / self.DISTANCE_M
         spent = (self._samples - samples) * SAMPLE_INTERVAL_S / self._law_time_s
-        bonus = {Ending.REACHED: 1.0, Ending.LOST: -1.0, None: 0.0}[ending]
+        bonus = 1.0 if ending is Ending.REACHED else 0.0
+        if ending is Ending.LOST:
+            bonus = -1.0 - (self.DURATION_S - self._samples * SAMPLE_INTERVAL_S) / self._law_time_s
         return gained - spent + bonus, ending
 
     def _look(self) -> None:
