@@ -18,6 +18,7 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
+from gauge_envs.cli.leaderboard import leaderboard_app
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
@@ -104,7 +105,8 @@ app.add_typer(backend_app, name="backend")
 app.add_typer(assets_app, name="assets")
 app.add_typer(data_app, name="data")
 app.add_typer(video_app, name="video")
-for group in (app, backend_app, assets_app, data_app, video_app):
+app.add_typer(leaderboard_app, name="leaderboard")
+for group in (app, backend_app, assets_app, data_app, video_app, leaderboard_app):
     for registered in group.registered_commands:
         registered.cls = _Command
 
