@@ -7,7 +7,7 @@ calls `observe` of each episode.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -223,16 +223,26 @@ class Episode:
         """Record g(t) after a sample of the next frame."""
         self._samples[self._simulated_frame * SAMPLES_PER_FRAME + 1 + sample] = self._observer.now(self._world)
 
-    def advance(self, simulation: Simulation, rates: NDArray[np.float64]) -> None:
-        """Drive, advance and observe the next frame of a world that is a simulation of its own."""
+    def advance(
+        self, simulation: Simulation, rates: NDArray[np.float64], *, after_sample: Callable[[int], None] | None = None
+    ) -> None:
+        """Drive, advance and observe the next frame of a world that is a simulation of its own.
+
+        Args:
+            simulation: The world.
+            rates: Residual rates from `checked`, shape [motion_count].
+            after_sample: Called after each sample with its number in the frame, from 0 to 5; it does not change g(t).
+        """
         first = self._simulated_frame * SAMPLES_PER_FRAME + 1
         rows = self._samples[first : first + SAMPLES_PER_FRAME]
-        if not self._drivers:
+        if not self._drivers and after_sample is None:
             rows[:] = self._observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
             return
         for sample, row in enumerate(rows):
             self.drive(sample, rates)
             row[:] = self._observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
+            if after_sample is not None:
+                after_sample(sample)
 
     def end_frame(self) -> str | None:
         """Record the frame, and return why the simulation counts as diverged, or None."""

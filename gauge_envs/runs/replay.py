@@ -1,154 +1,252 @@
-"""Run the episode of a stored result again: the request that it answers, and all poses that a result leaves out.
+"""Poses and nodes of an episode that has a result: the run again, checked bit for bit against the result's g(t).
 
-A result file holds g(t) alone. `replay` simulates its episode again and returns the poses of bodies, the nodes of
-deformable bodies and the markers at each frame, with the largest difference of g(t) from the file. The same versions
-of an engine on the same processor give a difference of 0.
+A result file holds the generalized trajectory g(t) alone. It also states everything that the run needs: scene, engine,
+settings, parameters, start and seed. A replay runs the episode once more and records where the bodies are. It counts
+only if its g(t) is that of the file, bit for bit; the same versions of the packages on the same kind of processor give
+that.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.registry import backend_for
-from gauge_envs.envs.arguments import jittered_experiment
+from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_of
+from gauge_envs.backends.base import Simulation
+from gauge_envs.envs.arguments import check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
 from gauge_envs.envs.trial_start import TrialStart
-from gauge_envs.errors import ResultFileError
+from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.experiment import AssetKind, Experiment
-from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.runs.request import RunRequest
+from gauge_envs.files import MEGABYTE, npz_arrays, read_regular, write_whole
+from gauge_envs.observables.observer import checked_proxy
+from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.scene import Scene
 from gauge_envs.scene.jitter import Jitter
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
-__all__ = ["Replay", "replay", "request_of", "start_of_result"]
+__all__ = ["Replay", "ReplayError", "load_or_replay", "replay", "replay_path", "replayed_experiment"]
+
+FloatArray = NDArray[np.float64]
+PoseArray = NDArray[np.float32]
+
+RIGID_VIEWS_PER_FRAME = 2
+"""Recorded views in each frame of a scene of rigid bodies, so 60 a second; deformable bodies are recorded 30 times."""
+
+MOST_REPLAY_BYTES = 512 * MEGABYTE
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+class ReplayError(GaugeError, RuntimeError):
+    """An episode has no replay; the message states the reason."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Replay:
-    """An episode that was simulated again, at the 30 Hz frames.
+    """Where the bodies of an episode are.
 
     Attributes:
-        experiment: Its experiment, with the start of the episode.
-        times_s: Times of the frames [s], shape [frame_count].
-        poses: Pose of each rigid body that moves by name: position [m] and quaternion w x y z, shape [frame_count, 7].
-        nodes_m: Nodes of each deformable body by name [m], shape [frame_count, node_count, 3].
-        markers_m: Markers as points of the material [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if
-            bodies are recorded.
-        g: Generalized trajectory at the frames, shape [frame_count, coordinate_count].
-        largest_difference: Largest difference of g(t) from the result over all samples, in the unit of g(t); infinite
-            if one of the two diverged earlier.
-        unit: Unit of g(t).
+        rate_hz: Views a second.
+        bodies: Names of the rigid bodies that move.
+        poses: Their positions [m] and quaternions w x y z, shape [view_count, body_count, 7].
+        nodes_m: Nodes of each deformable body by name [m], shape [view_count, node_count, 3].
+        markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if bodies are
+            observed.
     """
 
-    experiment: Experiment
-    times_s: NDArray[np.float64]
-    poses: Mapping[str, NDArray[np.float64]]
-    nodes_m: Mapping[str, NDArray[np.float64]]
-    markers_m: NDArray[np.float64]
-    g: NDArray[np.float64]
-    largest_difference: float
-    unit: str
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether g(t) has the bits of the result."""
-        return self.largest_difference == 0.0
+    rate_hz: float
+    bodies: tuple[str, ...]
+    poses: PoseArray
+    nodes_m: Mapping[str, PoseArray]
+    markers_m: PoseArray
 
 
-def request_of(result: Result) -> RunRequest:
-    """Return the request of which a result is an episode.
+def replayed_experiment(result: Result) -> Experiment:
+    """Return the experiment of a result with the scene and the start of its episode.
 
     Raises:
-        ResultFileError: The result names no engine, or an asset or experiment file stated its scene, which the result
-            does not hold as a file.
+        ReplayError: The result does not state the scene: it is that of a model file.
+        GaugeError: The package no longer has the variant or its parameters, or the engine cannot build the scene.
     """
-    if result.asset:
-        raise ResultFileError(f"{result.id}: {result.asset['file']} stated its scene; only replay can run it again")
-    return RunRequest(
-        result.id,
-        backend=_backend_of(result),
-        parameters=result.parameters,
-        settings=result.settings_given or None,
-        marker_proxy=result.marker_proxy,
-        drivers=result.dataset["drivers"],
-        reference=result.dataset["reference"],
-        use_withheld=result.score.withheld is not None,
-        seed=result.seed or 0,
-    )
+    experiment = recorded_experiment(result)
+    if result.asset.get("kind") == AssetKind.MODEL:
+        raise ReplayError(f"the scene is in the file {result.asset['file']}, which is no part of the result")
+    return jittered_experiment(experiment, _start(result), seed=result.seed or 0, backend=result.backend or "")
 
 
-def start_of_result(result: Result) -> Jitter | TrialStart | None:
-    """Return the jitter or the trial of the start of a result; None for the calibrated start."""
+def replay(result: Result) -> Replay:
+    """Run the episode of a result again and return where its bodies are.
+
+    Raises:
+        ReplayError: The episode did not run, its engine is not installed, or the run differs from the result.
+        GaugeError: See `replayed_experiment`.
+    """
+    if result.backend is None or result.trajectory is None:
+        raise ReplayError("the result is of a trajectory file: no engine ran it")
+    if result.error is not None:
+        raise ReplayError(f"the episode did not run: {result.error}")
+    try:
+        installed = versions_of(result.backend)
+    except GaugeError as error:
+        raise ReplayError(str(error)) from error
+    experiment = replayed_experiment(result)
+    check_support(experiment, result.backend)
+    with engine_call(result.backend, "build"):
+        simulation = backend_for(result.backend, None).build(experiment.scene, result.settings_given or None)
+    try:
+        simulation.reset(result.seed or 0)
+        episode = Episode(experiment, simulation, band=None, marker_proxy=checked_proxy(result.marker_proxy))
+        recorded = _recorded(episode, simulation, experiment.scene)
+    finally:
+        simulation.close()
+    _check_same(result, episode, installed)
+    return recorded
+
+
+def load_or_replay(result: Result, file: Path) -> Replay:
+    """Return the replay of a result file from the file beside it, or run it and write that file.
+
+    The replay file holds the hash of the result file, so that it counts for that content alone. A folder that cannot be
+    written gets no replay file. An engine outside this package runs in another process.
+
+    Args:
+        result: Content of the result file.
+        file: The result file.
+
+    Raises:
+        ReplayError: See `replay`.
+        GaugeError: See `replay`.
+    """
+    key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
+    path = replay_path(file)
+    known = _stored(result, path, key)
+    if known is not None:
+        return known
+    if result.backend is None or is_bundled(result.backend):
+        made = replay(result)
+    else:
+        with Worker() as worker:
+            made = worker.call(replay, result)
+    try:
+        write_whole(path, _packed(made, key))
+    except OSError:
+        return made
+    return made
+
+
+def replay_path(file: Path) -> Path:
+    """Return the path of the replay file beside a result file: `<name>.replay.npz`."""
+    return file.with_suffix(".replay.npz")
+
+
+def _start(result: Result) -> Jitter | TrialStart | None:
     if not result.jitter:
         return None
     if "trial" in result.jitter:
         return TrialStart(int(result.jitter["trial"]))
+    # A result leaves out the standard deviations of velocities that are zero, which are the defaults.
     return Jitter(**result.jitter)
 
 
-def replay(result: Result) -> Replay:
-    """Simulate the episode of a result again, and return its frames.
+def _recorded(episode: Episode, simulation: Simulation, scene: Scene) -> Replay:
+    """Run an episode to its end with zero actions, and return its views."""
+    views = 1 if scene.deformables else RIGID_VIEWS_PER_FRAME
+    samples_per_view = SAMPLES_PER_FRAME // views
+    zero = np.zeros(episode.action_space.shape or 0)
+    names = tuple(episode.poses())
+    poses: list[Any] = []
+    nodes: dict[str, list[Any]] = {body.name: [] for body in scene.deformables}
 
-    Args:
-        result: A result with a trajectory, of an installed engine.
+    def look(sample: int) -> None:
+        if (sample + 1) % samples_per_view:
+            return
+        now = episode.poses()
+        poses.append([now[name] for name in names])
+        for name, points in episode.nodes_m().items():
+            nodes[name].append(points.astype(np.float32))
 
-    Returns:
-        The frames. An episode that diverges ends at that frame, as in the result.
+    episode.begin()
+    look(-1)
+    while not episode.is_over:
+        episode.advance(simulation, zero, after_sample=look)
+        episode.end_frame()
+    return Replay(
+        rate_hz=FRAME_RATE_HZ * views,
+        bodies=names,
+        poses=np.array(poses, dtype=np.float32).reshape(len(poses), len(names), 7),
+        nodes_m={name: np.array(points, dtype=np.float32) for name, points in nodes.items()},
+        markers_m=episode.trajectory().markers_m.astype(np.float32),
+    )
+
+
+def _check_same(result: Result, episode: Episode, installed: Mapping[str, str]) -> None:
+    """Raise an error unless the g(t) of the run is that of the result, bit for bit.
 
     Raises:
-        ResultFileError: The result names no engine, has no trajectory, or a model file of the engine stated its scene.
-        GaugeError: The engine is not installed or cannot build the scene.
+        ReplayError: It differs; the message states by how much, and which versions differ.
     """
-    if result.trajectory is None:
-        raise ResultFileError(f"{result.id}: the result has no trajectory to compare with")
-    backend = _backend_of(result)
-    if result.asset.get("kind") == AssetKind.MODEL:
-        raise ResultFileError(f"{result.id}: the result does not hold {result.asset['file']}, which stated its scene")
-    experiment = jittered_experiment(
-        recorded_experiment(result), start_of_result(result), seed=result.seed or 0, backend=backend
+    assert result.trajectory is not None
+    _, stored = result.trajectory.arrays()
+    samples = episode.trajectory().samples
+    # JSON has no infinity, so that a result holds None for it as for NaN.
+    now = np.where(np.isfinite(samples), samples, np.nan)
+    if stored.shape == now.shape and np.array_equal(stored, now, equal_nan=True):
+        return
+    changed = [
+        f"{name} {result.versions[name]} in the result, {text} installed"
+        for name, text in installed.items()
+        if name in result.versions and result.versions[name] != text
+    ]
+    cause = f"; versions: {', '.join(changed)}" if changed else "; the versions of the engine are the same"
+    if stored.shape != now.shape:
+        size = f"{len(now)} samples of {now.shape[1]} coordinates, the result has {len(stored)} of {stored.shape[1]}"
+        raise ReplayError(f"the run again has {size}{cause}")
+    apart = np.nanmax(np.abs(stored - now)) if np.isfinite(stored - now).any() else np.nan
+    raise ReplayError(f"the run again differs from the result by up to {apart:.3g} {result.trajectory.unit}{cause}")
+
+
+# --- file beside the result ---
+
+
+def _packed(made: Replay, key: NDArray[np.uint8]) -> bytes:
+    stream = io.BytesIO()
+    nodes = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
+    np.savez_compressed(
+        stream, key=key, rate_hz=np.array([made.rate_hz]), poses=made.poses, markers_m=made.markers_m, **nodes
     )
-    simulation = backend_for(backend, None).build(experiment.scene, result.settings_given or None)
+    return stream.getvalue()
+
+
+def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None:
+    """Return the replay in a file; None without a file, or if it is damaged or of another result."""
     try:
-        simulation.reset(result.seed or 0)
-        episode = Episode(experiment, simulation, band=None, marker_proxy=MarkerProxy(result.marker_proxy))
-        episode.begin()
-        poses, nodes = [episode.poses()], [episode.nodes_m()]
-        zero = np.zeros(episode.action_space.shape or 0)
-        while not episode.is_over:
-            episode.advance(simulation, zero)
-            episode.end_frame()
-            poses.append(episode.poses())
-            nodes.append(episode.nodes_m())
-        recorded = episode.trajectory()
-    finally:
-        simulation.close()
-    return Replay(
-        experiment=experiment,
-        times_s=np.arange(len(recorded.frames)) / FRAME_RATE_HZ,
-        poses={name: np.array([frame[name] for frame in poses]) for name in poses[0]},
-        nodes_m={name: np.array([frame[name] for frame in nodes]) for name in nodes[0]},
-        markers_m=recorded.markers_m,
-        g=recorded.frames,
-        largest_difference=_largest_difference(result.trajectory.arrays()[1], recorded.samples),
-        unit=experiment.score.observable.unit,
+        scene = recorded_experiment(result).scene
+        bodies = (*(body.name for body in scene.dynamic_bodies), *(driver.body for driver in scene.drivers))
+        names = {f"nodes_{index}": body.name for index, body in enumerate(scene.deformables)}
+        wanted = ("key", "rate_hz", "poses", "markers_m", *names)
+        arrays = npz_arrays(read_regular(path, MOST_REPLAY_BYTES), wanted, MOST_REPLAY_BYTES)
+    except (OSError, ValueError, GaugeError):
+        return None
+    if len(arrays) < len(wanted) or not np.array_equal(arrays["key"], key):
+        return None
+    views = len(arrays["poses"])
+    shapes_fit = arrays["poses"].shape == (views, len(bodies), 7) and all(
+        arrays[name].ndim == 3 and len(arrays[name]) == views for name in names
     )
-
-
-def _backend_of(result: Result) -> str:
-    if result.backend is None:
-        raise ResultFileError(f"{result.id}: the result is of a trajectory file, so no engine can run it again")
-    return result.backend
-
-
-def _largest_difference(stored: NDArray[np.float64], again: NDArray[np.float64]) -> float:
-    if stored.shape != again.shape:
-        return float("inf")
-    apart = np.abs(stored - again)
-    # Both are NaN where an episode diverged.
-    return float(np.where(np.isnan(stored) & np.isnan(again), 0.0, np.nan_to_num(apart, nan=np.inf)).max())
+    if not shapes_fit or arrays["rate_hz"].shape != (1,) or arrays["markers_m"].ndim != 3:
+        return None
+    return Replay(
+        rate_hz=float(arrays["rate_hz"][0]),
+        bodies=bodies,
+        poses=arrays["poses"].astype(np.float32),
+        nodes_m={body: arrays[name].astype(np.float32) for name, body in names.items()},
+        markers_m=arrays["markers_m"].astype(np.float32),
+    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.replay import request_of
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
@@ -94,7 +94,7 @@ def rerun(result: Result) -> Rerun:
     Args:
         result: A result with a trajectory and without an asset.
     """
-    again = next(iter(run_many([request_of(result)], isolate=None)))
+    again = next(iter(run_many([_request_of(result)], isolate=None)))
     unit = result.score.unit
     if again.error is not None or again.trajectory is None or result.trajectory is None:
         return Rerun(id=result.id, status=RerunStatus.NOT_RUN, unit=unit, cause=again.error or "no trajectory")
@@ -115,6 +115,17 @@ def rerun(result: Result) -> Rerun:
             cause=f"settings in force differ: {', '.join(sorted(settings))}",
         )
     return _compared(result, stored, repeated, cause)
+
+
+def _request_of(result: Result) -> RunRequest:
+    return RunRequest(
+        result.id,
+        backend=result.backend or "",
+        parameters=result.parameters,
+        settings=result.settings_given or None,
+        marker_proxy=result.marker_proxy,
+        seed=result.seed or 0,
+    )
 
 
 def _differ(result: Result, again: Result, key: str) -> bool:
