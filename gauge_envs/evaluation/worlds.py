@@ -87,32 +87,36 @@ def _aligned(
     Frames are samples, so all of them pass from one pair of samples to the next at the same shifts. Between two such
     shifts the squared distance is a parabola, whose minimum is exact.
     """
-    world_count = len(projected)
-    worlds = np.arange(world_count)[:, None]
     frames = SAMPLES_PER_FRAME * np.arange(len(mean))
     ends = _last_samples(projected)
     least = -np.clip(ends - frames[np.flatnonzero(known.any(axis=1))[-1]], 0, MOST_STEPS)
-    filled = np.where(np.isfinite(projected), projected, 0.0)
-    target = np.where(known, mean, 0.0)
+    # A world is held at its last sample. Samples come first, so that the rows of a shift are copied whole.
+    numbers = np.minimum(np.arange(projected.shape[1])[:, None], ends)
+    held = np.ascontiguousarray(np.nan_to_num(projected)[np.arange(len(projected)), numbers])
+    mask, target = known[:, None].astype(np.float64), np.where(known, mean, 0.0)[:, None]
 
     def deviations(shift: int) -> FloatArray:
-        """Return the deviations of worlds that are shifted by a number of samples."""
-        places = np.clip(frames - shift, 0, ends[:, None])
-        return np.where(known, filled[worlds, places] - target, 0.0)
+        """Return the deviations of worlds that are shifted by a number of samples, shape [frame_count, N, C]."""
+        return (held[np.clip(frames - shift, 0, len(held) - 1)] - target) * mask
 
-    shifts, best = np.zeros(world_count), np.square(deviations(0)).sum(axis=(1, 2))
+    def product(one: FloatArray, other: FloatArray) -> FloatArray:
+        return np.einsum("tnc,tnc->n", one, other)
+
+    centre = deviations(0)
+    shifts, best = np.zeros(len(projected)), product(centre, centre)
+    nearer = {1: centre, -1: centre}
     # From the smallest shift on, so that of equally good shifts the smallest is kept.
     for first, step in ((shift, sign) for shift in range(MOST_STEPS) for sign in (1, -1)):
-        here, there = deviations(step * first), deviations(step * (first + 1))
+        here, there = nearer[step], deviations(step * (first + 1))
+        nearer[step] = there
         change = there - here
-        slope = np.square(change).sum(axis=(1, 2))
-        share = -(here * change).sum(axis=(1, 2)) / np.where(slope > 0.0, slope, 1.0)
-        share = np.clip(share, 0.0, 1.0)
-        squares = np.square(here + share[:, None, None] * change).sum(axis=(1, 2))
+        slope, along = product(change, change), product(here, change)
+        share = np.clip(-along / np.where(slope > 0.0, slope, 1.0), 0.0, 1.0)
+        squares = product(here, here) + share * (2.0 * along + share * slope)
         better = (squares < best) & ((step > 0) | (least <= -(first + 1)))
         shifts = np.where(better, step * (first + share), shifts)
         best = np.where(better, squares, best)
-    return SAMPLE_INTERVAL_S * shifts, np.sqrt(best / count)
+    return SAMPLE_INTERVAL_S * shifts, np.sqrt(np.maximum(best, 0.0) / count)
 
 
 def _last_samples(projected: FloatArray) -> NDArray[np.intp]:

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv, VectorEnv
+from worlds import measured
 
 from gauge_envs import GaugeEnv
 from gauge_envs.backends.base import Simulation, World, Worlds
@@ -203,3 +204,12 @@ def test_records_are_parts_of_shared_arrays(together: None) -> None:
     assert np.isfinite(samples[:, :7]).all()
     assert np.isnan(samples[:, 7:]).all()
     assert np.array_equal(samples[1, :7], envs.episodes[1].trajectory().samples)
+
+
+def test_the_benchmark_of_worlds_times_each_part() -> None:
+    row = measured("mujoco", 2, {}, repeats=1)
+    assert row.worlds == 2
+    assert min(row.engine_us, row.python_us, row.run_on_us, row.scoring_us) > 0.0
+    assert row.steps_per_s == pytest.approx(
+        1e6 / (row.engine_us + row.python_us + row.run_on_us + row.scoring_us), rel=1e-9
+    )
