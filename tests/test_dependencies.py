@@ -20,6 +20,7 @@ DISTRIBUTION = {
     "genesis": "genesis-world",
     "pydrake": "drake",
     "pxr": "usd-core",
+    "rerun": "rerun-sdk",
     "warp": "warp-lang",
     "yaml": "pyyaml",
 }

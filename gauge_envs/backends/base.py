@@ -221,6 +221,27 @@ class Worlds(ABC):
     def advance(self, seconds: float) -> None:
         """Simulate an interval in all worlds, a multiple of 1/180 s."""
 
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the current poses and velocities of bodies in all worlds.
+
+        An engine that holds all worlds in one array may override it; the values must be those of each world.
+
+        Args:
+            names: Names of rigid bodies.
+
+        Returns:
+            A new array, shape [world_count, len(names), 13]; see `World.body_states`.
+        """
+        return np.stack([world.body_states(names) for world in self.worlds])
+
+    def body_positions(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the positions of body origins in all worlds [m], a new array of shape [world_count, len(names), 3].
+
+        Args:
+            names: Names of rigid bodies.
+        """
+        return self.body_states(names)[:, :, :3].copy()
+
     @abstractmethod
     def close(self) -> None:
         """Free the engine's resources. A second call does nothing."""

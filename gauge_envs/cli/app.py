@@ -11,6 +11,7 @@ import typer.core
 from gauge_envs.cli.checks import backend_app, sanity
 from gauge_envs.cli.data import assets_app, data_app
 from gauge_envs.cli.describe import list_, materials, show
+from gauge_envs.cli.export import export_app
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
     command_runs,
@@ -18,6 +19,7 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
+from gauge_envs.cli.leaderboard import leaderboard_app
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.report import report
 from gauge_envs.cli.results import compare, diagnose, plot
@@ -108,7 +110,9 @@ app.add_typer(backend_app, name="backend")
 app.add_typer(assets_app, name="assets")
 app.add_typer(data_app, name="data")
 app.add_typer(video_app, name="video")
-for group in (app, backend_app, assets_app, data_app, video_app):
+app.add_typer(leaderboard_app, name="leaderboard")
+app.add_typer(export_app, name="export")
+for group in (app, backend_app, assets_app, data_app, video_app, leaderboard_app, export_app):
     for registered in group.registered_commands:
         registered.cls = _Command
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene import Scene
 
-__all__ = ["DeformableBounds", "RigidBounds", "speed_fault"]
+__all__ = ["DeformableBounds", "RigidBounds", "RigidBoundsOfWorlds", "speed_fault"]
 
 FloatArray = NDArray[np.float64]
 
@@ -74,6 +74,39 @@ class RigidBounds:
         if far.any():
             return f"{self._names[int(far.argmax())]} is more than {self._limits[0]:.3g} m from the origin"
         return f"kinetic energy is {energy_j:.3g} J, above the limit of the scene, {self._energy_j:.3g} J"
+
+
+class RigidBoundsOfWorlds:
+    """Bounds of the dynamic bodies of many worlds, tested at once.
+
+    Args:
+        scenes: The scene of each world, which differ in their starts.
+    """
+
+    def __init__(self, scenes: Sequence[Scene]) -> None:
+        self._masses = np.array([body.mass_kg for body in scenes[0].dynamic_bodies])
+        self._distances_m = np.array([scene.distance_limit_m for scene in scenes])[:, None, None]
+        self._speeds_m_per_s = np.array([scene.speed_limit_m_per_s for scene in scenes])[:, None, None]
+        self._energies_j = np.array([scene.kinetic_energy_limit_j for scene in scenes])
+
+    def suspects(self, states: FloatArray) -> NDArray[np.bool_]:
+        """Return which worlds may be out of bounds; `RigidBounds.fault` decides, and gives the reason.
+
+        Args:
+            states: States of the dynamic bodies, shape [world_count, body_count, 13].
+
+        Returns:
+            Shape [world_count]; true for every world that is out of bounds, and for those within rounding of a bound.
+        """
+        with np.errstate(invalid="ignore", over="ignore"):
+            energies_j = 0.5 * (self._masses * np.square(states[:, :, 7:10]).sum(axis=2)).sum(axis=1)
+            # A comparison with NaN is false, so that each bound also catches what is not a number.
+            within = (np.abs(states[:, :, :3]) <= self._distances_m).all(axis=(1, 2))
+            within &= (np.abs(states[:, :, 3:7]) <= 2.0).all(axis=(1, 2))
+            within &= (np.abs(states[:, :, 7:10]) <= self._speeds_m_per_s).all(axis=(1, 2))
+            within &= np.isfinite(states[:, :, 10:]).all(axis=(1, 2))
+            within &= energies_j <= self._energies_j * (1.0 - 1e-9)
+        return ~within
 
 
 class DeformableBounds:

@@ -29,7 +29,7 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["Episode", "Observation", "Trajectory", "advance_together", "run_on_together"]
+__all__ = ["Episode", "Observation", "Trajectory", "advance_together", "reward_terms", "run_on_together"]
 
 NO_RATES = np.zeros(0)
 
@@ -37,6 +37,9 @@ LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
 """Frames that an aligned episode is simulated on after its last one."""
 
 Observation = dict[str, NDArray[np.float64]]
+
+View = tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]
+"""Poses of rigid bodies and nodes of deformable ones, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +121,7 @@ class Episode:
         is_aligned = band is not None and band.grade is not BandGrade.LAW and experiment.trial is None
         self._later_frames = LATER_FRAMES if is_aligned else 0
         self._later, self._later_limit = 0, self._later_frames
-        self._last_view: tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]] | None = None
+        self._last_view: View | None = None
         driven_frames = experiment.frame_count + self._later_frames
         self._drivers = [DriverPath(driver, scene, driven_frames) for driver in scene.drivers]
         self._driven = tuple(driver.body for driver in scene.drivers)
@@ -126,7 +129,7 @@ class Episode:
         rows = [self._dynamic.index(name) for name in experiment.recorded]
         # A slice reads faster than an index array, and most experiments record all dynamic bodies.
         self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
-        self._reward_terms = _reward_terms(band)
+        self._reward_terms = reward_terms(band)
         self.rest_nodes_m = self.nodes_m()
         self._rigid_bounds = RigidBounds(scene)
         self._deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
@@ -198,12 +201,16 @@ class Episode:
 
     def begin(self) -> None:
         """Record frame 0; the world is at the start."""
+        self.restart()
+        self._samples[0] = self._observer.now(self._world)
+        self._record()
+
+    def restart(self) -> None:
+        """Return to frame 0 without recording it, for a caller that records it in the arrays of `record_in`."""
         for path in self._drivers:
             path.reset()
         self.frame, self.fault = 0, None
         self._later, self._later_limit, self._last_view = 0, self._later_frames, None
-        self._samples[0] = self._observer.now(self._world)
-        self._record()
 
     def drive(self, sample: int, rates: NDArray[np.float64]) -> None:
         """Prescribe the motion of the driven bodies for a sample of the next frame.
@@ -247,7 +254,7 @@ class Episode:
     def end_frame(self) -> str | None:
         """Record the frame, and return why the simulation counts as diverged, or None."""
         self.frame = (self.frame or 0) + 1
-        self.fault = self._fault(self._record())
+        self.fault = self.fault_of(self._record())
         return self.fault
 
     @property
@@ -274,18 +281,30 @@ class Episode:
             self.end_later_frame()
         simulation.restore(state)
 
-    def begin_later_frame(self) -> None:
-        """Keep the view of the last frame before the world runs on."""
+    def begin_later_frame(self, view: View | None = None) -> None:
+        """Keep the view of the last frame before the world runs on.
+
+        Args:
+            view: Poses and nodes of the last frame, if they are known; None reads them.
+        """
         if self._last_view is None:
-            self._last_view = self.poses(), self.nodes_m()
+            self._last_view = view or (self.poses(), self.nodes_m())
 
     def end_later_frame(self) -> None:
         """Count a frame after the last one; a world that diverges there ends before it."""
-        self._later += 1
+        self.count_later_frame()
         states = self._world.body_states(self._dynamic)
-        if self._fault(states) is not None or not np.isfinite(self._later_rows()).all():
-            self._later -= 1
-            self._later_limit = self._later
+        if self.fault_of(states) is not None or not np.isfinite(self._later_rows()).all():
+            self.end_before_later_frame()
+
+    def count_later_frame(self) -> None:
+        """Count a frame after the last one."""
+        self._later += 1
+
+    def end_before_later_frame(self) -> None:
+        """Take back the last frame that was counted, in which the world diverged, and end there."""
+        self._later -= 1
+        self._later_limit = self._later
 
     def _later_rows(self) -> NDArray[np.float64]:
         first = ((self.frame or 0) * SAMPLES_PER_FRAME) + 1
@@ -312,8 +331,29 @@ class Episode:
         for record, kept in zip(self._records(), state["recorded"], strict=True):
             record[:] = kept
 
+    def record_in(self, samples: NDArray[np.float64], bodies: NDArray[np.float64]) -> None:
+        """Record in arrays of the caller from now on, which may be parts of those of many worlds.
+
+        Args:
+            samples: Place of g(t) at the samples, of the shape of `sample_shape`.
+            bodies: Place of the states of the recorded bodies at the frames, shape [frame_count, body_count, 13].
+        """
+        samples[:], bodies[:] = self._samples, self._bodies
+        self._samples, self._bodies = samples, bodies
+
+    @property
+    def sample_shape(self) -> tuple[int, int]:
+        """Shape of the record of g(t): samples up to the last later frame, and coordinates."""
+        count, width = self._samples.shape
+        return count, width
+
     def _records(self) -> tuple[NDArray[np.float64], ...]:
         return self._samples, self._bodies, self._markers_m
+
+    @property
+    def sample_count(self) -> int:
+        """Number of samples of g(t) that were recorded, those after the last frame included."""
+        return self._simulated_frame * SAMPLES_PER_FRAME + 1
 
     def trajectory(self) -> Trajectory:
         """Return what the episode has recorded so far.
@@ -437,8 +477,12 @@ class Episode:
         deviation = projection.dot(self._samples[frame * SAMPLES_PER_FRAME]) - mean[frame]
         return -float(np.abs(deviation).dot(weight[frame]))
 
-    def _fault(self, states: NDArray[np.float64]) -> str | None:
-        """Return why the simulation counts as diverged, or None."""
+    def fault_of(self, states: NDArray[np.float64]) -> str | None:
+        """Return why the simulation counts as diverged, or None.
+
+        Args:
+            states: Current states of the dynamic bodies, shape [body_count, 13].
+        """
         engine_fault = self._world.fault()
         if engine_fault is not None:
             return engine_fault
@@ -483,8 +527,11 @@ def advance_together(episodes: Mapping[int, Episode], worlds: Worlds, rates: Map
             episode.observe(sample)
 
 
-def _reward_terms(band: Band | None) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates."""
+def reward_terms(band: Band | None) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
+
+    None without a band.
+    """
     if band is None:
         return None
     usable = band.measured[:, None] & (band.sigma > 0.0) & np.isfinite(band.mean)

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment, start_of
+from gauge_envs.envs.at_once import EpisodesAtOnce
 from gauge_envs.envs.base import EngineEnvironment
 from gauge_envs.envs.episode import Episode, Observation, advance_together, run_on_together
 from gauge_envs.envs.no_reward import warn_without_reward
@@ -22,6 +23,7 @@ from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.worlds import score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.bands import Band
@@ -121,6 +123,9 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         ]
         self._running: dict[int, Episode] = {}
         self._observations: list[Observation] = []
+        self._is_reset = False
+        fits = EpisodesAtOnce.fits(self.episodes, self.worlds)
+        self._at_once = EpisodesAtOnce(self.episodes, self.worlds) if fits else None
 
     def _band_of(self, experiment: Experiment) -> Band | None:
         """Return the band of a world: that of the calibrated start, or of the single-shot trial that it starts as."""
@@ -157,6 +162,10 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             self._build(experiments)
         self.jitter = jitter
         self.worlds.reset(seeds[0])
+        self._is_reset = True
+        if self._at_once is not None:
+            self._at_once.begin()
+            return self._at_once.observations(), self._infos_at_once(self._at_once)
         for episode in self.episodes:
             episode.begin()
         self._running = dict(enumerate(self.episodes))
@@ -185,7 +194,9 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             ActionError: An action has the wrong shape, is out of range or is not a number, or their number is wrong.
             EpisodeError: The environment was not reset.
         """
-        self._check_started("step", started=bool(self._observations))
+        self._check_started("step", started=self._is_reset)
+        if self._at_once is not None:
+            return self._step_at_once(self._at_once, actions)
         rewards = np.zeros(self.num_envs)
         if not self._running:
             observations, infos = self.reset()
@@ -199,6 +210,30 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         self._running = {number: episode for number, episode in self._running.items() if not episode.is_over}
         return self._batched(), rewards, *self._flags(), infos
 
+    def _step_at_once(self, at_once: EpisodesAtOnce, actions: Any) -> Step:
+        if not len(at_once.running):
+            observations, infos = self.reset()
+            return observations, np.zeros(self.num_envs), *self._flags(), infos
+        # Episodes without drivers take zeros alone; any other action is an error, which `checked` states.
+        if not (isinstance(actions, np.ndarray) and actions.shape == (self.num_envs,) and not actions.any()):
+            self._rates(actions)
+        at_once.step()
+        infos = self._infos_at_once(at_once)
+        observations, rewards = at_once.observations(), at_once.rewards()
+        at_once.end_step()
+        return observations, rewards, *self._flags(), infos
+
+    def _infos_at_once(self, at_once: EpisodesAtOnce) -> dict[str, Any]:
+        """Return the infos of the worlds that ran in this step, which differ in their divergence alone."""
+        running = at_once.running
+        infos = self._add_info({}, self.episodes[running[0]].info(), int(running[0]))
+        for key in [key for key in infos if not key.startswith("_")]:
+            infos[key][running], infos[f"_{key}"][running] = infos[key][running[0]], True
+        for number in np.flatnonzero(at_once.diverged[running]).tolist():
+            world = int(running[number])
+            infos = self._add_info(infos, {"diverged": self.episodes[world].fault}, world)
+        return infos
+
     def _rates(self, actions: Any) -> dict[int, NDArray[np.float64]]:
         """Return the residual rates of the running worlds; actions of the others are not read."""
         try:
@@ -207,7 +242,8 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             raise ActionError(f"actions {actions!r}: expected one action for each of {self.num_envs} worlds") from error
         if count != self.num_envs:
             raise ActionError(f"{count} actions for {self.num_envs} worlds")
-        return {number: episode.checked(actions[number]) for number, episode in self._running.items()}
+        running = self._running if self._at_once is None else self._at_once.running.tolist()
+        return {number: self.episodes[number].checked(actions[number]) for number in running}
 
     def _batched(self) -> Observation:
         space = self.single_observation_space
@@ -216,6 +252,8 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
     def _flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return terminations and truncations, shape [num_envs] each."""
+        if self._at_once is not None:
+            return self._at_once.flags()
         diverged = np.array([episode.fault is not None for episode in self.episodes])
         return diverged, ~diverged & [episode.is_complete for episode in self.episodes]
 
@@ -229,8 +267,35 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
     def scores(self) -> tuple[Score | None, ...]:
         """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
-        run_on_together(self.episodes, self.worlds)
+        self._run_on()
         return tuple(episode.score() if episode.is_over else None for episode in self.episodes)
+
+    def score_arrays(self) -> dict[str, NDArray[np.float64]]:
+        """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
+
+        The keys are those of `Score`: `rmse` and, where they apply, `rmse_normalized`, `release_offset_s`,
+        `rmse_aligned` and `rmse_aligned_normalized`. Entries of worlds whose episode is not over or diverged are NaN.
+        A `Score` holds more, as intervals, and takes some milliseconds for each world.
+
+        Raises:
+            EpisodeError: The experiment has no reference.
+        """
+        if self.band is None:
+            raise EpisodeError(f"{self.experiment.id}: it has no reference, and so no scores")
+        self._run_on()
+        if self._at_once is not None:
+            times_s, samples = self._at_once.trajectories()
+        else:
+            times_s, samples = _padded([episode.trajectory().dense for episode in self.episodes])
+        over = np.array([episode.is_over and episode.fault is None for episode in self.episodes])
+        samples[~over] = np.nan
+        return score_worlds(self.experiment, self.band, times_s=times_s, values=samples)
+
+    def _run_on(self) -> None:
+        if self._at_once is None:
+            run_on_together(self.episodes, self.worlds)
+        else:
+            self._at_once.run_on()
 
     def deformations(self) -> tuple[DeformationScore | None, ...]:
         """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""
@@ -245,7 +310,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         """
         if self.render_mode is None:
             return None
-        self._check_started("render", started=bool(self._observations))
+        self._check_started("render", started=self._is_reset)
         first = self.episodes[0]
         return tuple(
             self._pictures.draw(
@@ -262,6 +327,17 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
     def _free(self) -> None:
         self._pictures.close()
         self.worlds.close()
+
+
+def _padded(
+    trajectories: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the longest times [s], and trajectories of one length, shape [world_count, sample_count, width]."""
+    times_s, longest = max(trajectories, key=lambda one: len(one[0]))
+    samples = np.full((len(trajectories), *longest.shape), np.nan)
+    for row, (_, values) in zip(samples, trajectories, strict=True):
+        row[: len(values)] = values
+    return times_s, samples
 
 
 def _check_world_count(num_envs: object) -> None:
@@ -283,6 +359,11 @@ class ScoreEpisodes(VectorWrapper):
 
     Args:
         env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
+        arrays: Whether to add, in place of `score` and `deformation`, the arrays of `GaugeVectorEnv.score_arrays` with
+            their masks, at the step that ends the last episode. Thousands of worlds are then scored in one pass.
+
+    Raises:
+        ParameterError: `arrays` is given for an environment other than `GaugeVectorEnv`.
 
     Example:
         >>> import gymnasium as gym
@@ -297,8 +378,11 @@ class ScoreEpisodes(VectorWrapper):
         [0.41, 0.41]
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, NDArray[Any]]) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, NDArray[Any]], *, arrays: bool = False) -> None:
         super().__init__(env)
+        if arrays and not isinstance(env.unwrapped, GaugeVectorEnv):
+            raise ParameterError(f"arrays: expected a GaugeVectorEnv, got a {type(env.unwrapped).__name__}")
+        self._arrays = arrays
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 
     def reset(
@@ -319,13 +403,22 @@ class ScoreEpisodes(VectorWrapper):
         over = terminations | truncations
         ended = np.flatnonzero(over & ~self._over).tolist()
         self._over = over
-        if ended and "score" not in infos:
+        if self._arrays:
+            if ended and over.all():
+                infos |= self._array_infos()
+        elif ended and "score" not in infos:
             scores, deformations = self._ended(infos, "score"), self._ended(infos, "deformation")
             for number in ended:
                 if scores[number] is not None:
                     added = {"score": scores[number], "deformation": deformations[number]}
                     infos = self._add_info(infos, added, number)
         return observations, rewards, terminations, truncations, infos
+
+    def _array_infos(self) -> dict[str, NDArray[Any]]:
+        env = self.env.unwrapped
+        assert isinstance(env, GaugeVectorEnv)
+        scores = {} if env.band is None else env.score_arrays()
+        return scores | {f"_{key}": np.isfinite(values) for key, values in scores.items()}
 
     def _ended(self, infos: Mapping[str, Any], name: Literal["score", "deformation"]) -> Sequence[Any]:
         """Return what `GaugeEnv.score` or `GaugeEnv.deformation` returns, for each world."""
@@ -342,10 +435,11 @@ class ScoreEpisodes(VectorWrapper):
         return cast("Sequence[Any]", infos["final_info"][name])
 
 
-def scored_vector_env(**arguments: Any) -> ScoreEpisodes:
+def scored_vector_env(*, score_arrays: bool = False, **arguments: Any) -> ScoreEpisodes:
     """Return a `GaugeVectorEnv` that is scored; `gymnasium.make_vec` calls this for every id.
 
     Args:
+        score_arrays: Argument `arrays` of `ScoreEpisodes`.
         **arguments: Arguments of `GaugeVectorEnv`.
 
     Raises:
@@ -356,4 +450,4 @@ def scored_vector_env(**arguments: Any) -> ScoreEpisodes:
     """
     envs = GaugeVectorEnv(**arguments)
     warn_without_reward(envs.experiment, envs.band)
-    return ScoreEpisodes(envs)
+    return ScoreEpisodes(envs, arrays=score_arrays)

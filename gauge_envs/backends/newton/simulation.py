@@ -105,6 +105,11 @@ class WorldsNewton(Worlds):
         self.worlds = [
             _WorldNewton(scene, layout, self._stepper, settings) for scene, layout in zip(scenes, layouts, strict=True)
         ]
+        moving = [body.name for body in scenes[0].bodies if body.motion is not Motion.FIXED]
+        self._bodies = {
+            name: np.array([layout.rigid.bodies[name] for layout in layouts], dtype=np.intp) for name in moving
+        }
+        self._origins_m = np.array([layout.origin_m for layout in layouts])[:, None]
 
     def reset(self, seed: int) -> None:
         """Return all worlds to their starts. Newton draws no random numbers here, so the seed has no effect."""
@@ -113,6 +118,25 @@ class WorldsNewton(Worlds):
     def advance(self, seconds: float) -> None:
         """Step the model, which contains all worlds."""
         self._stepper.advance(seconds)
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities of bodies in all worlds, with one copy from the device."""
+        if not names or not self._bodies.keys() >= set(names):
+            return super().body_states(names)
+        states = self._stepper.body_states(self._indices(names)).reshape(len(self.worlds), len(names), 13)
+        states[:, :, :3] += self._origins_m
+        return states
+
+    def body_positions(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return positions of bodies in all worlds, with one copy from the device."""
+        if not names or not self._bodies.keys() >= set(names):
+            return super().body_positions(names)
+        positions = self._stepper.body_positions(self._indices(names)).reshape(len(self.worlds), len(names), 3)
+        return positions + self._origins_m
+
+    def _indices(self, names: Sequence[str]) -> NDArray[np.intp]:
+        """Return the indices of bodies in the model, all of the first world first."""
+        return np.column_stack([self._bodies[name] for name in names]).ravel()
 
     def close(self) -> None:
         """Do nothing, since the simulation only holds memory."""

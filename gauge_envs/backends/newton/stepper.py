@@ -136,7 +136,7 @@ class Stepper(ABC):
         """The state that the last step wrote."""
         return self._states[self._current]
 
-    def body_states(self, bodies: Sequence[int]) -> NDArray[np.float64]:
+    def body_states(self, bodies: Sequence[int] | NDArray[np.intp]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies by index, shape [len(bodies), 13]; see `World.body_states`."""
         poses = self.now.body_q.numpy()[bodies].astype(np.float64)
         velocities = self.now.body_qd.numpy()[bodies].astype(np.float64)
@@ -144,6 +144,10 @@ class Stepper(ABC):
         arms = Rotation.from_quat(poses[:, 3:]).apply(self._centres_m[bodies])
         linear = velocities[:, :3] - np.cross(velocities[:, 3:], arms)
         return np.column_stack([poses[:, :3], poses[:, 6], poses[:, 3:6], linear, velocities[:, 3:]])
+
+    def body_positions(self, bodies: Sequence[int] | NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return positions of body origins by index [m], shape [len(bodies), 3]."""
+        return self.now.body_q.numpy()[bodies, :3].astype(np.float64)
 
     def state(self) -> tuple[int, dict[int, tuple[Any, ...]], Snapshot]:
         """Return a snapshot for `restore`."""

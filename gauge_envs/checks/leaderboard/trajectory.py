@@ -1,0 +1,183 @@
+"""Whether a trajectory can be that of a simulation: grid, start and speeds, and that it is no copy of reality."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.envs.episode import LATER_FRAMES
+from gauge_envs.evaluation.deviation import band_baseline
+from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.observables.observer import observe_markers
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+
+__all__ = ["START_TOLERANCE", "copied_reference", "start_values", "trajectory_faults"]
+
+FloatArray = NDArray[np.float64]
+Found = tuple[str, str]
+
+TIME_TOLERANCE_S = 1e-9
+"""Rounding of the times of samples [s]."""
+
+START_TOLERANCE = {"mm": 0.01, "mm^2": 0.01, "rad": 1e-6}
+"""Largest difference of g(0) from the scene's start, by unit. Single precision rounds positions near 1 m to 6e-5 mm;
+MuJoCo, Newton, PyBullet and Rapier start within 3e-5 mm and 3e-4 mm^2 in all experiments that they run."""
+
+COPY_OF_BASELINE = 0.01
+"""A trajectory closer to a real one than this share of the distance of real trials from their mean is a copy."""
+
+COPY_OF_MOTION = 1e-3
+"""It must also be closer than this share of the motion: a body that rests is at a place that an engine can know."""
+
+
+def start_values(experiment: Experiment) -> FloatArray:
+    """Return g(0) of an experiment from its scene alone, without an engine, shape [coordinate_count]."""
+    scene, observable = experiment.scene, experiment.score.observable
+    if observable is Observable.POSITION:
+        return 1e3 * np.concatenate([scene.body(name).pose.position_m for name in experiment.recorded])
+    assert scene.markers is not None
+    return observe_markers(np.asarray(scene.markers.positions_m)[None], scene.markers, observable)[0]
+
+
+def trajectory_faults(result: Result, experiment: Experiment) -> Iterator[Found]:
+    """Yield key and reason of each thing that no episode of an experiment can give.
+
+    Args:
+        result: A result with a trajectory.
+        experiment: Its experiment.
+    """
+    trajectory = result.trajectory
+    if trajectory is None:
+        yield "trajectory", "is missing: the score is computed from it"
+        return
+    shape = list(_shape_faults(result, trajectory, experiment))
+    yield from shape
+    if shape:
+        return
+    times_s, samples = trajectory.arrays(later=True)
+    grid_s = SAMPLE_INTERVAL_S * np.arange(len(times_s))
+    wrong = np.abs(times_s - grid_s) > TIME_TOLERANCE_S
+    if wrong.any():
+        number = int(wrong.argmax())
+        yield "trajectory.times_s", f"sample {number} is at {times_s[number]:.9g} s, expected {grid_s[number]:.9g} s"
+    finite = np.isfinite(samples).all(axis=1)
+    if result.outcome is Outcome.FINISHED and not finite.all():
+        yield "trajectory.samples", f"sample {int((~finite).argmax())} holds a value that is not finite"
+        return
+    yield from _start_faults(samples[0], trajectory, experiment)
+    yield from _speed_faults(samples[: len(trajectory.times_s) : SAMPLES_PER_FRAME], experiment)
+    if result.outcome is Outcome.FINISHED:
+        copied = copied_reference(samples[: len(trajectory.times_s) : SAMPLES_PER_FRAME], experiment)
+        if copied is not None:
+            yield "trajectory.samples", copied
+
+
+def _shape_faults(result: Result, trajectory: RecordedTrajectory, experiment: Experiment) -> Iterator[Found]:
+    unit = experiment.score.observable.unit
+    if trajectory.unit != unit:
+        yield "trajectory.unit", f"is {trajectory.unit!r}, expected {unit!r}"
+    if trajectory.coordinates != list(experiment.coordinates):
+        yield "trajectory.coordinates", f"are {_few(trajectory.coordinates)}, expected {_few(experiment.coordinates)}"
+    if result.diverged != (result.outcome is Outcome.DIVERGED):
+        yield "diverged", f"is {result.diverged} with the outcome {result.outcome.value!r}"
+    needed = experiment.frame_count
+    if result.outcome is Outcome.FINISHED and result.frames != needed:
+        yield "frames", f"is {result.frames}, expected {needed}"
+    elif not 1 <= result.frames <= needed:
+        yield "frames", f"is {result.frames}, expected 1 to {needed}"
+    count = (result.frames - 1) * SAMPLES_PER_FRAME + 1
+    if len(trajectory.times_s) != count:
+        reason = f"has {len(trajectory.times_s)} samples, expected {count}: 180 a second for {result.frames} frames"
+        yield "trajectory.times_s", reason
+    if len(trajectory.later_times_s) > LATER_FRAMES * SAMPLES_PER_FRAME:
+        yield "trajectory.later_times_s", f"has {len(trajectory.later_times_s)} samples, expected at most 60"
+    seconds = (result.frames - 1) / FRAME_RATE_HZ
+    if abs(result.sim_s - seconds) > TIME_TOLERANCE_S:
+        yield "sim_s", f"is {result.sim_s:.9g}, expected {seconds:.9g} for {result.frames} frames"
+
+
+def _few(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:3])}{', ...' if len(names) > 3 else ''} ({len(names)})"
+
+
+def _start_faults(first: FloatArray, trajectory: RecordedTrajectory, experiment: Experiment) -> Iterator[Found]:
+    expected = start_values(experiment)
+    apart = np.abs(np.nan_to_num(first, nan=np.inf) - expected)
+    allowed = START_TOLERANCE[trajectory.unit]
+    if apart.max() > allowed:
+        worst = int(apart.argmax())
+        yield (
+            "trajectory.samples",
+            f"{trajectory.coordinates[worst]} starts at {first[worst]:.6g} {trajectory.unit}, expected the calibrated "
+            f"start {expected[worst]:.6g} within {allowed:g}",
+        )
+
+
+def _speed_faults(frames: FloatArray, experiment: Experiment) -> Iterator[Found]:
+    """Yield a fault for a point that moves between two frames faster than anything in the scene can."""
+    if experiment.score.observable.unit != "mm":
+        return
+    points = 1e-3 * frames.reshape(len(frames), -1, 3)
+    with np.errstate(invalid="ignore"):
+        speeds = np.abs(np.diff(points, axis=0)).max(axis=2, initial=0.0) * FRAME_RATE_HZ
+    limit = experiment.scene.speed_limit_m_per_s
+    fast = np.nan_to_num(speeds) > limit
+    if fast.any():
+        frame, point = (int(index) for index in np.argwhere(fast)[0])
+        name = experiment.coordinates[3 * point].rpartition(".")[0]
+        yield (
+            "trajectory.samples",
+            f"{name} moves at {speeds[frame, point]:.3g} m/s after frame {frame}, "
+            f"above the limit of the scene, {limit:.3g} m/s",
+        )
+
+
+def copied_reference(frames: FloatArray, experiment: Experiment) -> str | None:
+    """Return why a trajectory is a copy of the real mean or of a real trial, or None.
+
+    A reference of grade `law` is left out: an exact engine follows a closed form within rounding.
+
+    Args:
+        frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
+        experiment: The experiment.
+    """
+    band = reference_band(experiment, use_withheld=True)
+    if band is None or band.grade is BandGrade.LAW:
+        return None
+    simulated = band.project(frames)
+    for name, real in _real_trajectories(band):
+        distance, allowed = _nearness(simulated, real, experiment, band)
+        if distance < allowed:
+            return (
+                f"follows {name} within {distance:.3g} {band.unit}, closer than an engine can ({allowed:.3g}): "
+                "a simulation is expected, and this is a copy of the reference or a fit to it"
+            )
+    return None
+
+
+def _real_trajectories(band: Band) -> Iterator[tuple[str, FloatArray]]:
+    yield "the real mean", band.mean
+    for number, trial in enumerate(() if band.trials is None else band.trials):
+        yield f"real trial {number}", trial
+
+
+def _nearness(simulated: FloatArray, real: FloatArray, experiment: Experiment, band: Band) -> tuple[float, float]:
+    """Return the distance of a trajectory from a real one, without a constant offset, and that of a copy."""
+    count = min(len(simulated), len(real))
+    seen = np.isfinite(real[:count]).all(axis=1)
+    if seen.sum() < 2:
+        return np.inf, 0.0
+    known, ours = real[:count][seen], simulated[:count][seen]
+    allowed = COPY_OF_MOTION * trajectory_rmse(known, np.broadcast_to(known[0], known.shape))
+    baseline = band_baseline(experiment, band)
+    if baseline is not None:
+        allowed = min(allowed, COPY_OF_BASELINE * baseline.mean)
+    apart = ours - known
+    return trajectory_rmse(apart, np.broadcast_to(apart.mean(axis=0), apart.shape)), allowed

@@ -1,0 +1,126 @@
+"""Scores of many worlds of one experiment in one pass, for training and for batches of thousands."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.deviation import band_baseline
+from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+
+__all__ = ["score_worlds"]
+
+FloatArray = NDArray[np.float64]
+
+MOST_STEPS = round(MAX_RELEASE_OFFSET_S / SAMPLE_INTERVAL_S)
+"""Largest time shift [samples]."""
+
+
+def score_worlds(
+    experiment: Experiment, band: Band, *, times_s: FloatArray, values: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the distances of many trajectories from a band, as `score_trajectory` gives them for one.
+
+    Args:
+        experiment: Experiment that was simulated.
+        band: Its reference.
+        times_s: Times of the samples [s], 180 a second from 0, shape [sample_count].
+        values: g(t) of each world in the band's unit, shape [world_count, sample_count, coordinate_count]. A world with
+            a frame that is NaN has no score. NaN after the last frame shortens the range of time shifts, as in
+            `release_offset`.
+
+    Returns:
+        Arrays of shape [world_count] by field of `Score`, NaN for a world without a score: `rmse`; `rmse_normalized` if
+        there is a published baseline; and for bands that are aligned `release_offset_s`, `rmse_aligned` and
+        `rmse_aligned_normalized`.
+
+    Raises:
+        ShapeError: The shapes do not agree, or the times are not those of 180 samples a second.
+    """
+    needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
+    if values.ndim != 3 or values.shape[1:] != (len(times_s), band.projection.shape[1]) or len(times_s) < needed:
+        raise ShapeError(
+            f"values have shape {values.shape}; [world_count, {max(len(times_s), needed)}, {band.projection.shape[1]}] "
+            "is needed, with a time for each sample"
+        )
+    if np.abs(times_s - SAMPLE_INTERVAL_S * np.arange(len(times_s))).max() > 1e-9:
+        raise ShapeError("times_s: 180 samples a second from 0 are needed")
+    projected = values @ band.projection.T
+    known = np.isfinite(band.mean)
+    count = int(np.count_nonzero(known.any(axis=1)))
+    frames = projected[:, ::SAMPLES_PER_FRAME][:, : len(band.mean)]
+    scores = {"rmse": _rmse(frames, band.mean, known, count)}
+    if band.grade is not BandGrade.LAW and experiment.trial is None:
+        scores["release_offset_s"], scores["rmse_aligned"] = _aligned(projected, band.mean, known, count)
+        scores["release_offset_s"][~np.isfinite(scores["rmse"])] = np.nan
+        scores["rmse_aligned"][~np.isfinite(scores["rmse"])] = np.nan
+    baseline = band_baseline(experiment, band)
+    if baseline is not None:
+        scores |= {
+            f"{key}_normalized": scores[key] / baseline.mean for key in ("rmse", "rmse_aligned") if key in scores
+        }
+    return scores
+
+
+def _rmse(frames: FloatArray, mean: FloatArray, known: NDArray[np.bool_], count: int) -> FloatArray:
+    """Return the root-mean-square distance of each world, shape [world_count].
+
+    Args:
+        frames: Band coordinates at the frames, shape [world_count, frame_count, C].
+        mean: Mean of the band, shape [frame_count, C].
+        known: Where it is known, same shape.
+        count: Number of frames with a mean.
+    """
+    squares = np.where(known, np.square(frames - np.where(known, mean, 0.0)), 0.0)
+    return np.sqrt(squares.sum(axis=(1, 2)) / count)
+
+
+def _aligned(
+    projected: FloatArray, mean: FloatArray, known: NDArray[np.bool_], count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the time shift of each world that minimises its RMSE [s], and that RMSE, shape [world_count] each.
+
+    Frames are samples, so all of them pass from one pair of samples to the next at the same shifts. Between two such
+    shifts the squared distance is a parabola, whose minimum is exact.
+    """
+    frames = SAMPLES_PER_FRAME * np.arange(len(mean))
+    ends = _last_samples(projected)
+    least = -np.clip(ends - frames[np.flatnonzero(known.any(axis=1))[-1]], 0, MOST_STEPS)
+    # A world is held at its last sample. Samples come first, so that the rows of a shift are copied whole.
+    numbers = np.minimum(np.arange(projected.shape[1])[:, None], ends)
+    held = np.ascontiguousarray(np.nan_to_num(projected)[np.arange(len(projected)), numbers])
+    mask, target = known[:, None].astype(np.float64), np.where(known, mean, 0.0)[:, None]
+
+    def deviations(shift: int) -> FloatArray:
+        """Return the deviations of worlds that are shifted by a number of samples, shape [frame_count, N, C]."""
+        return (held[np.clip(frames - shift, 0, len(held) - 1)] - target) * mask
+
+    def product(one: FloatArray, other: FloatArray) -> FloatArray:
+        return np.einsum("tnc,tnc->n", one, other)
+
+    centre = deviations(0)
+    shifts, best = np.zeros(len(projected)), product(centre, centre)
+    nearer = {1: centre, -1: centre}
+    # From the smallest shift on, so that of equally good shifts the smallest is kept.
+    for first, step in ((shift, sign) for shift in range(MOST_STEPS) for sign in (1, -1)):
+        here, there = nearer[step], deviations(step * (first + 1))
+        nearer[step] = there
+        change = there - here
+        slope, along = product(change, change), product(here, change)
+        share = np.clip(-along / np.where(slope > 0.0, slope, 1.0), 0.0, 1.0)
+        squares = product(here, here) + share * (2.0 * along + share * slope)
+        better = (squares < best) & ((step > 0) | (least <= -(first + 1)))
+        shifts = np.where(better, step * (first + share), shifts)
+        best = np.where(better, squares, best)
+    return SAMPLE_INTERVAL_S * shifts, np.sqrt(np.maximum(best, 0.0) / count)
+
+
+def _last_samples(projected: FloatArray) -> NDArray[np.intp]:
+    """Return the number of the last sample of each world before its first NaN, shape [world_count]."""
+    missing: NDArray[np.bool_] = np.isnan(projected.sum(axis=2))
+    counts = np.where(missing.any(axis=1), missing.argmax(axis=1), projected.shape[1])
+    return np.maximum(counts - 1, 0).astype(np.intp)

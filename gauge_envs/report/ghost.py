@@ -1,0 +1,36 @@
+"""The recorded mean in the coordinates of a simulation, to be drawn beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.references.bands import Band
+
+__all__ = ["ghost_trajectory"]
+
+FloatArray = NDArray[np.float64]
+
+
+def ghost_trajectory(band: Band, g: FloatArray) -> FloatArray:
+    """Return the trajectory that is nearest to a simulated one and has the recorded mean.
+
+    A band may state fewer coordinates than g(t) has, as the place along a slope alone. The others are those of the
+    simulation, so that a ghost differs from the simulated body only where reality was measured.
+
+    Args:
+        band: The band.
+        g: Simulated g(t) at the 30 Hz frames in the band's unit, shape [frame_count, coordinate_count].
+
+    Returns:
+        Trajectory in the coordinates and the unit of g(t), shape [frame_count, coordinate_count]; NaN where the mean is
+        not known.
+
+    Raises:
+        ShapeError: The width of `g` is not that of the band's trajectories.
+    """
+    count = min(len(g), len(band.mean))
+    missing = band.mean[:count] - band.project(g[:count])
+    ghost = np.full_like(g, np.nan)
+    ghost[:count] = g[:count] + missing @ np.linalg.pinv(band.projection).T
+    return ghost

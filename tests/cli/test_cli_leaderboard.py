@@ -1,0 +1,134 @@
+"""The leaderboard commands: exit codes, the combined table, and what it leaves out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.experiments.variants import variants
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import result_file_name, write_result
+
+NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood")
+
+
+def write_submission(root: Path, configuration: str, results: Sequence[Result], settings: str) -> None:
+    engine = results[0].backend
+    version = results[0].versions["mujoco"]
+    folder = root / str(engine) / version / configuration
+    (folder / "results").mkdir(parents=True)
+    present = {result.id for result in results}
+    lines = [
+        "format = 1",
+        f'engine = "{engine}"',
+        'package = "mujoco"',
+        f'version = "{version}"',
+        f'configuration = "{configuration}"',
+        'submitter = "A [red]vendor[/] | <b>"',
+        f"settings = {settings}",
+        "[left_out]",
+        *(f'"{variant.name}" = "not run"' for variant in variants() if variant.id not in present),
+    ]
+    (folder / "submission.toml").write_text("\n".join(lines), encoding="utf-8")
+    for result in results:
+        write_result(result, folder / "results" / result_file_name(result))
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A leaderboard of two configurations of MuJoCo."""
+    root = tmp_path_factory.mktemp("board")
+    write_submission(root, "default", [run_episode(RunRequest(name)) for name in NAMES], "{}")
+    coarse = {"timestep_s": 1 / 900}
+    write_submission(
+        root,
+        "coarse",
+        [run_episode(RunRequest(name, settings=coarse)) for name in NAMES],
+        f"{{timestep_s = {1 / 900}}}",
+    )
+    return root
+
+
+@pytest.fixture
+def gauge() -> Callable[..., Any]:
+    def call(*arguments: object) -> Any:
+        return CliRunner().invoke(app, list(map(str, arguments)), env={"COLUMNS": "140"})
+
+    return call
+
+
+def records(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
+
+
+def test_check_passes_and_runs_a_sample_again(gauge: Callable[..., Any], board: Path) -> None:
+    done = gauge("leaderboard", "check", board, "--rerun", 1, "--json")
+    assert done.exit_code == 0, done.output
+    kinds = [one["record"] for one in records(done.stdout)]
+    assert kinds == ["submission", "rerun"] * 2
+    assert {one["largest_difference"] for one in records(done.stdout) if one["record"] == "rerun"} == {0.0}
+
+
+def test_table_has_intervals_and_no_mean_across_grades(gauge: Callable[..., Any], board: Path) -> None:
+    done = gauge("leaderboard", "table", board, "--json")
+    assert done.exit_code == 0, done.output
+    found = records(done.stdout)
+    assert [one["configuration"] for one in found if one["record"] == "submission"] == ["coarse", "default"]
+    grades = [one for one in found if one["record"] == "grade"]
+    # The two experiments have references of two grades, and each mean is over one of them.
+    assert {one["grade"]: one["ids"] for one in grades} == {
+        "trials": ["GAUGE/SlopeSlider-2-wood"],
+        "law": ["GAUGE/SlopeSlider-1-wood"],
+    }
+    scored = [one for one in found if one["record"] == "experiment" and one["metric"] == "rmse"]
+    assert all(cell["normalized_95"] is not None for one in scored for cell in one["configurations"])
+    assert all(cell["wall_s_per_sim_s"] is None for one in scored for cell in one["configurations"])
+
+
+def test_markdown_is_written_and_submitters_change_no_table(
+    gauge: Callable[..., Any], board: Path, tmp_path: Path
+) -> None:
+    assert gauge("leaderboard", "table", board, "--out", tmp_path).exit_code == 0
+    text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
+    (line,) = (line for line in text.splitlines() if "| coarse |" in line)
+    assert "A [red]vendor[/] \\| \\<b>" in line
+    assert "Cost" not in text
+    content = json.loads((tmp_path / "leaderboard.json").read_text(encoding="utf-8"))
+    assert {one["record"] for one in content} == {"submission", "experiment", "grade", "pair"}
+
+
+def test_a_fault_gives_exit_code_1_and_leaves_the_submission_out(
+    gauge: Callable[..., Any], board: Path, tmp_path: Path
+) -> None:
+    copy = tmp_path / "board"
+    for file in board.rglob("*.*"):
+        if file.is_file():
+            target = copy / file.relative_to(board)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(file.read_bytes())
+    (file,) = copy.glob("*/*/coarse/results/SlopeSlider-2*.json")
+    content = json.loads(file.read_text(encoding="utf-8"))
+    content["score"]["rmse"] = 0.5
+    file.write_text(json.dumps(content), encoding="utf-8")
+    check = gauge("leaderboard", "check", copy)
+    assert check.exit_code == 1
+    assert "score.rmse" in check.output
+    assert "the file states 0.5, its trajectory gives" in check.output
+    table = gauge("leaderboard", "table", copy, "--json")
+    assert table.exit_code == 1
+    submissions = [one for one in records(table.stdout) if one["record"] == "submission"]
+    assert [one["configuration"] for one in submissions] == ["default"]
+
+
+def test_a_missing_folder_gives_exit_code_2(gauge: Callable[..., Any], tmp_path: Path) -> None:
+    done = gauge("leaderboard", "check", tmp_path / "absent")
+    assert done.exit_code == 2
+    assert "cannot be listed" in done.output
