@@ -19,6 +19,7 @@ from gauge_envs.cli.interrupts import (
     was_interrupted,
 )
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
+from gauge_envs.cli.recipe import recipe
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
 from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
@@ -97,6 +98,7 @@ app = typer.Typer(
 app.command("list")(list_)
 for command in (show, run, score, plot, compare, diagnose, sanity, materials):
     app.command()(command)
+app.command()(recipe)
 app.command("sanity probe")(sanity_probe)
 app.command("sanity export")(sanity_export)
 app.command("sanity judge")(sanity_judge)
