@@ -3,7 +3,7 @@
 from gauge_envs.checks.recipes.aim import Aim
 from gauge_envs.checks.recipes.engines import engine_names, engine_settings
 from gauge_envs.checks.recipes.measure import Measured, measured
-from gauge_envs.checks.recipes.probes import Probe, Rebound, Rest
+from gauge_envs.checks.recipes.probes import Probe, Rebound, Rest, Slide
 from gauge_envs.checks.recipes.search import Recipe, find_recipe
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Rebound",
     "Recipe",
     "Rest",
+    "Slide",
     "engine_names",
     "engine_settings",
     "find_recipe",

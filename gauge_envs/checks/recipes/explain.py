@@ -59,7 +59,7 @@ class Meaning:
             return dict.fromkeys(names)
         rest = self.found.rest
         values = (
-            self.found.friction,
+            self.found.slide.friction,
             self.found.rebound.mean,
             rest.penetration_m,
             self.found.creep_m_s,

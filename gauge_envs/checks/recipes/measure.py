@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gauge_envs.checks.recipes.engines.base import ContactSettings
-from gauge_envs.checks.recipes.probes import Probe, Rebound, Rest
+from gauge_envs.checks.recipes.probes import Probe, Rebound, Rest, Slide
 
 __all__ = ["Measured", "measured", "probe_of", "scatter_texts"]
 
@@ -14,6 +14,12 @@ SCATTER = 0.02
 
 MOST_DRIFT_PER_S = 0.05
 """Largest change of the depth within a second, over the depth, of a plate that counts as settled."""
+
+FRICTION_SCATTER = 0.02
+"""Relative difference between two plates that is worth a sentence: twice the error that counts as none."""
+
+LIFT_M = 1e-3
+"""Hop of a sliding plate that is worth a sentence [m]: a thirtieth of its thickness."""
 
 LEAST_DRIFT_M_PER_S = 1e-6
 """Change of the depth that is rounding [m/s]."""
@@ -24,13 +30,13 @@ class Measured:
     """What settings give.
 
     Attributes:
-        friction: Friction of a slide.
+        slide: Friction of a slide, and how far the plate hops.
         rebound: Restitution of drops.
         rest: Plate at rest.
         creep_m_s: Creep on a slope that friction holds [m/s].
     """
 
-    friction: float
+    slide: Slide
     rebound: Rebound
     rest: Rest
     creep_m_s: float
@@ -55,7 +61,7 @@ def measured(settings: ContactSettings, mass_kg: float, *, friction: float | Non
     probe, build = probe_of(settings, mass_kg), settings.build(mass_kg)
     slope = settings.sliding_friction if friction is None else friction
     return Measured(
-        friction=probe.slide(build, slope),
+        slide=probe.slide(build, slope),
         rebound=probe.drop(build),
         rest=probe.rest(build),
         creep_m_s=probe.creep(build, slope),
@@ -63,9 +69,16 @@ def measured(settings: ContactSettings, mass_kg: float, *, friction: float | Non
 
 
 def scatter_texts(found: Measured) -> list[str]:
-    """Return what one number for each quantity leaves out: scatter between drops, and a depth that still changes."""
+    """Return what one number for each quantity leaves out: hops, scatter between drops, a depth that still changes."""
     texts = []
-    rebound, rest = found.rebound, found.rest
+    slide, rebound, rest = found.slide, found.rebound, found.rest
+    if abs(slide.along - slide.turned) > FRICTION_SCATTER * abs(slide.friction):
+        texts.append(
+            f"A plate with its edges along the slope slides with friction {slide.along:.3g}, one that is turned by 30 "
+            f"degrees with {slide.turned:.3g}; the friction is their mean."
+        )
+    if slide.lift_m > LIFT_M:
+        texts.append(f"While it slides, the plate hops by up to {1e3 * slide.lift_m:.2g} mm.")
     if rebound.high - rebound.low > SCATTER:
         texts.append(
             f"Single drops rebound with {rebound.low:.3f} to {rebound.high:.3f}, depending on where in a time step "

@@ -46,6 +46,7 @@ __all__ = [
     "Probe",
     "Rebound",
     "Rest",
+    "Slide",
     "creep_slope_rad",
     "first_rebound",
     "slide_slope_rad",
@@ -78,7 +79,8 @@ CREEP_SHARE = 0.5
 """Slope of the creep over the coefficient of friction: half of what friction holds."""
 
 TURN_DEG = 30.0
-"""Turn of the edges of the plate against the slope [degrees]: engines choose the tangents of contacts by the axes."""
+"""Turn of the edges of a plate against the slope [degrees]: then one corner carries most, and engines that choose the
+tangents of contacts by the axes of the world have no axis along the slope."""
 
 SLIDE_S, CREEP_S, REST_S = 0.5, 1.0, 2.0
 """Simulated times [s]."""
@@ -120,6 +122,26 @@ class Rebound:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Slide:
+    """A plate that slides down a slope.
+
+    Attributes:
+        along: Coefficient with which Coulomb's law gives the acceleration of a plate whose edges lie along the slope.
+        turned: The same for a plate that is turned by `TURN_DEG`, so that a corner leads.
+        lift_m: Largest distance by which a centre leaves the slope [m].
+    """
+
+    along: float
+    turned: float
+    lift_m: float
+
+    @property
+    def friction(self) -> float:
+        """Mean of both coefficients."""
+        return 0.5 * (self.along + self.turned)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rest:
     """A plate at rest on level ground.
 
@@ -144,14 +166,14 @@ def creep_slope_rad(friction: float) -> float:
     return math.atan(CREEP_SHARE * friction)
 
 
-def _plane(lean_rad: float = 0.0) -> RigidBody:
-    pose = Pose.from_rotation((0.0, 0.0, 0.0), _lean(lean_rad))
+def _plane(lean_rad: float = 0.0, turn_deg: float = 0.0) -> RigidBody:
+    pose = Pose.from_rotation((0.0, 0.0, 0.0), _lean(lean_rad, turn_deg))
     return RigidBody(name="ground", shape=Plane(), motion=Motion.FIXED, pose=pose, mass_kg=0.0)
 
 
-def _lean(lean_rad: float) -> Rotation:
+def _lean(lean_rad: float, turn_deg: float) -> Rotation:
     """Return the rotation of a plane that falls along x, with its own axes turned about its normal."""
-    return Rotation.from_euler("zy", [math.radians(TURN_DEG), lean_rad])
+    return Rotation.from_euler("zy", [math.radians(turn_deg), lean_rad])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,28 +190,32 @@ class Probe:
     mass_kg: float
     timestep_s: float
 
-    def slide(self, build: Build, friction: float) -> float:
-        """Return the friction of a plate that slides, from its acceleration by Coulomb's law.
+    def slide(self, build: Build, friction: float) -> Slide:
+        """Return the friction of a plate that slides, from its acceleration by Coulomb's law, and how far it hops.
 
         Args:
             build: The contact.
             friction: Friction that is expected, for the slope.
         """
         slope = slide_slope_rad(friction)
-        times_s, path_m = self._downhill(build, slope, SLIDE_S)
-        seen = times_s >= SLIDE_FROM_S
-        acceleration = 2.0 * float(np.polyfit(times_s[seen], path_m[seen], 2)[0])
-        return friction_of_slide(acceleration, slope)
+        found, lifts_m = [], []
+        for turn_deg in (0.0, TURN_DEG):
+            times_s, path_m, lift_m = self._downhill(build, slope, SLIDE_S, turn_deg)
+            seen = times_s >= SLIDE_FROM_S
+            acceleration = 2.0 * float(np.polyfit(times_s[seen], path_m[seen], 2)[0])
+            found.append(friction_of_slide(acceleration, slope))
+            lifts_m.append(float(lift_m.max()))
+        return Slide(along=found[0], turned=found[1], lift_m=max(lifts_m))
 
     def creep(self, build: Build, friction: float) -> float:
         """Return the speed [m/s] of a plate on a slope that friction holds."""
-        times_s, path_m = self._downhill(build, creep_slope_rad(friction), CREEP_S)
+        times_s, path_m, _ = self._downhill(build, creep_slope_rad(friction), CREEP_S, TURN_DEG)
         seen = times_s >= CREEP_FROM_S
         return float(np.polyfit(times_s[seen], path_m[seen], 1)[0])
 
     def rest(self, build: Build) -> Rest:
         """Return depth and approach of a plate that is let go just where it touches level ground."""
-        rollout = self._rollout((self._plate(0.0), _plane()), ("plate",), build, REST_S)
+        rollout = self._rollout((self._plate(), _plane()), ("plate",), build, REST_S)
         depth_m = 0.5 * PLATE_M[2] - rollout.position("plate")[:, 2]
         seen = rollout.times_s >= REST_FROM_S
         drift = float(np.polyfit(rollout.times_s[seen], depth_m[seen], 1)[0])
@@ -224,15 +250,18 @@ class Probe:
         return Rebound(mean=float(np.mean(found)), low=min(found), high=max(found))
 
     def _downhill(
-        self, build: Build, slope_rad: float, seconds: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s] and displacements [m] of a plate down a slope."""
-        rollout = self._rollout((self._plate(slope_rad), _plane(slope_rad)), ("plate",), build, seconds)
-        downhill = np.array([math.cos(slope_rad), 0.0, -math.sin(slope_rad)])
-        return rollout.times_s, rollout.displacement("plate") @ downhill
+        self, build: Build, slope_rad: float, seconds: float, turn_deg: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return times [s] of a plate on a slope, and its displacements down the slope and off it [m]."""
+        rollout = self._rollout(
+            (self._plate(slope_rad, turn_deg), _plane(slope_rad, turn_deg)), ("plate",), build, seconds
+        )
+        sine, cosine = math.sin(slope_rad), math.cos(slope_rad)
+        moved = rollout.displacement("plate")
+        return rollout.times_s, moved @ np.array([cosine, 0.0, -sine]), moved @ np.array([sine, 0.0, cosine])
 
-    def _plate(self, lean_rad: float) -> RigidBody:
-        rotation = _lean(lean_rad)
+    def _plate(self, lean_rad: float = 0.0, turn_deg: float = 0.0) -> RigidBody:
+        rotation = _lean(lean_rad, turn_deg)
         place = vector(rotation.apply([0.0, 0.0, 0.5 * PLATE_M[2]]))
         pose = Pose.from_rotation(place, rotation)
         return RigidBody(

@@ -31,7 +31,7 @@ MOST_TRIALS = 10
 BRACKETS = (0.05, 0.2, 0.5, 1.0)
 """Steps from the start of a search to its end, as shares of the way, until the target is bracketed."""
 
-FINER = (2, 4, 8)
+FINER = (2, 4)
 """Parts of the time step with which the cause of a miss is sought."""
 
 STIFFER = 30.0
@@ -64,7 +64,7 @@ class Recipe:
         if self.found is None:
             return dict.fromkeys(("friction", "restitution", "penetration_m", "creep_m_s"))
         return {
-            "friction": self.found.friction,
+            "friction": self.found.slide.friction,
             "restitution": self.found.rebound.mean,
             "penetration_m": self.found.rest.penetration_m,
             "creep_m_s": self.found.creep_m_s,
@@ -104,18 +104,24 @@ class Recipe:
 
 def misses(aim: Aim, found: Measured) -> tuple[str, ...]:
     """Return the names of the asked values that are not reached."""
-    missed = []
-    if abs(found.friction - aim.friction) > FRICTION_SHARE * aim.friction:
-        missed.append("friction")
-    if aim.rebound is not None and not abs(found.rebound.mean - aim.rebound) <= RESTITUTION_TOLERANCE:
-        missed.append("restitution")
-    depth_m = found.rest.penetration_m
-    if aim.stiffness_n_per_m is not None and aim.depth_m is not None:
-        if abs(depth_m - aim.depth_m) > DEPTH_SHARE * aim.depth_m:
-            missed.append("penetration_m")
-    elif aim.penetration_m is not None and depth_m > aim.penetration_m:
-        missed.append("penetration_m")
-    return tuple(missed)
+    values = {
+        "friction": found.slide.friction,
+        "restitution": found.rebound.mean,
+        "penetration_m": found.rest.penetration_m,
+    }
+    return tuple(name for name, value in values.items() if _is_missed(aim, name, value))
+
+
+def _is_missed(aim: Aim, name: str, value: float) -> bool:
+    if name == "friction":
+        return not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
+    if name == "restitution":
+        return aim.rebound is not None and not abs(value - aim.rebound) <= RESTITUTION_TOLERANCE
+    if aim.depth_m is None:
+        return False
+    if aim.stiffness_n_per_m is None:
+        return not value <= aim.depth_m
+    return not abs(value - aim.depth_m) <= DEPTH_SHARE * aim.depth_m
 
 
 def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
@@ -134,7 +140,7 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     versions = engine.backend().versions()
     settings = engine.aimed(aim)
     try:
-        settings = _searched(engine, aim)
+        settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump())
         found = measured(settings, aim.mass_kg, friction=aim.friction)
     except DivergedError as error:
         text = f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
@@ -164,7 +170,7 @@ def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
 
     def friction_error(value: float) -> float:
         tried = engine.aimed(target.changed(friction=value))
-        return probe_of(tried, aim.mass_kg).slide(tried.build(aim.mass_kg), aim.friction) / aim.friction - 1.0
+        return probe_of(tried, aim.mass_kg).slide(tried.build(aim.mass_kg), aim.friction).friction / aim.friction - 1.0
 
     friction = _root(friction_error, aim.friction, 0.5 * aim.friction, 2.0 * aim.friction, FRICTION_SHARE)
     return settings if friction == aim.friction else engine.aimed(target.changed(friction=friction))
@@ -174,7 +180,7 @@ def _aimed_restitution(engine: type[ContactSettings], target: Aim, restitution: 
     """Return an aim whose settings give a restitution, or come nearest to it."""
 
     def error(value: float) -> float:
-        tried = engine.aimed(target.changed(restitution=value))
+        tried = engine.aimed(target if value == restitution else target.changed(restitution=value))
         return probe_of(tried, target.mass_kg).drop(tried.build(target.mass_kg)).mean - restitution
 
     low, high = engine.aims
@@ -233,7 +239,7 @@ def _explanation(engine: type[ContactSettings], recipe: Recipe, found: Measured)
 
 
 def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:
-    """Return whether a shorter time step reaches a value that is missed."""
+    """Return whether a shorter time step reaches a value that is missed, on the engine of the search."""
     text = ""
     for part in FINER:
         step_s = aim.timestep_s / part
@@ -241,16 +247,19 @@ def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:
             break
         finer = aim.changed(timestep_s=step_s)
         try:
-            settings = _searched(engine, finer)
-            found = measured(settings, aim.mass_kg, friction=aim.friction)
+            value = _reached_alone(engine.searched_on(), finer, name)
         except DivergedError:
             return f"With a time step of {step_s:.3g} s the simulation diverges."
-        values = {
-            "friction": found.friction,
-            "restitution": found.rebound.mean,
-            "penetration_m": found.rest.penetration_m,
-        }
-        if name not in misses(finer, found):
-            return f"With a time step of {step_s:.3g} s the same search reaches {values[name]:.3g}."
-        text = f"A time step of {step_s:.3g} s does not reach it either ({values[name]:.3g})."
+        if not _is_missed(finer, name, value):
+            return f"With a time step of {step_s:.3g} s the same search reaches {value:.3g}."
+        text = f"A time step of {step_s:.3g} s does not reach it either ({value:.3g})."
     return text
+
+
+def _reached_alone(engine: type[ContactSettings], aim: Aim, name: str) -> float:
+    """Return what a search reaches in one quantity."""
+    settings = _searched(engine, aim)
+    probe, build = probe_of(settings, aim.mass_kg), settings.build(aim.mass_kg)
+    if name == "friction":
+        return probe.slide(build, aim.friction).friction
+    return probe.drop(build).mean if name == "restitution" else probe.rest(build).penetration_m

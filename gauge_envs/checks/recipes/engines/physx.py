@@ -49,7 +49,7 @@ class PhysXSettings(ContactSettings):
             timestep_s=aim.timestep_s,
             static_friction=aim.friction,
             dynamic_friction=aim.friction,
-            restitution=aim.restitution or 0.0,
+            restitution=aim.rebound or 0.0,
             bounce_threshold=THRESHOLD_STEPS * GRAVITY_M_PER_S2 * aim.timestep_s,
         )
 
@@ -84,12 +84,16 @@ class PhysXSettings(ContactSettings):
         """Return Python for SAPIEN; `material` belongs on both shapes, because PhysX takes the mean."""
         return (
             "import sapien\n\n"
-            f"sapien.physx.set_scene_config(bounce_threshold={self.bounce_threshold:g})  # before the scene\n"
-            f"sapien.physx.set_shape_config(contact_offset={self.contact_offset:g})\n"
-            "sapien.physx.set_body_config(\n"
-            f"    solver_position_iterations={self.solver_position_iterations}, "
-            f"solver_velocity_iterations={self.solver_velocity_iterations}\n"
-            ")\n"
+            "scene_config = sapien.physx.get_scene_config()  # all three before the scene\n"
+            f"scene_config.bounce_threshold = {self.bounce_threshold:g}\n"
+            "sapien.physx.set_scene_config(scene_config)\n"
+            "shape_config = sapien.physx.get_shape_config()\n"
+            f"shape_config.contact_offset = {self.contact_offset:g}\n"
+            "sapien.physx.set_shape_config(shape_config)\n"
+            "body_config = sapien.physx.get_body_config()\n"
+            f"body_config.solver_position_iterations = {self.solver_position_iterations}\n"
+            f"body_config.solver_velocity_iterations = {self.solver_velocity_iterations}\n"
+            "sapien.physx.set_body_config(body_config)\n"
             "material = sapien.physx.PhysxMaterial(\n"
             f"    static_friction={self.static_friction:g}, dynamic_friction={self.dynamic_friction:g}, "
             f"restitution={self.restitution:g}\n"
