@@ -22,6 +22,7 @@ from gauge_envs.cli.interrupts import (
 from gauge_envs.cli.leaderboard import leaderboard_app
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
 from gauge_envs.cli.report import report
+from gauge_envs.cli.recipe import recipe
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
 from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
@@ -103,6 +104,7 @@ for command in (show, run, score, plot, compare, diagnose, report, sanity, mater
     app.command()(command)
 app.command()(sweep)
 app.command()(query)
+app.command()(recipe)
 app.command("sanity probe")(sanity_probe)
 app.command("sanity export")(sanity_export)
 app.command("sanity judge")(sanity_judge)

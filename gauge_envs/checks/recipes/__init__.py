@@ -1,0 +1,21 @@
+"""Recipes: contact settings of an engine for a measured behaviour, and back, by simulation."""
+
+from gauge_envs.checks.recipes.aim import Aim
+from gauge_envs.checks.recipes.engines import engine_names, engine_settings
+from gauge_envs.checks.recipes.measure import Measured, measured
+from gauge_envs.checks.recipes.probes import Probe, Rebound, Rest, Slide
+from gauge_envs.checks.recipes.search import Recipe, find_recipe
+
+__all__ = [
+    "Aim",
+    "Measured",
+    "Probe",
+    "Rebound",
+    "Recipe",
+    "Rest",
+    "Slide",
+    "engine_names",
+    "engine_settings",
+    "find_recipe",
+    "measured",
+]

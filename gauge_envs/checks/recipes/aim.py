@@ -1,0 +1,123 @@
+"""What a recipe is asked for: the behaviour of a contact, the mass of the body and the time step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from gauge_envs.checks.recipes.closed_forms import spring_damper_restitution
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene import GRAVITY_M_PER_S2
+
+__all__ = [
+    "FRICTION_RANGE",
+    "MASS_RANGE_KG",
+    "PENETRATION_RANGE_M",
+    "TIMESTEP_RANGE_S",
+    "Aim",
+]
+
+FRICTION_RANGE = (0.01, 2.0)
+"""Coefficients of friction that the scenes measure: the plate tips at 4, and on less it slides on a level slope."""
+
+MASS_RANGE_KG = (1e-3, 1e4)
+"""Masses that the scenes measure [kg]."""
+
+TIMESTEP_RANGE_S = (5e-5, 0.05)
+"""Time steps that the scenes measure [s]: below, a recipe takes minutes; above, a ball falls 0.1 m in a step."""
+
+PENETRATION_RANGE_M = (1e-7, 0.01)
+"""Depths at rest that the scenes measure [m]: the plate is 0.03 m thick."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aim:
+    """Behaviour of a contact that settings are to give.
+
+    Attributes:
+        friction: Coulomb coefficient, static and dynamic.
+        restitution: Rebound over impact speed; None if it does not matter.
+        penetration_m: Largest depth of the plate at rest on four corners [m]; None if it does not matter.
+        stiffness_n_per_m: Weight of the plate over its depth at rest [N/m]; None for a contact as hard as it gets.
+        damping_n_s_per_m: Damping beside this stiffness [N s/m], in place of the restitution; None if it is not given.
+        mass_kg: Mass of the body [kg].
+        timestep_s: Time step of the engine [s].
+
+    Raises:
+        ParameterError: A value is out of the range that can be measured, or two values contradict each other.
+    """
+
+    friction: float
+    restitution: float | None = None
+    penetration_m: float | None = None
+    stiffness_n_per_m: float | None = None
+    damping_n_s_per_m: float | None = None
+    mass_kg: float
+    timestep_s: float
+
+    def __post_init__(self) -> None:
+        _check("friction", self.friction, *FRICTION_RANGE, "")
+        _check("mass", self.mass_kg, *MASS_RANGE_KG, " kg")
+        _check("timestep", self.timestep_s, *TIMESTEP_RANGE_S, " s")
+        if self.restitution is not None:
+            _check("restitution", self.restitution, 0.0, 1.0, "")
+        if self.penetration_m is not None:
+            _check("penetration", self.penetration_m, *PENETRATION_RANGE_M, " m")
+        if self.stiffness_n_per_m is not None:
+            self._check_stiffness(self.stiffness_n_per_m)
+        if self.damping_n_s_per_m is not None:
+            if self.stiffness_n_per_m is None or self.restitution is not None:
+                raise ParameterError(
+                    "damping: it determines the rebound beside a stiffness: give a stiffness and no restitution"
+                )
+            _check("damping", self.damping_n_s_per_m, 0.0, math.inf, " N s/m")
+
+    def _check_stiffness(self, stiffness: float) -> None:
+        if self.penetration_m is not None:
+            raise ParameterError("stiffness and penetration both state the depth at rest: give one of them")
+        weight = self.mass_kg * GRAVITY_M_PER_S2
+        low, high = weight / PENETRATION_RANGE_M[1], weight / PENETRATION_RANGE_M[0]
+        _check("stiffness", stiffness, float(f"{low:.3g}"), float(f"{high:.3g}"), " N/m for this mass")
+
+    @property
+    def depth_m(self) -> float | None:
+        """Depth at rest that is asked for [m]: the largest one allowed, or that of the stiffness."""
+        if self.stiffness_n_per_m is not None:
+            return self.mass_kg * GRAVITY_M_PER_S2 / self.stiffness_n_per_m
+        return self.penetration_m
+
+    @property
+    def rebound(self) -> float | None:
+        """Restitution that is asked for, or that of a linear spring and damper; None if neither is given."""
+        if self.damping_n_s_per_m is None or self.stiffness_n_per_m is None:
+            return self.restitution
+        critical = 2.0 * math.sqrt(self.stiffness_n_per_m * self.mass_kg)
+        return spring_damper_restitution(self.damping_n_s_per_m / critical)
+
+    def changed(self, **values: float) -> Aim:
+        """Return an aim with other values, which may be out of range: a search for settings passes the target."""
+        aim = replace(self)
+        if "restitution" in values:
+            object.__setattr__(aim, "damping_n_s_per_m", None)
+        for name, value in values.items():
+            object.__setattr__(aim, name, value)
+        return aim
+
+    def asked(self) -> Mapping[str, float | None]:
+        """Return the request, JSON-ready."""
+        return {
+            "friction": self.friction,
+            "restitution": self.restitution,
+            "penetration_m": self.penetration_m,
+            "stiffness_n_per_m": self.stiffness_n_per_m,
+            "damping_n_s_per_m": self.damping_n_s_per_m,
+            "mass_kg": self.mass_kg,
+            "timestep_s": self.timestep_s,
+        }
+
+
+def _check(name: str, value: float, low: float, high: float, unit: str) -> None:
+    if not low <= value <= high:
+        upper = f" to {high:g}" if math.isfinite(high) else " or more"
+        raise ParameterError(f"{name} {value:g}{unit}: a recipe is measured for {low:g}{upper}{unit}")

@@ -1,0 +1,200 @@
+"""Closed forms of contacts: the unilateral spring and damper, a slide, and MuJoCo's contact constraint."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from scipy.optimize import brentq
+
+from gauge_envs.scene import GRAVITY_M_PER_S2
+
+__all__ = [
+    "LARGEST_DAMPING_RATIO",
+    "ContactForm",
+    "MuJoCoContact",
+    "damping_ratio_of",
+    "friction_of_slide",
+    "mujoco_impedance",
+    "spring_damper_restitution",
+]
+
+G = GRAVITY_M_PER_S2
+
+DEEPEST_M = 1e3
+"""Depth at which a contact counts as none [m]."""
+
+LONGEST_IMPACT_S = 2.0
+"""Time after which an impact counts as a rest [s]."""
+
+LARGEST_DAMPING_RATIO = 1e3
+"""Damping ratio that stands for no rebound; the spring and damper then gives a restitution of 2.5e-7."""
+
+
+def spring_damper_restitution(damping_ratio: float) -> float:
+    """Return the restitution of a mass that meets a linear spring and damper which can push and not pull.
+
+    The contact ends when the force is zero, before the spring is at its length. With the damping ratio z this is
+    e = exp(-2 z arccos(z) / sqrt(1 - z^2)), and arcosh and sqrt(z^2 - 1) above 1. Gravity during the impact is left
+    out.
+
+    Source: Schwager and Poeschel, Granular Matter 9 (2007) 465, with the angles combined.
+    """
+    z = damping_ratio
+    if abs(z - 1.0) < 1e-9:
+        return math.exp(-2.0)
+    if z < 1.0:
+        return math.exp(-2.0 * z * math.acos(z) / math.sqrt(1.0 - z * z))
+    return math.exp(-2.0 * z * math.acosh(z) / math.sqrt(z * z - 1.0))
+
+
+def damping_ratio_of(restitution: float) -> float:
+    """Return the damping ratio with which `spring_damper_restitution` is a value; `LARGEST_DAMPING_RATIO` for 0."""
+    if restitution >= 1.0:
+        return 0.0
+    if restitution <= spring_damper_restitution(LARGEST_DAMPING_RATIO):
+        return LARGEST_DAMPING_RATIO
+    return float(brentq(lambda z: spring_damper_restitution(z) - restitution, 0.0, LARGEST_DAMPING_RATIO, xtol=1e-12))
+
+
+def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float) -> float:
+    """Return the coefficient with which Coulomb's law gives an acceleration down a slope: (g sin - a) / (g cos)."""
+    return (G * math.sin(slope_rad) - acceleration_m_per_s2) / (G * math.cos(slope_rad))
+
+
+def mujoco_impedance(solimp: tuple[float, float, float, float, float], depth_m: float) -> float:
+    """Return MuJoCo's impedance d(r) at a depth [m]; `solimp` is d0, dwidth, width [m], midpoint, power."""
+    d0, dwidth, width, midpoint, power = solimp
+    x = min(abs(depth_m) / width, 1.0) if width > 0.0 else 1.0
+    if x <= midpoint:
+        y = x**power / midpoint ** (power - 1.0) if midpoint > 0.0 else 0.0
+    else:
+        y = 1.0 - (1.0 - x) ** power / (1.0 - midpoint) ** (power - 1.0)
+    return d0 + y * (dwidth - d0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactForm:
+    """What MuJoCo's documented contact equation gives for a body with one coordinate, without the engine.
+
+    Attributes:
+        penetration_m: Depth at rest [m].
+        time_constant_s: Twice the inverse of the damping per mass [s], as MuJoCo defines it; None if one step stops the
+            body or more.
+        restitution: Mean over the phases of the impact within a step.
+        creep_m_s: Speed on a slope below the friction angle [m/s].
+    """
+
+    penetration_m: float
+    time_constant_s: float | None
+    restitution: float
+    creep_m_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MuJoCoContact:
+    """MuJoCo's contact equation: a = (1 - D) a0 - D (b v + k r), with D = n d / (n d + p (1 - d)) on n contacts.
+
+    The softness p is 1 for the elliptic cone. The four edges of a pyramidal cone together have mu^2 (1 + mu^2) / 2 over
+    the ratio of impedances.
+
+    Attributes:
+        solref: Time constant [s] and damping ratio, or the negative stiffness and damping.
+        solimp: Impedance: d0, dwidth, width [m], midpoint, power.
+        solreffriction: As `solref` for friction; zeros stand for `solref`.
+        friction: Coefficient of friction.
+        impratio: Ratio of frictional to normal impedance.
+        is_elliptic: Whether the friction cone is elliptic, not pyramidal.
+        timestep_s: Time step [s].
+
+    Source: MuJoCo documentation, Computation, section Constraint model, and Modeling, section Solver parameters; the
+    softness of the pyramid, function mj_makeImpedance in engine_core_constraint.c.
+    """
+
+    solref: tuple[float, float]
+    solimp: tuple[float, float, float, float, float]
+    solreffriction: tuple[float, float]
+    friction: float
+    impratio: float
+    is_elliptic: bool
+    timestep_s: float
+
+    def form(self, *, contact_count: int, slope_rad: float, drop_m: float, phase_count: int) -> ContactForm:
+        """Return what the equation gives for a body on equal contacts, and for a drop on one contact.
+
+        Args:
+            contact_count: Number of contacts that carry the body at rest.
+            slope_rad: Slope of the creep [rad].
+            drop_m: Height of the drop [m].
+            phase_count: Number of drops, each at another phase of the impact within a step.
+        """
+        depth_m = self._depth_m(contact_count, G)
+        loss = self.timestep_s * self._share(self._impedance(depth_m), contact_count) * self._damping(self.solref)
+        rebounds = [self._rebound(drop_m, index / phase_count) for index in range(phase_count)]
+        return ContactForm(
+            penetration_m=depth_m,
+            time_constant_s=-2.0 * self.timestep_s / math.log1p(-loss) if loss < 1.0 else None,
+            restitution=sum(rebounds) / phase_count,
+            creep_m_s=self._creep_m_s(contact_count, slope_rad),
+        )
+
+    def _impedance(self, depth_m: float) -> float:
+        return mujoco_impedance(self.solimp, depth_m)
+
+    def _stiffness(self, d: float) -> float:
+        """Return k of the reference acceleration [1/s^2]; MuJoCo keeps the time constant at two steps or more."""
+        first, second = self.solref
+        dmax = self.solimp[1]
+        return -first * d / dmax**2 if first <= 0.0 else d / (dmax * max(first, 2.0 * self.timestep_s) * second) ** 2
+
+    def _damping(self, solref: tuple[float, float]) -> float:
+        """Return b of the reference acceleration [1/s]."""
+        first, second = solref
+        dmax = self.solimp[1]
+        return -second / dmax if first <= 0.0 else 2.0 / (dmax * max(first, 2.0 * self.timestep_s))
+
+    @property
+    def _softness(self) -> float:
+        square = self.friction**2
+        return 1.0 if self.is_elliptic else 0.5 * square * (1.0 + square) / self.impratio
+
+    def _share(self, d: float, contact_count: int) -> float:
+        return contact_count * d / (contact_count * d + self._softness * (1.0 - d))
+
+    def _depth_m(self, contact_count: int, load_m_per_s2: float) -> float:
+        def excess(depth_m: float) -> float:
+            d = self._impedance(depth_m)
+            share = self._share(d, contact_count)
+            return share * self._stiffness(d) * depth_m - (1.0 - share) * load_m_per_s2
+
+        deepest = 1e-9
+        while excess(deepest) < 0.0:
+            deepest *= 10.0
+            if deepest > DEEPEST_M:
+                return math.inf
+        return float(brentq(excess, 0.0, deepest, xtol=1e-15))
+
+    def _creep_m_s(self, contact_count: int, slope_rad: float) -> float:
+        depth_m = self._depth_m(contact_count, G * math.cos(slope_rad))
+        d = self._impedance(min(depth_m, DEEPEST_M))
+        damping = self._damping(self.solreffriction if any(self.solreffriction) else self.solref)
+        load = (1.0 - d) * G * math.sin(slope_rad) * (1.0 if self.is_elliptic else 1.0 + self.friction**2)
+        return load / (contact_count * d * self.impratio * damping) if damping > 0.0 else math.inf
+
+    def _rebound(self, drop_m: float, phase: float) -> float:
+        """Return the restitution of a drop, by height, with the engine's steps: velocity first, then position."""
+        h, speed = self.timestep_s, math.sqrt(2.0 * G * drop_m)
+        depth_m = phase * speed * h
+        for _ in range(math.ceil(LONGEST_IMPACT_S / h)):
+            d = self._impedance(depth_m)
+            share = self._share(d, 1)
+            push = G + self._damping(self.solref) * speed + self._stiffness(d) * depth_m
+            if push <= 0.0 and speed < 0.0:
+                break
+            speed += h * (G - share * max(push, 0.0))
+            depth_m += h * speed
+            if depth_m < 0.0 or depth_m > DEEPEST_M:
+                break
+        # Without force the height above the ground is that of a throw, with the half step by which positions lag.
+        height_m = speed**2 / (2.0 * G) + 0.5 * h * speed - depth_m if speed < 0.0 else 0.0
+        return math.sqrt(max(height_m, 0.0) / drop_m)

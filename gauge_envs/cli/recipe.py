@@ -1,0 +1,148 @@
+"""Command that turns measured behaviour into contact settings of an engine, and back."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeVar
+
+import typer
+
+from gauge_envs.cli.arguments import Json
+from gauge_envs.cli.output import EXIT_FAILED, print_json_lines, print_table, stdout_console
+from gauge_envs.errors import ParameterError, UnknownNameError
+
+__all__ = ["recipe"]
+
+T = TypeVar("T")
+
+
+def recipe(
+    engine: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="mujoco, mujoco_warp, newton, physx, pybullet, rapier or drake."),
+    ] = None,
+    friction: Annotated[float | None, typer.Option(help="Coefficient of friction, 0.01 to 2.")] = None,
+    restitution: Annotated[float | None, typer.Option(help="Rebound over impact speed, 0 to 1.")] = None,
+    penetration: Annotated[float | None, typer.Option(help="Largest depth at rest [m].")] = None,
+    stiffness: Annotated[float | None, typer.Option(help="Weight over depth at rest [N/m].")] = None,
+    damping: Annotated[float | None, typer.Option(help="Damping beside the stiffness [N s/m].")] = None,
+    mass: Annotated[float | None, typer.Option(help="Mass of the body [kg].")] = None,
+    timestep: Annotated[float | None, typer.Option(help="Time step of the engine [s].")] = None,
+    explain: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Contact settings of the engine, as 'solref=0.02 1': report what they give."),
+    ] = None,
+    material: Annotated[str | None, typer.Option(metavar="NAME", help="Measured pair, as wood-on-wood.")] = None,
+    list_materials: Annotated[bool, typer.Option("--list-materials", help="List the measured pairs.")] = False,
+    fabric: Annotated[str | None, typer.Option(metavar="NAME", help="Measured fabric, as satin.")] = None,
+    json_lines: Json = False,
+) -> None:
+    """Give contact settings of an engine for a measured behaviour, with what they reach in simulation.
+
+    With --explain the other way round. The settings are simulated in a slide, a drop, at rest and on a slope. Exit code
+    1 when the simulation diverges. A value that the engine cannot reach is no failure: the nearest one is given, with
+    the reason.
+    """
+    behaviour = (friction, restitution, penetration, stiffness, damping)
+    if list_materials:
+        _list_materials(json_lines)
+    elif fabric is not None:
+        _refuse("--fabric goes with --engine and --json alone", *behaviour, mass, timestep, explain, material)
+        _print_fabric(fabric, _given(engine, "engine", "newton"), json_lines)
+    elif explain is not None:
+        _refuse("--explain states the contact itself and goes with --mass and --timestep", *behaviour, material)
+        _explain(_given(engine, "engine", "mujoco"), explain, mass, timestep, json_lines)
+    else:
+        _print_recipe(_given(engine, "engine", "mujoco"), behaviour, mass, timestep, material, json_lines)
+
+
+def _refuse(text: str, *values: object) -> None:
+    """Raise an error if an option is given that does not go with another one."""
+    if any(value is not None for value in values):
+        raise ParameterError(f"{text}: leave the other options out")
+
+
+def _print_recipe(
+    engine: str,
+    behaviour: tuple[float | None, ...],
+    mass: float | None,
+    timestep: float | None,
+    material: str | None,
+    json_lines: bool,
+) -> None:
+    from gauge_envs.checks.recipes import Aim, engine_settings, find_recipe
+    from gauge_envs.checks.recipes.materials import find_material
+    from gauge_envs.report.recipes import material_table, recipe_view
+
+    settings = engine_settings(engine)
+    friction, restitution, penetration, stiffness, damping = behaviour
+    pair = None if material is None else find_material(material)
+    if pair is not None:
+        mass = pair.mass_kg if mass is None else mass
+        friction = pair.friction if friction is None else friction
+        if friction is None:
+            raise ParameterError(f"material {material!r}: its friction was not measured: add --friction")
+        if restitution is None and damping is None:
+            restitution = pair.restitution
+    aim = Aim(
+        friction=_given(friction, "friction", "0.4"),
+        restitution=restitution,
+        penetration_m=penetration,
+        stiffness_n_per_m=stiffness,
+        damping_n_s_per_m=damping,
+        mass_kg=_given(mass, "mass", "0.5"),
+        timestep_s=_given(timestep, "timestep", "0.002"),
+    )
+    found = find_recipe(settings, aim)
+    if json_lines:
+        print_json_lines([found.json() | ({} if pair is None else {"material": dict(vars(pair))})])
+    else:
+        if pair is not None:
+            print_table(material_table((pair,)), json_lines=False)
+        stdout_console().print(recipe_view(found))
+    if found.found is None:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _explain(engine: str, text: str, mass: float | None, timestep: float | None, json_lines: bool) -> None:
+    from gauge_envs.checks.recipes import engine_settings
+    from gauge_envs.checks.recipes.explain import explain, parsed_contact
+    from gauge_envs.report.recipes import meaning_view
+
+    step_s = _given(timestep, "timestep", "0.002")
+    if not step_s > 0.0:
+        raise ParameterError(f"timestep {step_s:g} s: expected a positive number")
+    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), _given(mass, "mass", "2"))
+    if json_lines:
+        print_json_lines([meaning.json()])
+    else:
+        stdout_console().print(meaning_view(meaning))
+    if meaning.found is None:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _list_materials(json_lines: bool) -> None:
+    from gauge_envs.checks.recipes.materials import material_pairs
+    from gauge_envs.report.recipes import material_table
+
+    print_table(material_table(material_pairs()), json_lines=json_lines)
+
+
+def _print_fabric(name: str, engine: str, json_lines: bool) -> None:
+    from gauge_envs.experiments.fabrics import fabrics
+    from gauge_envs.report.recipes import fabric_recipe, fabric_view
+
+    known = fabrics()
+    if name not in known:
+        raise UnknownNameError("fabric", name, known)
+    values = fabric_recipe(name, known[name], engine)
+    if json_lines:
+        print_json_lines([values])
+    else:
+        stdout_console().print(fabric_view(values))
+
+
+def _given(value: T | None, name: str, example: str) -> T:
+    """Return the value of an option that the request needs."""
+    if value is None:
+        raise ParameterError(f"--{name} is missing: add it, as --{name} {example}")
+    return value
