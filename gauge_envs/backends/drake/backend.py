@@ -26,6 +26,7 @@ class BackendDrake(Backend):
     """
 
     name = "drake"
+    joins_bodies = True
 
     def __init__(self) -> None:
         if find_spec("pydrake") is None:

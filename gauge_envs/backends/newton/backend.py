@@ -29,6 +29,7 @@ class BackendNewton(Backend):
     """
 
     name = "newton"
+    joins_bodies = True
 
     def __init__(self) -> None:
         for module in MODULES:

@@ -27,6 +27,7 @@ class BackendPhysX(Backend):
     """
 
     name = "physx"
+    joins_bodies = True
 
     def __init__(self) -> None:
         if find_spec("sapien") is None:

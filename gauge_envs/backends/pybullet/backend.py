@@ -32,6 +32,7 @@ class BackendPyBullet(Backend):
     """
 
     name = "pybullet"
+    joins_bodies = True
 
     def __init__(self) -> None:
         if find_spec("pybullet") is None:
