@@ -313,11 +313,10 @@ def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidB
         started, hinge = replace(body, pose=poses[body.name]), hinges.get(body.name)
         if body.motion is Motion.DYNAMIC:
             parent = found[other_end(hinge, body.name)] if isinstance(hinge, BodyHinge) else None
-            carried = parent is not None and not _same_start(parent, scene.body(parent.name))
             expected, first = start_rates(scene, started, hinge), int(model.joint(body.name).dofadr[0])
             own = rates[first : first + len(expected)]
-            if carried or not is_same(own, expected):
-                started = _with_rates(model, started, own, parent)
+            if parent is not None or not is_same(own, expected):
+                started = _same_or_moving(started, _with_rates(model, started, own, parent))
             own[:] = 0.0
         found[body.name] = started
     yield from (found[body.name] for body in scene.bodies)
@@ -344,9 +343,10 @@ def _start_qvel(path: Path, model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.array(model.key_qvel[key])
 
 
-def _same_start(one: RigidBody, other: RigidBody) -> bool:
-    """Return whether two bodies have the same pose and velocities at the start."""
-    return replace(one, mass_kg=other.mass_kg) == other
+def _same_or_moving(expected: RigidBody, moving: RigidBody) -> RigidBody:
+    """Return the expected body if both have the same velocities up to rounding, otherwise the other one."""
+    velocities = [[one.linear_velocity_m_per_s, one.angular_velocity_rad_per_s] for one in (expected, moving)]
+    return expected if is_same(velocities[1], velocities[0]) else moving
 
 
 def _with_rates(
