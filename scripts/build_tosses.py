@@ -37,6 +37,9 @@ CLEAR_M = 0.004
 LEAST_FLIGHT = 8
 """Frames of flight from which on an acceleration is fitted."""
 
+QUATERNION_COUNTS = 32767.0
+"""Counts of a stored quaternion per unit."""
+
 REST_FRAMES = 5
 """Last frames of a toss, which show the cube at rest."""
 
@@ -154,7 +157,7 @@ def arrays_of(tosses: list[Toss], scale: float) -> dict[str, NDArray[np.generic]
         "source_number": np.array([toss.number for toss in tosses], dtype=np.int16),
         "first": np.cumsum([0, *(len(toss.positions_m) for toss in tosses)], dtype=np.int32),
         "position": np.round(np.concatenate([t.positions_m for t in tosses]) / POSITION_UNIT_M).astype(np.int16),
-        "quaternion": np.round(quaternions * 32767.0).astype(np.int16),
+        "quaternion": np.round(quaternions * QUATERNION_COUNTS).astype(np.int16),
         "start_velocity": np.array([linear for linear, _ in starts], dtype=np.float32),
         "start_angular_velocity_body": np.array([angular for _, angular in starts], dtype=np.float32),
     }

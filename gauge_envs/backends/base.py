@@ -276,12 +276,14 @@ class Backend(ABC):
         applies_air: Whether `build` applies `Scene.air` to cloth. Scenes with air are declined for other engines.
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
+        joins_bodies: Whether `build` builds `Scene.body_hinges`. Scenes with them are declined for other engines.
     """
 
     name: ClassVar[str]
     file_suffixes: ClassVar[tuple[str, ...]] = ()
     applies_air: ClassVar[bool] = False
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
+    joins_bodies: ClassVar[bool] = False
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
@@ -369,9 +371,13 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
 
     An engine that was written before a feature existed is thus declined for scenes that need it.
     """
-    if scene.air is None or engine.applies_air:
-        return support
-    return Support((*support.missing, "the scene has air around its cloth, which this engine does not apply"))
+    missing = list(support.missing)
+    if scene.air is not None and not engine.applies_air:
+        missing.append("the scene has air around its cloth, which this engine does not apply")
+    if scene.body_hinges and not engine.joins_bodies:
+        hinge = scene.body_hinges[0]
+        missing.append(f"{hinge.first!r} and {hinge.second!r} are joined by a hinge, which this backend does not build")
+    return Support(tuple(missing)) if len(missing) > len(support.missing) else support
 
 
 class FileBackend(Backend):

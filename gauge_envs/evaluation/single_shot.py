@@ -4,6 +4,7 @@ For a simulation with positions p(t) and rotations R(t), and a recording with p*
 
 - the position error at t is |p(t) - p*(t)|,
 - the rotation error at t is the angle of R(t) R*(t)^-1, from 0 to 180 degrees,
+- the error of a hinge between two bodies is the angle of (R1^-1 R2) (R1*^-1 R2*)^-1,
 - the face that lies up is the body axis, with its sign, closest to the vertical,
 - the energy is m |v|^2 / 2 + w . I w / 2 + m g z, with velocities from central differences of the poses,
 - the slip is the speed of the body over the last `SLIP_WINDOW_S`.
@@ -22,18 +23,22 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.references.single_shot import ShotNuisances, SingleShot
-from gauge_envs.scene import Pose, RigidBody
+from gauge_envs.references.single_shot import ShotNuisances, ShotSidecar, SingleShot
+from gauge_envs.scene import Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import carried
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 __all__ = [
+    "AngleError",
     "Impact",
     "ShotError",
+    "angle_error",
     "bootstrap_interval",
     "energies_j",
     "impacts",
+    "perturbed_scene",
     "perturbed_start",
     "shot_error",
     "upper_face",
@@ -122,6 +127,56 @@ def shot_error(
         rest_deg=float(angle_deg[-1]),
         same_face=upper_face(rotations[-1]) == upper_face(turned[-1]),
         slip_mm_per_s=1e3 * slip_m / float(times_s[-1] - times_s[first]),
+    )
+
+
+@dataclass(frozen=True)
+class AngleError:
+    """Errors of the angle of a hinge between two bodies in one simulated trial.
+
+    Attributes:
+        trial: Number of the trial.
+        early_deg: Error at the early time [degrees].
+        mean_deg: Mean error over the recorded time [degrees].
+        rest_deg: Error at the last sample, where the recorded bodies rest [degrees].
+    """
+
+    trial: int
+    early_deg: float
+    mean_deg: float
+    rest_deg: float
+
+
+def angle_error(
+    shots: tuple[SingleShot, SingleShot],
+    times_s: FloatArray,
+    rotations: tuple[Rotation, Rotation],
+    *,
+    early_s: float = 0.3,
+) -> AngleError:
+    """Return the errors of the angle of a hinge: those of the rotation of one body relative to the other.
+
+    Args:
+        shots: The recorded trial of both bodies.
+        times_s: Times of the samples from the recorded start on [s], increasing, shape [T].
+        rotations: Simulated orientations of both bodies, body to world, T of them each.
+        early_s: Time of the early error [s].
+
+    Raises:
+        ShapeError: The arrays disagree in length, or the samples end before the early time.
+    """
+    if not len(times_s) == len(rotations[0]) == len(rotations[1]):
+        raise ShapeError(f"{len(times_s)} times, and {len(rotations[0])} and {len(rotations[1])} rotations")
+    if times_s[-1] < early_s:
+        raise ShapeError(f"the samples end at {times_s[-1]:.3f} s, before the early time of {early_s:.3f} s")
+    recorded = [shot.poses_at(times_s)[1] for shot in shots]
+    apart = (rotations[0].inv() * rotations[1]) * (recorded[0].inv() * recorded[1]).inv()
+    angle_deg = np.degrees(apart.magnitude())
+    return AngleError(
+        trial=shots[0].trial,
+        early_deg=float(angle_deg[int(np.argmin(np.abs(times_s - early_s)))]),
+        mean_deg=float(angle_deg[times_s <= shots[0].duration_s].mean()),
+        rest_deg=float(angle_deg[-1]),
     )
 
 
@@ -251,6 +306,44 @@ def perturbed_start(body: RigidBody, nuisances: ShotNuisances, *, seed: int) -> 
         linear_velocity_m_per_s=vector(linear),
         angular_velocity_rad_per_s=vector(angular),
     )
+
+
+def perturbed_scene(scene: Scene, sidecar: ShotSidecar, *, seed: int) -> Scene:
+    """Return a scene whose recorded bodies start within the uncertainty of the measured start.
+
+    The body that is recorded by its pose starts as `perturbed_start` gives. Bodies that hang on it move along; the
+    angle and the rate of each hinge are drawn as well.
+
+    Args:
+        scene: The scene at a measured start.
+        sidecar: What is known about the recordings.
+        seed: Seed of the draw.
+    """
+    nuisances, draw = sidecar.nuisances, np.random.default_rng((seed, 1))
+    bodies = {body.name: body for body in scene.bodies}
+    bodies[sidecar.body] = perturbed_start(bodies[sidecar.body], nuisances, seed=seed)
+    for hung in sidecar.hung:
+        # As recorded: an angle and a rate about the axis, which is the same in both frames.
+        before, old, on = scene.body(hung.on), scene.body(hung.body), bodies[hung.on]
+        spin = np.subtract(old.angular_velocity_rad_per_s, before.angular_velocity_rad_per_s)
+        rate = float(before.pose.rotation.apply(spin, inverse=True) @ hung.axis)
+        rate += draw.normal(0.0, nuisances.start_angle_rate_std_rad_per_s or 0.0)
+        turn_rad = np.radians(draw.normal(0.0, nuisances.angle_noise_deg or 0.0))
+        carrier = on.pose.rotation
+        rotation = carrier * before.pose.rotation.inv() * old.pose.rotation
+        rotation = rotation * Rotation.from_rotvec(turn_rad * np.asarray(hung.axis))
+        arm_m, offset_m = carrier.apply(hung.anchor_on_m), rotation.apply(hung.anchor_m)
+        carried_rate = np.asarray(on.angular_velocity_rad_per_s)
+        angular = carried_rate + rate * carrier.apply(hung.axis)
+        linear = on.linear_velocity_m_per_s + np.cross(carried_rate, arm_m) - np.cross(angular, offset_m)
+        bodies[hung.body] = replace(
+            old,
+            pose=Pose.from_rotation(vector(on.pose.position_m + arm_m - offset_m), rotation),
+            linear_velocity_m_per_s=vector(linear),
+            angular_velocity_rad_per_s=vector(angular),
+        )
+    hinges = [carried(one, scene.body(one.first).pose, bodies[one.first].pose) for one in scene.body_hinges]
+    return replace(scene, bodies=tuple(bodies.values()), body_hinges=tuple(hinges))
 
 
 def bootstrap_interval(

@@ -17,6 +17,7 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
     Attachment,
+    BodyHinge,
     Box,
     Cloth,
     Contact,
@@ -194,6 +195,11 @@ class SceneBuilder:
             bodies=bodies,
             deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
             joints=tuple(self._joint(joint) for joint in self.spec.joints),
+            body_hinges=tuple(
+                BodyHinge(first=one.bodies[0], second=one.bodies[1], anchor_m=one.anchor_m, axis=one.axis)
+                for one in self.spec.body_hinges
+                if all(self._is_present(name) for name in one.bodies)
+            ),
             attachments=tuple(
                 Attachment(deformable=a.deformable, region=Region(**a.region.model_dump()), to=a.to)
                 for a in self.spec.attachments

@@ -10,6 +10,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import carried
 
 __all__ = ["shots_of", "with_trial"]
 
@@ -41,12 +42,18 @@ def with_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment:
 
 
 def _started(scene: Scene, shots: SingleShots, trial: int) -> Scene:
-    shot = shots.shot(trial)
-    w, x, y, z = shot.quaternions[0].tolist()
-    started = replace(
-        scene.body(shots.sidecar.body),
-        pose=Pose(position_m=vector(shot.positions_m[0]), quaternion=(w, x, y, z)),
-        linear_velocity_m_per_s=vector(shot.velocity_m_per_s),
-        angular_velocity_rad_per_s=vector(shot.angular_velocity_rad_per_s),
+    started = {body.name: body for body in scene.bodies}
+    for name in shots.sidecar.bodies:
+        shot = shots.shot(trial, name)
+        w, x, y, z = shot.quaternions[0].tolist()
+        started[name] = replace(
+            scene.body(name),
+            pose=Pose(position_m=vector(shot.positions_m[0]), quaternion=(w, x, y, z)),
+            linear_velocity_m_per_s=vector(shot.velocity_m_per_s),
+            angular_velocity_rad_per_s=vector(shot.angular_velocity_rad_per_s),
+        )
+    # A hinge goes with its first body.
+    hinges = tuple(
+        carried(hinge, scene.body(hinge.first).pose, started[hinge.first].pose) for hinge in scene.body_hinges
     )
-    return replace(scene, bodies=tuple(started if body.name == started.name else body for body in scene.bodies))
+    return replace(scene, bodies=tuple(started.values()), body_hinges=hinges)

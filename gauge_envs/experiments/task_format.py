@@ -19,6 +19,7 @@ from gauge_envs.scene import ContactMode, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
 __all__ = [
+    "BodyHingeSpec",
     "ClothConstants",
     "ContactSpec",
     "Group",
@@ -184,6 +185,14 @@ class JointSpec(FileModel):
         return self
 
 
+class BodyHingeSpec(FileModel):
+    """A hinge between two dynamic bodies, at their start."""
+
+    bodies: tuple[str, str]
+    anchor_m: Vector
+    axis: UnitVector
+
+
 class RegionSpec(FileModel):
     """End of a deformable body."""
 
@@ -298,6 +307,7 @@ class TaskSpec(FileModel):
     constants: dict[str, dict[str, dict[str, float | Substituted | dict[str, float]]]]
     initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...] = ()
+    body_hinges: tuple[BodyHingeSpec, ...] = ()
     attachments: tuple[AttachmentSpec, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec

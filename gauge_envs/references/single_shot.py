@@ -2,19 +2,19 @@
 
 A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and a sidecar
 `<variant>.toml` with their source and nuisances. `scoring/README.md` describes both files. The recordings are corrected
-by the nuisances when they are read.
+by the nuisances when they are read. Bodies that hang on the recorded body by hinges are recorded by their angles.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PositiveInt
+from pydantic import AfterValidator, Field, PositiveInt, model_validator
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -22,16 +22,28 @@ from gauge_envs.errors import ParameterError, ReferenceFileError
 from gauge_envs.files import MEGABYTE, npz_arrays, read_regular
 from gauge_envs.references.bands import Band, BandGrade, SigmaSource
 from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
-from gauge_envs.scene.geometry import NonNegative, Positive
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Half", "ShotNuisances", "ShotSidecar", "SingleShot", "SingleShots", "single_shots"]
+__all__ = ["Half", "HungBody", "ShotNuisances", "ShotSidecar", "SingleShot", "SingleShots", "single_shots"]
 
 FloatArray = NDArray[np.float64]
 Half = Literal["fit", "judge"]
 
+
+def _unit(axis: Vector) -> Vector:
+    if abs(np.linalg.norm(axis) - 1.0) > 1e-9:
+        raise ValueError(f"{axis} is not a unit vector: normalize it")
+    return axis
+
+
+UnitAxis = Annotated[Vector, AfterValidator(_unit)]
+
 QUATERNION_UNIT = 1.0 / 32767.0
 """Value of one count of a stored quaternion."""
+
+ANGLE_UNIT_RAD = np.pi / 32767.0
+"""Value of one count of a stored angle of a hinge [rad]."""
 
 MOST_BYTES = 16 * MEGABYTE
 """Largest size of a file of recordings, packed or not."""
@@ -51,6 +63,8 @@ class ShotNuisances(FileModel):
         rest_tilt_deg: Root mean square of the angle between the upper face and the horizontal at rest.
         start_velocity_std_m_per_s: Standard error of each start velocity.
         start_angular_velocity_std_rad_per_s: Standard error of each start angular velocity.
+        angle_noise_deg: Standard deviation of the angle of a hinge in free flight; None without hinges.
+        start_angle_rate_std_rad_per_s: Standard error of each start rate of a hinge; None without hinges.
     """
 
     length_scale: Positive
@@ -63,6 +77,26 @@ class ShotNuisances(FileModel):
     rest_tilt_deg: Positive
     start_velocity_std_m_per_s: Positive
     start_angular_velocity_std_rad_per_s: Positive
+    angle_noise_deg: Positive | None = None
+    start_angle_rate_std_rad_per_s: Positive | None = None
+
+
+class HungBody(FileModel):
+    """A body that is recorded by the angle of a hinge. At angle 0 its axes are those of the body that it hangs on.
+
+    Attributes:
+        body: Name of the body.
+        on: Name of the body that it hangs on: the recorded body, or one that is listed before.
+        anchor_on_m: Point of the axis in the frame of the other body [m].
+        anchor_m: The same point in the frame of this body [m].
+        axis: Direction about which a positive angle turns this body, in both frames.
+    """
+
+    body: str
+    on: str
+    anchor_on_m: Vector
+    anchor_m: Vector
+    axis: UnitAxis
 
 
 class ShotSidecar(FileModel):
@@ -78,6 +112,7 @@ class ShotSidecar(FileModel):
         source_sha256: Hash of the file that the script has read.
         licence: File in the same folder with the licence of the recordings.
         nuisances: Errors of the recordings.
+        hung: Bodies that hang on the recorded body, in the order of the recorded angles.
     """
 
     body: str
@@ -89,6 +124,23 @@ class ShotSidecar(FileModel):
     source_sha256: str = Field(pattern="^[0-9a-f]{64}$")
     licence: str
     nuisances: ShotNuisances
+    hung: tuple[HungBody, ...] = ()
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of all recorded bodies."""
+        return (self.body, *(one.body for one in self.hung))
+
+    @model_validator(mode="after")
+    def _order(self) -> ShotSidecar:
+        for place, one in enumerate(self.hung):
+            known = self.bodies[: place + 1]
+            if one.on not in known or one.body in known:
+                raise ValueError(f"hung.{place}: a new body on one of {', '.join(known)} is expected")
+        errors = (self.nuisances.angle_noise_deg, self.nuisances.start_angle_rate_std_rad_per_s)
+        if any((error is None) == bool(self.hung) for error in errors):
+            raise ValueError("nuisances: errors of angles go together with hung bodies")
+        return self
 
 
 ARRAYS: dict[str, tuple[int | str, ...]] = {
@@ -101,12 +153,16 @@ ARRAYS: dict[str, tuple[int | str, ...]] = {
 }
 """Arrays of a file of N recordings with T frames in all; `first` are the first rows of each, and T."""
 
+ANGLE_ARRAYS: dict[str, tuple[int | str, ...]] = {"angle": ("T", "H"), "start_angle_rate": ("N", "H")}
+"""Arrays in addition, where H bodies hang on the recorded one."""
+
 
 @dataclass(frozen=True, eq=False)
 class SingleShot:
     """One recorded trial of a rigid body, in SI units in the world frame, corrected by the nuisances.
 
     Attributes:
+        body: Name of the body.
         trial: Number of the trial, from 0.
         source_number: Number of the trial in the source.
         times_s: Times of the frames, from 0, shape [T].
@@ -116,6 +172,7 @@ class SingleShot:
         angular_velocity_rad_per_s: Angular velocity at the first frame in the world frame, shape [3].
     """
 
+    body: str
     trial: int
     source_number: int
     times_s: FloatArray
@@ -123,6 +180,11 @@ class SingleShot:
     quaternions: FloatArray
     velocity_m_per_s: FloatArray
     angular_velocity_rad_per_s: FloatArray
+
+    @property
+    def rotations(self) -> Rotation:
+        """Orientations, body to world, T of them."""
+        return Rotation.from_quat(self.quaternions, scalar_first=True)
 
     @property
     def duration_s(self) -> float:
@@ -141,8 +203,7 @@ class SingleShot:
             Positions [m], shape [Q, 3], and orientations.
         """
         held = np.clip(times_s, 0.0, self.duration_s)
-        rotation = Slerp(self.times_s, Rotation.from_quat(self.quaternions, scalar_first=True))(held)
-        return CubicSpline(self.times_s, self.positions_m)(held), rotation
+        return CubicSpline(self.times_s, self.positions_m)(held), Slerp(self.times_s, self.rotations)(held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +227,26 @@ class SingleShots:
         """Return the trials that constants may be fitted on, or those that judge: even and odd numbers."""
         return tuple(range(0 if half == "fit" else 1, len(self), 2))
 
-    def shot(self, trial: int) -> SingleShot:
-        """Return one trial.
+    def shot(self, trial: int, body: str | None = None) -> SingleShot:
+        """Return one trial of one body.
+
+        Args:
+            trial: Number of the trial.
+            body: Name of the body; None for the one that is recorded by its pose.
 
         Raises:
-            ParameterError: There is no such trial.
+            ParameterError: There is no such trial or body.
         """
+        hung = self.sidecar.hung
+        if body is not None and body not in self.sidecar.bodies:
+            known = ", ".join(self.sidecar.bodies)
+            raise ParameterError(f"GAUGE/{self.variant}: {body!r} is not recorded; recorded are: {known}")
+        place = next((place for place, one in enumerate(hung) if one.body == body), None)
+        if place is None:
+            return self._posed(trial)
+        return self._hanging(self.shot(trial, hung[place].on), place)
+
+    def _posed(self, trial: int) -> SingleShot:
         if not 0 <= trial < len(self):
             raise ParameterError(f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}")
         data, nuisances = self.arrays, self.sidecar.nuisances
@@ -182,6 +257,7 @@ class SingleShots:
         quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
         start = Rotation.from_quat(quaternions[0], scalar_first=True)
         return SingleShot(
+            body=self.sidecar.body,
             trial=trial,
             source_number=int(data["source_number"][trial]),
             times_s=np.arange(len(positions_m)) / self.sidecar.rate_hz,
@@ -192,8 +268,28 @@ class SingleShots:
             angular_velocity_rad_per_s=start.apply(data["start_angular_velocity_body"][trial].astype(np.float64)),
         )
 
+    def _hanging(self, on: SingleShot, place: int) -> SingleShot:
+        """Return the trial of a body that hangs on another one."""
+        hung, trial = self.sidecar.hung[place], on.trial
+        rows = slice(*(int(row) for row in self.arrays["first"][trial : trial + 2]))
+        angles_rad = ANGLE_UNIT_RAD * self.arrays["angle"][rows, place].astype(np.float64)
+        carrier = on.rotations
+        rotations = carrier * Rotation.from_rotvec(np.outer(angles_rad, hung.axis))
+        arms_m, offsets_m = carrier.apply(hung.anchor_on_m), rotations.apply(hung.anchor_m)
+        rate = float(self.arrays["start_angle_rate"][trial, place])
+        angular = on.angular_velocity_rad_per_s + rate * carrier[0].apply(hung.axis)
+        linear = on.velocity_m_per_s + np.cross(on.angular_velocity_rad_per_s, arms_m[0])
+        return replace(
+            on,
+            body=hung.body,
+            positions_m=on.positions_m + arms_m - offsets_m,
+            quaternions=rotations.as_quat(scalar_first=True),
+            velocity_m_per_s=linear - np.cross(angular, offsets_m[0]),
+            angular_velocity_rad_per_s=angular,
+        )
+
     def band(self, trial: int, frame_count: int) -> Band:
-        """Return the band of one trial: its positions at the frames, and the uncertainty of measuring them.
+        """Return the band of one trial: positions of all bodies at the frames, and the uncertainty of measuring them.
 
         Args:
             trial: Number of the trial.
@@ -202,18 +298,19 @@ class SingleShots:
         Raises:
             ParameterError: There is no such trial.
         """
-        shot, body, nuisances = self.shot(trial), self.sidecar.body, self.sidecar.nuisances
+        bodies, nuisances = self.sidecar.bodies, self.sidecar.nuisances
+        shots = [self.shot(trial, body) for body in bodies]
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
-        mean = 1e3 * shot.poses_at(times_s)[0]
+        mean = 1e3 * np.concatenate([shot.poses_at(times_s)[0] for shot in shots], axis=1)
         sigma = 1e3 * float(np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m))
         return Band(
             grade=BandGrade.TRIALS,
             unit="mm",
-            coordinates=tuple(f"{body}.{axis}" for axis in "xyz"),
-            projection=np.eye(3),
+            coordinates=tuple(f"{body}.{axis}" for body in bodies for axis in "xyz"),
+            projection=np.eye(3 * len(bodies)),
             mean=mean,
             sigma=np.full_like(mean, sigma),
-            measured=times_s <= shot.duration_s,
+            measured=times_s <= shots[0].duration_s,
             trial_count=1,
             source=f"trial {trial} of {self.sidecar.source}",
             sigma_source=SigmaSource.MEASUREMENT,
@@ -236,16 +333,17 @@ def _read(file: Path, variant: str) -> SingleShots | None:
     if not file.is_file():
         return None
     sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
+    expected_shapes = ARRAYS | ANGLE_ARRAYS if sidecar.hung else ARRAYS
     try:
-        arrays = npz_arrays(read_regular(file, MOST_BYTES), ARRAYS, MOST_BYTES)
+        arrays = npz_arrays(read_regular(file, MOST_BYTES), expected_shapes, MOST_BYTES)
     except (OSError, ValueError) as error:
         raise ReferenceFileError(file, None, f"cannot be read: {error}") from None
     shapes = {name: array.shape for name, array in arrays.items()}
     count, frames = sidecar.trial_count, len(arrays.get("position", ()))
-    counts = {"N": count, "N+1": count + 1, "T": frames}
+    counts = {"N": count, "N+1": count + 1, "T": frames, "H": len(sidecar.hung)}
     expected = {
         name: tuple(entry if isinstance(entry, int) else counts[entry] for entry in shape)
-        for name, shape in ARRAYS.items()
+        for name, shape in expected_shapes.items()
     }
     if shapes != expected:
         raise ReferenceFileError(file, None, f"has arrays {shapes}, expected {expected}")

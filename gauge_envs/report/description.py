@@ -63,7 +63,8 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "joints": [
                 {"kind": "hinge" if isinstance(joint, Hinge) else "tether"} | dataclasses.asdict(joint)
                 for joint in scene.joints
-            ],
+            ]
+            + [{"kind": "hinge of two bodies"} | dataclasses.asdict(hinge) for hinge in scene.body_hinges],
             "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
             "drivers": [_driver(experiment, index) for index in range(len(scene.drivers))],
             "air": None if scene.air is None else dataclasses.asdict(scene.air),

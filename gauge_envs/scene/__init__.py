@@ -3,6 +3,7 @@
 from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (
     Attachment,
+    BodyHinge,
     Cloth,
     Contact,
     ContactMode,
@@ -38,6 +39,7 @@ __all__ = [
     "GRAVITY_M_PER_S2",
     "Air",
     "Attachment",
+    "BodyHinge",
     "Box",
     "Capsule",
     "Cloth",

@@ -10,6 +10,7 @@ from gauge_envs.scene.geometry import Box, Pose, Shape, Vector
 
 __all__ = [
     "Attachment",
+    "BodyHinge",
     "Cloth",
     "Contact",
     "ContactMode",
@@ -146,6 +147,25 @@ class Hinge:
     """Frictionless joint with which a body rotates about a world axis through a world point."""
 
     body: str
+    anchor_m: Vector
+    axis: Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyHinge:
+    """Frictionless joint with which two dynamic bodies rotate about a common axis, relative to each other.
+
+    The two bodies do not collide with each other.
+
+    Attributes:
+        first: Name of a dynamic body.
+        second: Name of the other one. A positive angle of the hinge rotates it about the axis, relative to the first.
+        anchor_m: World position of a point of the axis at the start [m]; it is fixed in both bodies.
+        axis: World direction of the axis at the start, a unit vector; it is fixed in both bodies.
+    """
+
+    first: str
+    second: str
     anchor_m: Vector
     axis: Vector
 

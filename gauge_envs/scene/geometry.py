@@ -68,6 +68,11 @@ class Pose:
         """Orientation as a SciPy rotation, body to world."""
         return Rotation.from_quat(self.quaternion, scalar_first=True)
 
+    def relative_to(self, other: Pose) -> Pose:
+        """Return this pose in the frame of another one."""
+        rotation = other.rotation.inv() * self.rotation
+        return Pose.from_rotation(vector(other.to_body(np.asarray(self.position_m))), rotation)
+
     def to_world(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return body-frame points [m], shape [..., 3], in world coordinates."""
         return self.rotation.apply(points_m) + np.asarray(self.position_m)

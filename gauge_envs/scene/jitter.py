@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene.bodies import Cloth, Hinge, Motion, RigidBody, Tether
+from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import Pose, Sphere, vector
+from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
 __all__ = ["Jitter", "face_normal", "jittered", "swung"]
@@ -57,6 +59,7 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
       the body axis that is closest to vertical.
     - A ball translates in all three coordinates.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
+    - Bodies that hinges join move as one body, as the root of their tree does.
     - A cloth without attachments translates and rotates in its plane.
 
     Random velocities are added to those of the scene, in the same directions: in the plane of the face and about its
@@ -77,10 +80,11 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     tethers = {joint.body: joint for joint in scene.joints if isinstance(joint, Tether)}
     attached = {attachment.deformable for attachment in scene.attachments} | {a.to for a in scene.attachments}
+    hanging = parent_hinges(scene.body_hinges)
     moved = 0
     bodies: list[RigidBody] = []
     for body in scene.bodies:
-        if body.motion is Motion.DYNAMIC and body.name not in attached:
+        if body.motion is Motion.DYNAMIC and body.name not in attached and body.name not in hanging:
             moved += 1
             if body.name in hinges:
                 hinge = hinges[body.name]
@@ -103,7 +107,23 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         deformables.append(deformable)
     if not moved:
         raise ParameterError("nothing to jitter: every body of this scene is fixed, driven, or attached to one that is")
-    return replace(scene, bodies=tuple(bodies), deformables=tuple(deformables))
+    joined, hinges = _joined(bodies, scene)
+    return replace(scene, bodies=joined, body_hinges=hinges, deformables=tuple(deformables))
+
+
+def _joined(bodies: Sequence[RigidBody], scene: Scene) -> tuple[tuple[RigidBody, ...], tuple[BodyHinge, ...]]:
+    """Return the bodies and the hinges between them after both have moved with the roots of their trees."""
+    now = {body.name: body for body in bodies}
+    roots: dict[str, str] = {}
+    for name, hinge in parent_hinges(scene.body_hinges).items():
+        parent = other_end(hinge, name)
+        roots[name] = roots.get(parent, parent)
+        now[name] = moved_along(scene.body(name), scene.body(roots[name]), now[roots[name]])
+    hinges = []
+    for hinge in scene.body_hinges:
+        root = roots.get(hinge.first, hinge.first)
+        hinges.append(carried(hinge, scene.body(root).pose, now[root].pose))
+    return tuple(now.values()), tuple(hinges)
 
 
 def _shifted(pose: Pose, jitter: Jitter, random: np.random.Generator, *, is_free: bool) -> Pose:

@@ -19,6 +19,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (
     Attachment,
+    BodyHinge,
     Cloth,
     Contact,
     ContactMode,
@@ -30,6 +31,7 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.geometry import Plane
+from gauge_envs.scene.hinged import hinge_fault
 from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
@@ -56,6 +58,7 @@ class Scene:
         duration_s: Duration of the experiment [s], from which bounds on speed and distance follow.
         deformables: Cloth, soft bodies, ropes and rods.
         joints: Hinges and tethers to the world.
+        body_hinges: Hinges between two dynamic bodies, which join them to trees.
         attachments: Attachments of deformable bodies.
         contacts: Groups of bodies that collide, and their contact constants.
         drivers: Prescribed motions of kinematic bodies.
@@ -66,6 +69,9 @@ class Scene:
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
             deformable body, or does not rotate a hinged body about its hinge.
+        ParameterError: A hinge joins bodies that are unknown or not dynamic, closes a loop, has no unit axis, or joins
+            a body that has a joint to the world or an attachment; or its bodies start with velocities that tear it.
+        ParameterError: A contact lists the two bodies of a hinge.
         ParameterError: Two contacts list the same pair.
         ParameterError: There is air and no cloth.
     """
@@ -74,6 +80,7 @@ class Scene:
     duration_s: float
     deformables: tuple[Deformable, ...] = ()
     joints: tuple[Hinge | Tether, ...] = ()
+    body_hinges: tuple[BodyHinge, ...] = ()
     attachments: tuple[Attachment, ...] = ()
     contacts: tuple[Contact, ...] = ()
     drivers: tuple[Driver, ...] = ()
@@ -90,6 +97,11 @@ class Scene:
         for body in self.bodies:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
+        if self.body_hinges:
+            held = {joint.body for joint in self.joints} | {attachment.to for attachment in self.attachments}
+            fault = hinge_fault(self.body_hinges, self._by_name, held)
+            if fault is not None:
+                raise ParameterError(fault)
 
     def _check_start_velocity(self, body: RigidBody) -> None:
         linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
@@ -128,6 +140,12 @@ class Scene:
                         "restitution and mode: remove it from one of the contacts"
                     )
                 seen.add(pair)
+        for hinge in self.body_hinges:
+            if {hinge.first, hinge.second} in seen:
+                raise ParameterError(
+                    f"scene: a contact lists {hinge.first!r} and {hinge.second!r}, which a hinge joins. Engines let "
+                    "joined bodies pass through each other: remove the pair from the contact"
+                )
 
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""

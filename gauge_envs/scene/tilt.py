@@ -58,6 +58,9 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
             else replace(joint, anchor_m=place(joint.anchor_m))
             for joint in scene.joints
         ),
+        body_hinges=tuple(
+            replace(hinge, anchor_m=place(hinge.anchor_m), axis=direction(hinge.axis)) for hinge in scene.body_hinges
+        ),
         drivers=tuple(
             replace(
                 driver,

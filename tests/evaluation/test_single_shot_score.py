@@ -27,6 +27,7 @@ GRAVITY = 9.80665
 
 def shot_of(positions_m: np.ndarray, rotations: Rotation) -> SingleShot:
     return SingleShot(
+        body="cube",
         trial=0,
         source_number=0,
         times_s=TIMES_S,

@@ -30,6 +30,7 @@ class BackendDrake(Backend):
     configurations = MappingProxyType(
         {name: {"preset": name} for name in ("tamsi", "sap", "similar", "point", "out_of_box")}
     )
+    joins_bodies = True
 
     def __init__(self) -> None:
         if find_spec("pydrake") is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
@@ -19,7 +20,8 @@ from gauge_envs.backends.drake.contacts import ContactConstants, contact_constan
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.drake.shapes import collision_parts, corner_parts, proximity_properties
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Contact, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import BodyHinge, Contact, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.hinged import other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["Model", "build_model", "rigid_transform"]
@@ -76,11 +78,20 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
         if body.motion is not Motion.FIXED:
             instance = driven if body.motion is Motion.KINEMATIC else free
             bodies[body.name] = _add_body(plant, instance, body, hinges.get(body.name), driven_mass_kg or 1.0)
+    hanging = parent_hinges(scene.body_hinges)
+    for name, hinge in hanging.items():
+        parent = other_end(hinge, name)
+        anchor = _hinge_pose(hinge)
+        frames = [
+            _frame(plant, f"{name}/{one}", bodies[one], rigid_transform(scene.body(one).pose).inverse() @ anchor)
+            for one in (parent, name)
+        ]
+        _add_revolute(plant, name, *frames)
     geometries = _add_geometries(plant, scene, bodies, settings)
     plant.Finalize()
     _filter(scene_graph, scene, geometries)
     diagram = builder.Build()
-    return Model(diagram=diagram, plant=plant, bodies=bodies, start=_start(plant, scene, bodies, hinges))
+    return Model(diagram=diagram, plant=plant, bodies=bodies, start=_start(plant, scene, bodies, {**hinges, **hanging}))
 
 
 def _approximation(name: str) -> DiscreteContactApproximation:
@@ -102,20 +113,23 @@ def _add_body(plant: Any, instance: Any, body: RigidBody, hinge: Hinge | None, d
     inertia = SpatialInertia.MakeFromCentralInertia(body.mass_kg, centre, _rotational_inertia(moments))
     added = plant.AddRigidBody(body.name, instance, inertia)
     if hinge is not None:
-        rotation = RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2)
-        anchor = RigidTransform(rotation, np.asarray(hinge.anchor_m))
-        plant.AddJoint(
-            RevoluteJoint(
-                name=body.name,
-                frame_on_parent=_frame(plant, f"{body.name}/anchor", plant.world_body(), anchor),
-                frame_on_child=_frame(
-                    plant, f"{body.name}/hinge", added, rigid_transform(body.pose).inverse() @ anchor
-                ),
-                axis=[0.0, 0.0, 1.0],
-                damping=0.0,
-            )
-        )
+        anchor = _hinge_pose(hinge)
+        parent = _frame(plant, f"{body.name}/anchor", plant.world_body(), anchor)
+        child = _frame(plant, f"{body.name}/hinge", added, rigid_transform(body.pose).inverse() @ anchor)
+        _add_revolute(plant, body.name, parent, child)
     return added
+
+
+def _hinge_pose(hinge: Hinge | BodyHinge) -> RigidTransform:
+    """Return a frame in the world at the anchor of a hinge, whose z axis is that of the hinge."""
+    return RigidTransform(RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2), np.asarray(hinge.anchor_m))
+
+
+def _add_revolute(plant: Any, name: str, parent: Any, child: Any) -> None:
+    """Add a frictionless hinge about the z axes of two frames."""
+    plant.AddJoint(
+        RevoluteJoint(name=name, frame_on_parent=parent, frame_on_child=child, axis=[0.0, 0.0, 1.0], damping=0.0)
+    )
 
 
 def _frame(plant: Any, name: str, body: Any, pose: RigidTransform) -> Any:
@@ -183,16 +197,20 @@ def _filter(scene_graph: Any, scene: Scene, groups: list[_Group]) -> None:
             manager.Apply(CollisionFilterDeclaration().AllowBetween(ours, GeometrySet(others)))
 
 
-def _start(plant: Any, scene: Scene, bodies: dict[str, Any], hinges: dict[str, Hinge]) -> NDArray[np.float64]:
+def _start(
+    plant: Any, scene: Scene, bodies: dict[str, Any], hinges: Mapping[str, Hinge | BodyHinge]
+) -> NDArray[np.float64]:
     state = np.zeros(plant.num_multibody_states())
     offset = plant.num_positions()
     for body in scene.bodies:
         if body.motion is Motion.FIXED:
             continue
         if body.name in hinges:
-            if not body.starts_at_rest:
-                first = plant.GetJointByName(body.name).velocity_start()
-                state[offset + first] = np.dot(body.angular_velocity_rad_per_s, hinges[body.name].axis)
+            hinge = hinges[body.name]
+            rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
+            if isinstance(hinge, BodyHinge):
+                rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))
+            state[offset + plant.GetJointByName(body.name).velocity_start()] = rate
             continue
         added = bodies[body.name]
         first = added.floating_positions_start()

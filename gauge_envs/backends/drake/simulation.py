@@ -15,6 +15,7 @@ from gauge_envs.backends.drake.model import build_model
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.scene import Hinge, Motion, Pose, Scene, Tether
+from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
 
 __all__ = ["SimulationDrake"]
@@ -35,6 +36,7 @@ class SimulationDrake(Simulation):
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
         self._forces = self._plant.get_applied_spatial_force_input_port()
         self._hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
+        self._hinged |= parent_hinges(scene.body_hinges).keys()
         self._tethers = [joint for joint in scene.joints if isinstance(joint, Tether)]
         self._rows = {
             name: (body.floating_positions_start(), self._plant.num_positions() + body.floating_velocities_start_in_v())

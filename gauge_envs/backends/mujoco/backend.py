@@ -36,6 +36,7 @@ class BackendMuJoCo(Backend):
             "out_of_box": {"preset": "out_of_box", "timestep_s": 1 / 540, "drive_interval_s": 1 / 180},
         }
     )
+    joins_bodies = True
 
     def versions(self) -> dict[str, str]:
         """Return the version of the engine."""

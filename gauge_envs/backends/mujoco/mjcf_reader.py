@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -28,20 +28,32 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
-from gauge_envs.backends.mujoco.model import CONES, INTEGRATORS, SOLVERS, START_KEY, build_model, start_rates
+from gauge_envs.backends.mujoco.model import (
+    CONES,
+    INTEGRATORS,
+    SOLVERS,
+    START_KEY,
+    build_model,
+    hinges_by_body,
+    parents_first,
+    start_rates,
+)
 from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
-from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import other_end, parent_hinges
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
     from gauge_envs.scene.driver_path import DriverPath
+
+AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
 __all__ = ["DRIVER_PREFIX", "driver_rows", "load_model", "read_model"]
 
@@ -210,10 +222,14 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
     _check_bodies(path, model, scene)
     _check_nodes(path, model, built, scene)
     bodies = tuple(replace(body, mass_kg=_mass_kg(model, built, body)) for body in _started(path, model, scene))
+    hanging = {hinge: name for name, hinge in parent_hinges(scene.body_hinges).items()}
     placed = replace(
         scene,
         bodies=bodies,
-        joints=tuple(_hinge(model, built, joint) if isinstance(joint, Hinge) else joint for joint in scene.joints),
+        joints=tuple(
+            _hinge(model, built, joint, joint.body) if isinstance(joint, Hinge) else joint for joint in scene.joints
+        ),
+        body_hinges=tuple(_hinge(model, built, hinge, hanging[hinge]) for hinge in scene.body_hinges),
         gravity_m_per_s2=same_or(float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2),
     )
     changes = [*model_changes(model, built), *_velocity_changes(scene, placed)]
@@ -228,7 +244,7 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
 
 def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
     known = [model.body(index).name for index in range(1, model.nbody)]
-    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
+    hinged = hinges_by_body(scene)
     for body in scene.bodies:
         if body.name not in known:
             shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
@@ -240,6 +256,11 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
         if joint < 0 or model.jnt_type[joint] != kind or model.jnt_bodyid[joint] != model.body(body.name).id:
             wanted = "hinge" if body.name in hinged else "free"
             raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint with its name")
+        hinge = hinged.get(body.name)
+        if isinstance(hinge, BodyHinge):
+            parent = other_end(hinge, body.name)
+            if model.body(model.body(body.name).parentid[0]).name != parent:
+                raise AssetError(path, body.name, f"it hangs on {parent!r}: make it a child of that body")
         if body.motion is Motion.KINEMATIC:
             _check_driven(path, model, body)
 
@@ -284,16 +305,21 @@ def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
 def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidBody]:
     """Yield each rigid body with its start in a file; poses and velocities that equal the scene's are the scene's."""
     rates = _start_qvel(path, model)
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
-    for body, pose in zip(scene.bodies, _poses(model, scene), strict=True):
-        started, hinge = replace(body, pose=pose), hinges.get(body.name)
+    hinges = hinges_by_body(scene)
+    poses = dict(zip((body.name for body in scene.bodies), _poses(model, scene), strict=True))
+    found: dict[str, RigidBody] = {}
+    # The velocity of a body that hangs on another one contains that of the other one.
+    for body in parents_first(scene):
+        started, hinge = replace(body, pose=poses[body.name]), hinges.get(body.name)
         if body.motion is Motion.DYNAMIC:
-            expected, first = start_rates(started, hinge), int(model.joint(body.name).dofadr[0])
+            parent = found[other_end(hinge, body.name)] if isinstance(hinge, BodyHinge) else None
+            expected, first = start_rates(scene, started, hinge), int(model.joint(body.name).dofadr[0])
             own = rates[first : first + len(expected)]
-            if not is_same(own, expected):
-                started = _with_rates(model, started, own)
+            if parent is not None or not is_same(own, expected):
+                started = _same_or_moving(started, _with_rates(model, started, own, parent))
             own[:] = 0.0
-        yield started
+        found[body.name] = started
+    yield from (found[body.name] for body in scene.bodies)
     if rates.any():
         joint = model.joint(int(model.dof_jntid[np.flatnonzero(rates)[0]])).name
         raise AssetError(
@@ -317,13 +343,27 @@ def _start_qvel(path: Path, model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.array(model.key_qvel[key])
 
 
-def _with_rates(model: mujoco.MjModel, body: RigidBody, rates: NDArray[np.float64]) -> RigidBody:
-    """Return a body whose joint starts with a velocity; see `start_rates`."""
+def _same_or_moving(expected: RigidBody, moving: RigidBody) -> RigidBody:
+    """Return the expected body if both have the same velocities up to rounding, otherwise the other one."""
+    velocities = [[one.linear_velocity_m_per_s, one.angular_velocity_rad_per_s] for one in (expected, moving)]
+    return expected if is_same(velocities[1], velocities[0]) else moving
+
+
+def _with_rates(
+    model: mujoco.MjModel, body: RigidBody, rates: NDArray[np.float64], parent: RigidBody | None
+) -> RigidBody:
+    """Return a body whose joint to its parent, or to the world, starts with a velocity; see `start_rates`."""
     if len(rates) == 1:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         angular = rates * data.joint(body.name).xaxis
-        linear = np.cross(angular, np.subtract(body.pose.position_m, data.joint(body.name).xanchor))
+        anchor = data.joint(body.name).xanchor
+        linear = np.zeros(3)
+        if parent is not None:
+            carried = np.asarray(parent.angular_velocity_rad_per_s)
+            linear = parent.linear_velocity_m_per_s + np.cross(carried, anchor - parent.pose.position_m)
+            angular = angular + carried
+        linear = linear + np.cross(angular, body.pose.position_m - anchor)
     else:
         linear, angular = rates[:3], body.pose.rotation.apply(rates[3:])
     return replace(body, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(angular))
@@ -348,12 +388,13 @@ def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> f
     return body.mass_kg if body.motion is not Motion.DYNAMIC or is_same(mass, expected) else mass
 
 
-def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: Hinge) -> Hinge:
+def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: str) -> AnyHinge:
+    """Return the hinge that is the joint of a body of a file."""
     found = []
     for one in (model, built):
         data = mujoco.MjData(one)
         mujoco.mj_kinematics(one, data)
-        found.append((data.joint(hinge.body).xanchor, data.joint(hinge.body).xaxis))
+        found.append((data.joint(body).xanchor, data.joint(body).xaxis))
     (anchor, axis), expected = found
     if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
         return hinge

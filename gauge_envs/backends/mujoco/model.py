@@ -16,6 +16,7 @@ from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.versions import constants_of
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
+    BodyHinge,
     Box,
     Capsule,
     Compound,
@@ -31,6 +32,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.hinged import other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
 __all__ = [
@@ -43,6 +45,8 @@ __all__ = [
     "START_KEY",
     "add_geoms",
     "build_model",
+    "hinges_by_body",
+    "parents_first",
     "rotated_back",
     "start_rates",
     "start_velocities",
@@ -147,7 +151,8 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
 
     Bodies keep their names; a dynamic or driven body has a hinge or a free joint of the same name. A driven body is a
     free body of very large mass without weight, whose pose and velocity are written before each interval. Unlike a
-    mocap body it has a velocity, so it carries the bodies that rest on it.
+    mocap body it has a velocity, so it carries the bodies that rest on it. Bodies that hinges join form a tree: the
+    root has the free joint, and every other body is a child of the body that it hangs on, with a hinge of its name.
 
     Returns:
         The editable model, the compiled model, and the parts of the deformable bodies by name.
@@ -156,10 +161,10 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     _set_options(spec, settings)
     spec.option.gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
 
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = hinges_by_body(scene)
     geoms: dict[str, list[mujoco.MjsGeom]] = {}
-    for body in scene.bodies:
-        geoms[body.name] = _add_body(spec, body, hinges.get(body.name), settings)
+    for body in parents_first(scene):
+        geoms[body.name] = _add_body(spec, scene, body, hinges.get(body.name), settings)
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(spec, joint, settings)
@@ -189,15 +194,29 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
 def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]:
     """Return the velocities of a model's joints at the start of a scene, shape [nv]; see `start_rates`."""
     velocities = np.zeros(model.nv)
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
-    for body in scene.bodies:
-        if not body.starts_at_rest:
-            first, rates = int(model.joint(body.name).dofadr[0]), start_rates(body, hinges.get(body.name))
+    hinges = hinges_by_body(scene)
+    for body in scene.dynamic_bodies:
+        rates = start_rates(scene, body, hinges.get(body.name))
+        if rates.any():
+            first = int(model.joint(body.name).dofadr[0])
             velocities[first : first + len(rates)] = rates
     return velocities
 
 
-def start_rates(body: RigidBody, hinge: Hinge | None) -> NDArray[np.float64]:
+def hinges_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge]:
+    """Return the hinge of each body that has one in place of a free joint, by its name."""
+    to_world = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    return to_world | parent_hinges(scene.body_hinges)
+
+
+def parents_first(scene: Scene) -> list[RigidBody]:
+    """Return the bodies of a scene in its order, but those that hang on other bodies after them."""
+    hanging = parent_hinges(scene.body_hinges)
+    free = [body for body in scene.bodies if body.name not in hanging]
+    return [*free, *(scene.body(name) for name in hanging)]
+
+
+def start_rates(scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None) -> NDArray[np.float64]:
     """Return the velocity of a body's joint at the start.
 
     Returns:
@@ -205,6 +224,8 @@ def start_rates(body: RigidBody, hinge: Hinge | None) -> NDArray[np.float64]:
         frame [m/s] and the angular velocity in the body frame [rad/s], shape [6].
     """
     angular = np.array(body.angular_velocity_rad_per_s)
+    if isinstance(hinge, BodyHinge):
+        return np.array([start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))])
     if hinge is not None:
         return np.array([angular @ hinge.axis])
     return np.concatenate([body.linear_velocity_m_per_s, rotated_back(body.pose.quaternion, angular)])
@@ -244,9 +265,14 @@ def _collision_shape(body: RigidBody) -> Shape:
 
 
 def _add_body(
-    spec: mujoco.MjSpec, body: RigidBody, hinge: Hinge | None, settings: SettingsMuJoCo
+    spec: mujoco.MjSpec, scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None, settings: SettingsMuJoCo
 ) -> list[mujoco.MjsGeom]:
-    frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion)
+    if isinstance(hinge, BodyHinge):
+        parent = other_end(hinge, body.name)
+        pose = body.pose.relative_to(scene.body(parent).pose)
+        frame = spec.body(parent).add_body(name=body.name, pos=pose.position_m, quat=pose.quaternion)
+    else:
+        frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion)
     geoms = add_geoms(spec, frame, body.name, _collision_shape(body))
     if body.motion is Motion.FIXED:
         return geoms

@@ -16,7 +16,7 @@ from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
 from gauge_envs.backends.mujoco.deformables import nodes_of
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
-from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
+from gauge_envs.backends.mujoco.model import START_KEY, hinges_by_body, rotated_back
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
@@ -184,11 +184,12 @@ class _StateReader(Protocol):
 
 
 def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> _StateReader:
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = hinges_by_body(scene)
     if all(scene.body(name).motion is not Motion.FIXED and name not in hinges for name in names):
         return _OneFreeBody(model, data, names[0]) if len(names) == 1 else _FreeBodies(model, data, names)
-    if len(names) == 1 and names[0] in hinges:
-        return _OneHingedBody(scene, model, data, hinges[names[0]])
+    hinge = hinges.get(names[0]) if len(names) == 1 else None
+    if isinstance(hinge, Hinge):
+        return _OneHingedBody(scene, model, data, hinge)
     return _AnyBodies(model, data, names)
 
 

@@ -252,6 +252,7 @@ def _moved(scene: Scene, displacement_m: Vector) -> Scene:
         bodies=tuple(replace(body, pose=moved(body.pose)) for body in scene.bodies),
         deformables=tuple(replace(body, pose=moved(body.pose)) for body in scene.deformables),
         joints=tuple(replace(joint, anchor_m=shifted(joint.anchor_m)) for joint in scene.joints),
+        body_hinges=tuple(replace(hinge, anchor_m=shifted(hinge.anchor_m)) for hinge in scene.body_hinges),
     )
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
-from typing import Literal
+from typing import Any, Literal
 
 import newton
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.newton.stepper import warp_transform
 from gauge_envs.scene import (
+    BodyHinge,
     Box,
     Capsule,
     Compound,
@@ -28,6 +29,7 @@ from gauge_envs.scene import (
     Scene,
     Sphere,
 )
+from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
 __all__ = ["RigidIndex", "Solids", "add_bodies", "keep_apart"]
@@ -76,9 +78,14 @@ def add_bodies(
     """
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     index = RigidIndex()
+    joined: dict[str, int] = {}
+    for tree in hinge_trees(scene.body_hinges):
+        joined |= _add_tree(builder, scene, parent_hinges(tree))
     for body in scene.bodies:
         if body.motion is Motion.FIXED:
             place, frame = WORLD, warp_transform(body.pose)
+        elif body.name in joined:
+            place, frame = joined[body.name], wp.transform_identity()
         else:
             place, frame = _add_body(builder, body, hinges.get(body.name)), wp.transform_identity()
         index.bodies[body.name] = place
@@ -86,9 +93,10 @@ def add_bodies(
     return index
 
 
-def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None) -> int:
+def _link_arguments(body: RigidBody) -> dict[str, Any]:
+    """Return the arguments with which a body is added, whose mass is not that of its shapes."""
     centre, inertia = body_mass_properties(body)
-    given = {
+    return {
         "xform": warp_transform(body.pose),
         "mass": body.mass_kg,
         "com": wp.vec3(*centre),
@@ -96,6 +104,47 @@ def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None
         "lock_inertia": True,
         "label": body.name,
     }
+
+
+def _add_tree(builder: newton.ModelBuilder, scene: Scene, hinges: Mapping[str, BodyHinge]) -> dict[str, int]:
+    """Add bodies that hinges join as one articulation with a free root; return their numbers by name.
+
+    Args:
+        builder: Model builder.
+        scene: The scene.
+        hinges: The hinge through which each body but the root hangs on another one, parents first.
+    """
+    root = next(other_end(hinge, name) for name, hinge in hinges.items())
+    places, joints = {}, []
+    for name in (root, *hinges):
+        body = scene.body(name)
+        places[name] = builder.add_link(**_link_arguments(body))
+        _set_velocity(builder, places[name], body, body_mass_properties(body)[0])
+        if name == root:
+            joints.append(builder.add_joint_free(child=places[name], label=name))
+            builder.joint_qd[-6:] = list(builder.body_qd[places[name]])
+            continue
+        hinge = hinges[name]
+        parent = scene.body(other_end(hinge, name))
+        anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
+        joint = builder.add_joint_revolute(
+            places[parent.name],
+            places[name],
+            parent_xform=wp.transform_inverse(warp_transform(parent.pose)) * anchor,
+            child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
+            axis=wp.vec3(*hinge.axis),
+            armature=0.0,
+            friction=0.0,
+            label=name,
+        )
+        joints.append(joint)
+        builder.joint_qd[-1] = start_rate_rad_per_s(hinge, body, parent)
+    builder.add_articulation(joints, label=root)
+    return places
+
+
+def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None) -> int:
+    centre, given = body_mass_properties(body)[0], _link_arguments(body)
     if hinge is None:
         index = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **given)
         if not body.starts_at_rest:

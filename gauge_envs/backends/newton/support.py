@@ -115,9 +115,9 @@ def _unsupported_lines(scene: Scene) -> Iterator[str]:
 def _unsupported_solids(scene: Scene) -> Iterator[str]:
     """Yield what VBD does not support of rigid bodies, attachments and soft rows in scenes with deformable bodies."""
     soft = {body.name for body in scene.deformables}
-    for joint in scene.joints:
-        if isinstance(joint, Hinge):
-            yield f"{joint.body!r} is hinged beside deformable bodies, which this backend does not support"
+    hinged = [joint.body for joint in scene.joints if isinstance(joint, Hinge)]
+    for name in (*hinged, *(hinge.first for hinge in scene.body_hinges)):
+        yield f"{name!r} is hinged beside deformable bodies, which this backend does not support"
     for contact in scene.contacts:
         for first, second in scene.colliding_pairs(contact):
             if contact.restitution > 0.0 and contact.mode is ContactMode.IMPACT and not {first, second} & soft:

@@ -31,6 +31,7 @@ class BackendPhysX(Backend):
     configurations = MappingProxyType(
         {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
     )
+    joins_bodies = True
 
     def __init__(self) -> None:
         if find_spec("sapien") is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from gauge_envs.backends.physx.engine import EngineLease, new_system, physx, pys
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
+    BodyHinge,
     Box,
     Capsule,
     Compound,
@@ -31,6 +32,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
 __all__ = ["Model", "Part", "build_model", "physx_pose"]
@@ -129,6 +131,8 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(parts[joint.body].component, joint)
+    for joined in scene.body_hinges:
+        _add_body_hinge(parts, scene, joined)
     return Model(lease, system, world, parts)
 
 
@@ -159,22 +163,16 @@ def _component(world: pysapien.Scene, body: RigidBody, hinge: Hinge | None) -> p
     base.joint.type = "fixed"
     link.joint.type = "revolute_unwrapped"
     link.joint.pose_in_parent = pysapien.Pose()
-    link.joint.pose_in_child = physx_pose(_seen_from(body.pose, frame))
+    link.joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
     link.joint.limit = np.array([[-np.inf, np.inf]])
     link.joint.friction = 0.0
     link.joint.set_drive_properties(0.0, 0.0)
     return link
 
 
-def _axis_frame(hinge: Hinge) -> Rotation:
+def _axis_frame(hinge: Hinge | BodyHinge) -> Rotation:
     """Return a rotation that takes the x axis, about which PhysX's hinges rotate, to the axis of a hinge."""
     return Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
-
-
-def _seen_from(pose: Pose, other: Pose) -> Pose:
-    """Return a pose in the frame of another one."""
-    x, y, z = pose.to_body(np.asarray(other.position_m)).tolist()
-    return Pose.from_rotation((x, y, z), pose.rotation.inv() * other.rotation)
 
 
 def _shapes(
@@ -303,12 +301,30 @@ def _add_hinge(component: physx.PhysxRigidDynamicComponent, body: RigidBody, hin
     frame = Pose.from_rotation(hinge.anchor_m, _axis_frame(hinge))
     joint = physx.PhysxDriveComponent(component)
     joint.pose_in_parent = physx_pose(frame)
-    joint.pose_in_child = physx_pose(_seen_from(body.pose, frame))
+    joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
     joint.set_limit_x(0.0, 0.0)
     joint.set_limit_y(0.0, 0.0)
     joint.set_limit_z(0.0, 0.0)
     joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
     component.entity.add_component(joint)
+
+
+def _add_body_hinge(parts: Mapping[str, Part], scene: Scene, hinge: BodyHinge) -> None:
+    """Connect two bodies at two points of the axis, since PhysX leaves the swing of such a joint free."""
+    first, second = scene.body(hinge.first), scene.body(hinge.second)
+    reach_m = 0.5 * float(np.linalg.norm(second.shape.corners_m, axis=1).max())
+    for side in (-reach_m, reach_m):
+        point_m = vector(np.asarray(hinge.anchor_m) + side * np.asarray(hinge.axis))
+        frame = Pose.from_rotation(point_m, _axis_frame(hinge))
+        component = parts[second.name].component
+        joint = physx.PhysxDriveComponent(component)
+        joint.parent = parts[first.name].component
+        joint.pose_in_parent = physx_pose(frame.relative_to(first.pose))
+        joint.pose_in_child = physx_pose(frame.relative_to(second.pose))
+        joint.set_limit_x(0.0, 0.0)
+        joint.set_limit_y(0.0, 0.0)
+        joint.set_limit_z(0.0, 0.0)
+        component.entity.add_component(joint)
 
 
 def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> None:

@@ -34,6 +34,7 @@ class BackendPyBullet(Backend):
 
     name = "pybullet"
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}})
+    joins_bodies = True
 
     def __init__(self) -> None:
         if find_spec("pybullet") is None:

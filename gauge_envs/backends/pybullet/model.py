@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import tempfile
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,11 +14,12 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.chains import add_rope
 from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, surfaces
 from gauge_envs.backends.pybullet.engine import pybullet, silent
-from gauge_envs.backends.pybullet.frames import Handle
+from gauge_envs.backends.pybullet.frames import Frame, Handle
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.soft import add_soft_body
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld
 from gauge_envs.scene import (
+    BodyHinge,
     Hinge,
     Motion,
     RigidBody,
@@ -24,6 +28,7 @@ from gauge_envs.scene import (
     SoftBody,
     Tether,
 )
+from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
 
 __all__ = ["WorldPyBullet"]
 
@@ -73,6 +78,8 @@ class WorldPyBullet(BulletWorld):
             if isinstance(rope, Rope)
         }
         joints = {joint.body: joint for joint in self.scene.joints}
+        for tree in hinge_trees(self.scene.body_hinges):
+            self._joined(parent_hinges(tree))
         for body in self.scene.bodies:
             joint = joints.get(body.name)
             if body.name in self.handles:
@@ -130,9 +137,7 @@ class WorldPyBullet(BulletWorld):
         if body.motion is not Motion.FIXED:
             self.set_dynamics(handle, mass=base["baseMass"], localInertiaDiagonal=moments)
         if body.motion is Motion.DYNAMIC:
-            spin = np.asarray(body.angular_velocity_rad_per_s)
-            speed = np.asarray(body.linear_velocity_m_per_s) + np.cross(spin, body.pose.rotation.apply(frame.centre_m))
-            self.call("resetBaseVelocity", handle.body, (self.scale * speed).tolist(), spin.tolist())
+            self._start_base(handle.body, body, frame)
 
     def _hinged(self, body: RigidBody, joint: Hinge) -> None:
         """Add a body as the link of a revolute joint. The link's frame lies at the anchor, along the principal axes."""
@@ -160,6 +165,52 @@ class WorldPyBullet(BulletWorld):
         rate = float(np.asarray(body.angular_velocity_rad_per_s) @ joint.axis)
         self.call("resetJointState", handle.body, 0, targetValue=0.0, targetVelocity=rate)
         self.free_joints(handle.body, 1, spherical=())
+
+    def _joined(self, hinges: Mapping[str, BodyHinge]) -> None:
+        """Add bodies that hinges join as one multibody, whose base is the root.
+
+        Args:
+            hinges: The hinge through which each body but the root hangs on another one, parents first.
+        """
+        root = self.scene.body(next(other_end(hinge, name) for name, hinge in hinges.items()))
+        frames = {name: self.frame(self.scene.body(name)) for name in (root.name, *hinges)}
+        turns = {name: self.scene.body(name).pose.rotation * frame.axes for name, frame in frames.items()}
+        # The frame of the base is at its centre of mass, that of a link at its hinge.
+        origins = {name: np.asarray(hinge.anchor_m) for name, hinge in hinges.items()}
+        origins[root.name] = root.pose.to_world(frames[root.name].centre_m)
+        names = list(frames)
+        links: dict[str, list[Any]] = defaultdict(list)
+        for name, hinge in hinges.items():
+            body, parent, back = self.scene.body(name), other_end(hinge, name), turns[name].inv()
+            arm_m = back.apply(body.pose.to_world(frames[name].centre_m) - origins[name])
+            offset_m = back.apply(np.subtract(body.pose.position_m, origins[name]))
+            place_m = turns[parent].inv().apply(origins[name] - origins[parent])
+            links["linkMasses"].append(body.mass_kg)
+            links["linkCollisionShapeIndices"].append(self.shape(body.shape, offset_m, frames[name]))
+            links["linkVisualShapeIndices"].append(-1)
+            links["linkPositions"].append((self.scale * place_m).tolist())
+            links["linkOrientations"].append((turns[parent].inv() * turns[name]).as_quat().tolist())
+            links["linkInertialFramePositions"].append((self.scale * arm_m).tolist())
+            links["linkInertialFrameOrientations"].append([0.0, 0.0, 0.0, 1.0])
+            links["linkParentIndices"].append(names.index(parent))
+            links["linkJointTypes"].append(pybullet.JOINT_REVOLUTE)
+            links["linkJointAxis"].append(back.apply(hinge.axis).tolist())
+        number = int(self.call("createMultiBody", **self.base_arguments(root, frames[root.name]), **links))
+        for link, name in enumerate(names, start=-1):
+            body = self.scene.body(name)
+            handle = self.add_handle(body, number, link)
+            self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=frames[name].moments)
+        self._start_base(number, root, frames[root.name])
+        for link, (name, hinge) in enumerate(hinges.items()):
+            rate = start_rate_rad_per_s(hinge, self.scene.body(name), self.scene.body(other_end(hinge, name)))
+            self.call("resetJointState", number, link, targetValue=0.0, targetVelocity=rate)
+        self.free_joints(number, len(hinges), spherical=())
+
+    def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
+        """Write the start velocity of the base of a multibody."""
+        spin = np.asarray(body.angular_velocity_rad_per_s)
+        speed = np.asarray(body.linear_velocity_m_per_s) + np.cross(spin, body.pose.rotation.apply(frame.centre_m))
+        self.call("resetBaseVelocity", number, (self.scale * speed).tolist(), spin.tolist())
 
     def _tethered(self, body: RigidBody, joint: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""

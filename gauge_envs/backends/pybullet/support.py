@@ -36,7 +36,7 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
         if isinstance(rope, Rope):
             yield from _unsupported_rope(scene, rope)
     try:
-        surfaces(scene)
+        yield from _unsupported_hinges(scene)
     except UnsupportedSceneError as error:
         yield str(error)
 
@@ -54,6 +54,19 @@ def _unsupported_joints(scene: Scene) -> Iterator[str]:
             yield f"{joint.body!r} starts at the anchor of its string, which then has no direction"
         if isinstance(joint, Tether) and not body.starts_at_rest:
             yield f"{joint.body!r} hangs on a string and has a start velocity: this backend starts strings at rest"
+
+
+def _unsupported_hinges(scene: Scene) -> Iterator[str]:
+    """Yield what this backend does not build of bodies that hinges join."""
+    joined = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+    for name, found in surfaces(scene).items():
+        if name in joined and len(found) > 1:
+            yield f"{name!r} is on a hinge and has {len(found)} kinds of contact, of which this backend builds one"
+    for contact in scene.contacts:
+        for pair in scene.colliding_pairs(contact):
+            if joined.issuperset(pair):
+                yield f"{pair[0]!r} and {pair[1]!r} are on hinges and collide, which this backend does not build"
+                return
 
 
 def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:

@@ -30,6 +30,7 @@ class BackendRapier(Backend):
     configurations = MappingProxyType(
         {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
     )
+    joins_bodies = True
 
     def __init__(self) -> None:
         if find_spec("rapier3d") is None:

@@ -216,7 +216,7 @@ def _share_count(scene: Scene) -> int:
     count = len(colliding_contacts(scene))
     if not count:
         return LARGEST_SHARE
-    return 1 if scene.joints else LARGEST_CONTACT_COUNT // count
+    return 1 if scene.joints or scene.body_hinges else LARGEST_CONTACT_COUNT // count
 
 
 class WorldsRapier(Worlds):

@@ -78,8 +78,9 @@ class StateOrigin:
         if not self._hash:
             one = self._scene
             parts = (one.bodies, one.deformables, one.joints, one.attachments, one.contacts, one.gravity_m_per_s2)
-            air = "" if one.air is None else repr(one.air)
-            self._hash = hashlib.sha256((repr(parts) + air).encode()).hexdigest()
+            # Parts that few scenes have follow, so that the hashes of the others stay.
+            rare = "".join(repr(part) for part in (one.air, one.body_hinges) if part)
+            self._hash = hashlib.sha256((repr(parts) + rare).encode()).hexdigest()
         return self._hash
 
 

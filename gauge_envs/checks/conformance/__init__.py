@@ -26,7 +26,7 @@ Add it to the module of its kind. The decorator registers it for the command, th
 
 # The order of the checks is that of these imports.
 from gauge_envs.checks.conformance import contract, continuation, rigid, pairs, spin  # noqa: F401  # isort: skip
-from gauge_envs.checks.conformance import forces, contacts, shapes, slopes, momentum  # noqa: F401  # isort: skip
+from gauge_envs.checks.conformance import forces, contacts, shapes, slopes, momentum, hinged  # noqa: F401  # isort: skip
 from gauge_envs.checks.conformance import driven, collisions, cloth, air, soft, lines  # noqa: F401  # isort: skip
 from gauge_envs.checks.conformance import benchmark  # noqa: F401  # isort: skip
 from gauge_envs.checks.conformance.lab import Lab

@@ -46,6 +46,7 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import mass_properties
 
 __all__ = ["FAULTS", "Fault", "Mutant", "Passed", "first_failure"]
@@ -153,6 +154,7 @@ class Mutant(Backend):
 
     def __init__(self, backend: Backend, fault: Fault) -> None:
         self.applies_air = backend.applies_air  # type: ignore[misc]  # a class variable of engines
+        self.joins_bodies = backend.joins_bodies  # type: ignore[misc]  # a class variable of engines
         self._backend = backend
         self._fault = fault
 
@@ -837,6 +839,53 @@ def _armature(model: Any, scene: Scene) -> None:
     model.dof_armature[:] = 1e-4
 
 
+def _hanging(change: Callable[[Any, str], None]) -> Callable[[Any, Scene], None]:
+    """Return a change of the bodies that hang on other bodies in MuJoCo's model, which gets each of their names."""
+
+    def change_all(model: Any, scene: Scene) -> None:
+        for name in parent_hinges(scene.body_hinges):
+            change(model, name)
+
+    return change_all
+
+
+def _hinge_tilted(model: Any, name: str) -> None:
+    joint = model.joint(name)
+    joint.axis[:] = _tilted(vector(joint.axis), 3.0)
+
+
+def _hinge_shifted(model: Any, name: str) -> None:
+    side = np.cross(model.joint(name).axis, [0.3, -0.5, 0.8])
+    model.joint(name).pos += 2e-3 * side / np.linalg.norm(side)
+
+
+def _hinge_heavy(model: Any, name: str) -> None:
+    model.body(name).inertia[:] *= 1.5
+
+
+def _hinge_damped(model: Any, name: str) -> None:
+    model.joint(name).damping[:] = 1e-3
+
+
+class _HangingWeightless(Passed):
+    """Bodies that hang on other bodies feel no gravity."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        for name in parent_hinges(self.scene.body_hinges):
+            weight = self.scene.body(name).mass_kg * self.scene.gravity_m_per_s2
+            self.inner.apply_wrench(name, np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0]))
+
+
+class _HingeBackwards(Passed):
+    """Starts hinges between bodies in the other direction."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        for name in parent_hinges(self.scene.body_hinges):
+            self.inner.data.qvel[self.inner.model.joint(name).dofadr[0]] *= -1.0
+
+
 def _gravity_tilted(model: Any, scene: Scene) -> None:
     model.opt.gravity[:2] = 0.1
 
@@ -1228,6 +1277,60 @@ FAULTS: dict[str, Fault] = dict(
             "pendulum-period",
             "hinge is missing",
             scene=lambda scene: replace(scene, joints=()),
+        ),
+        _fault(
+            "hinged-missing",
+            "no hinges between bodies",
+            "hinged-closed",
+            "the hinge is missing",
+            scene=lambda scene: replace(scene, body_hinges=()),
+        ),
+        _fault(
+            "hinged-axis",
+            "axis of a hinge between bodies tilted by 3 degrees",
+            "hinged-closed",
+            "the axis in the frame of each body",
+            simulation=_model(_hanging(_hinge_tilted)),
+            engine="mujoco",
+        ),
+        _fault(
+            "hinged-anchor",
+            "anchor of a hinge between bodies 2 mm off",
+            "hinged-closed",
+            "the anchor",
+            simulation=_model(_hanging(_hinge_shifted)),
+            engine="mujoco",
+        ),
+        _fault(
+            "hinged-weightless",
+            "no gravity on a body that hangs on another one",
+            "hinged-fall",
+            "gravity acts on both",
+            simulation=_HangingWeightless,
+        ),
+        _fault(
+            "hinged-inertia",
+            "inertia of a body that hangs on another one times 1.5",
+            "hinged-momentum",
+            "the inertia of both",
+            simulation=_model(_hanging(_hinge_heavy)),
+            engine="mujoco",
+        ),
+        _fault(
+            "hinged-damping",
+            "hinges between bodies are damped",
+            "hinged-energy",
+            "damping",
+            simulation=_model(_hanging(_hinge_damped)),
+            engine="mujoco",
+        ),
+        _fault(
+            "hinged-backwards",
+            "hinges between bodies start in the other direction",
+            "hinged-angle",
+            "it turns the other way",
+            simulation=_HingeBackwards,
+            engine="mujoco",
         ),
         _fault(
             "tether-length",

@@ -55,10 +55,15 @@ def body_files(scene: Scene) -> dict[str, BodyFile]:
     """Return the URDF file of each rigid body of a scene, by its name.
 
     Raises:
-        UnsupportedSceneError: The scene has deformable bodies or tethers, or a shape that is not written.
+        UnsupportedSceneError: The scene has deformable bodies, tethers, or hinges between bodies, or a shape that is
+            not written.
     """
     if scene.deformables:
         raise UnsupportedSceneError("URDF has no deformable bodies: export the scene as MJCF or USD")
+    if scene.body_hinges:
+        raise UnsupportedSceneError(
+            "this writer makes one URDF file for each body, and hinges join two: export the scene as MJCF or USD"
+        )
     hinges: dict[str, Hinge] = {}
     for joint in scene.joints:
         if not isinstance(joint, Hinge):

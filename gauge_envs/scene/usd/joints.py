@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
-from gauge_envs.scene.bodies import Hinge, Motion, RigidBody, Tether
+from gauge_envs.scene.bodies import BodyHinge, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
 from gauge_envs.scene.usd.source import Source, StoredValue
 
-__all__ = ["is_welded", "joint_prims", "read_joint"]
+__all__ = ["is_welded", "joins_bodies", "joint_prims", "read_body_hinge", "read_joint"]
 
 GAP_M = 1e-4
 """Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""
@@ -33,6 +33,52 @@ def joint_prims(source: Source) -> list[Usd.Prim]:
 def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
     """Return whether a joint fixes a body to the world."""
     return joint.IsA(UsdPhysics.FixedJoint) and _moving_end(source, joint)[0] == body
+
+
+def joins_bodies(source: Source, joint: Usd.Prim) -> bool:
+    """Return whether a joint connects two moving bodies."""
+    return len(_moving_ends(source, joint)) == 2
+
+
+def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> BodyHinge:
+    """Return the hinge of a revolute joint between two bodies.
+
+    Its frames in both bodies must coincide at the start. They count if one of them was edited; otherwise the exact
+    anchor and axis of a layer of this package count, which must agree with them.
+
+    Args:
+        source: The stage.
+        prim: The joint.
+        bodies: Rigid bodies, by path of the prim.
+
+    Raises:
+        AssetError: A scene does not support the joint.
+    """
+    kind = str(prim.GetTypeName())
+    if kind != "PhysicsRevoluteJoint":
+        raise source.fault(prim, f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read")
+    _check_plain(source, prim)
+    prims = [owner for owner, _ in _moving_ends(source, prim)]
+    letter = source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
+    stated = [_in_world(source, body, place) for body, place in zip(prims, _positions(prim), strict=True)]
+    places = [_origin(source, body) if one is None else one.value for body, one in zip(prims, stated, strict=True)]
+    axes = [_axis(source, body, turn, letter) for body, turn in zip(prims, _rotations(prim), strict=True)]
+    edited = any(_is_edited(one) for one in (*_positions(prim), *_rotations(prim)))
+    exact = [source.numbers(prim.GetAttribute(f"gauge:{name}"), (3,)) for name in ("anchor_m", "axis")]
+    anchor = places[0] if edited or exact[0] is None else exact[0]
+    axis = axes[0] if edited or exact[1] is None else exact[1]
+    gap = max(float(np.linalg.norm(place - anchor)) for place in places)
+    askew = max(float(np.linalg.norm(one - axis)) for one in axes)
+    if not max(gap, askew) <= GAP_M:
+        raise source.fault(
+            prim,
+            f"its frames in the two bodies lie up to {1e3 * gap:.3g} mm and {askew:.3g} rad off its anchor and axis at "
+            "the start: they must meet",
+        )
+    length = float(np.linalg.norm(axis))
+    axis = axis if abs(length - 1.0) < 1e-12 else axis / length
+    names = [bodies[body.GetPath()].name for body in prims]
+    return BodyHinge(first=names[0], second=names[1], anchor_m=vector(anchor), axis=vector(axis))
 
 
 def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> Hinge | Tether | None:
@@ -78,19 +124,25 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
 
 def _moving_end(source: Source, prim: Usd.Prim) -> tuple[Usd.Prim, int]:
     """Return the moving body of a joint to the world, and the index of its end, 0 or 1."""
+    ends = _moving_ends(source, prim)
+    if len(ends) != 1:
+        joined = ", ".join(str(owner.GetPath()) for owner, _ in ends) or "no moving body"
+        raise source.fault(
+            prim,
+            f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world",
+        )
+    return ends[0]
+
+
+def _moving_ends(source: Source, prim: Usd.Prim) -> list[tuple[Usd.Prim, int]]:
+    """Return the moving bodies of a joint with the index of their end, 0 or 1."""
     ends = []
     for side in (0, 1):
         target = _target(source, prim, side)
         owner = source.body_of(target) if target else None
         if owner and source.is_rigid(owner):
             ends.append((owner, side))
-    if len(ends) != 1:
-        joined = ", ".join(str(owner.GetPath()) for owner, _ in ends) or "no moving body"
-        raise source.fault(
-            prim,
-            f"unsupported joint: a {prim.GetTypeName()} of {joined}; joints of a scene are of one body and the world",
-        )
-    return ends[0]
+    return ends
 
 
 def _target(source: Source, prim: Usd.Prim, side: int) -> Usd.Prim | None:

@@ -30,7 +30,7 @@ from gauge_envs.scene.usd.deformables import (
     world_points,
 )
 from gauge_envs.scene.usd.driven import driven_body
-from gauge_envs.scene.usd.joints import is_welded, joint_prims, read_joint
+from gauge_envs.scene.usd.joints import is_welded, joins_bodies, joint_prims, read_body_hinge, read_joint
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import inertia_kg_m2, mass_kg, solid_of
@@ -178,11 +178,13 @@ class _Reader:
                 drivers.append((len(found) if place is None else place, driver))
         parties = [self._party(one.prim, one.colliders, bodies[one.prim.GetPath()].motion) for one in found]
         parties += [self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ()) for prim in deformable]
-        joints = [read_joint(source, prim, bodies) for prim in self.joints]
+        between = [prim for prim in self.joints if joins_bodies(source, prim)]
+        joints = [read_joint(source, prim, bodies) for prim in self.joints if prim not in between]
         scene = Scene(
             bodies=tuple(bodies.values()),
             deformables=tuple(read_deformable(source, prim, self.names[prim.GetPath()]) for prim in deformable),
             joints=tuple(joint for joint in joints if joint is not None),
+            body_hinges=tuple(read_body_hinge(source, prim, bodies) for prim in between),
             attachments=tuple(read_attachments(source, self.names)),
             contacts=contacts_of(source, parties, self.options),
             drivers=tuple(driver for _, driver in sorted(drivers, key=lambda pair: pair[0])),

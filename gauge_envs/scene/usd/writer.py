@@ -25,6 +25,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.scene.bodies import (
     Attachment,
+    BodyHinge,
     Cloth,
     Contact,
     Deformable,
@@ -177,6 +178,8 @@ class _Writer:
                 self._hinge(path, joint)
             else:
                 self._tether(path, joint)
+        for index, hinge in enumerate(self.scene.body_hinges):
+            self._body_hinge(f"{self._group('Joints')}/body_hinge_{index}", hinge)
         for index, attachment in enumerate(self.scene.attachments):
             self._attachment(index, attachment)
         if self.scene.markers is not None:
@@ -466,6 +469,25 @@ class _Writer:
         record_written(local, local.Get())
         record_written(_custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis)), digest(hinge_axis(wxyz(world.Get()))))
         self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
+
+    def _body_hinge(self, path: str, hinge: BodyHinge) -> None:
+        """Write a joint of two bodies, with its frame in each, and the exact anchor and axis in the world."""
+        joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
+        joint.CreateAxisAttr(UsdPhysics.Tokens.x)
+        rotation = Gf.Quatd(hinge_frame(hinge.axis))
+        sides = (
+            (hinge.first, joint.CreateBody0Rel, joint.CreateLocalPos0Attr, joint.CreateLocalRot0Attr),
+            (hinge.second, joint.CreateBody1Rel, joint.CreateLocalPos1Attr, joint.CreateLocalRot1Attr),
+        )
+        for name, relate, place, turn in sides:
+            pose = self.scene.body(name).pose
+            relate().SetTargets([self.paths[name]])
+            at = place(Gf.Vec3f(*pose.to_body(np.asarray(hinge.anchor_m)).tolist()))
+            along = turn(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * rotation))
+            for one in (at, along):
+                record_written(one, one.Get())
+        _custom(joint, "anchor_m", Double3, Gf.Vec3d(*hinge.anchor_m))
+        _custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis))
 
     def _tether(self, path: str, tether: Tether) -> None:
         joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
