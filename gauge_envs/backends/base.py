@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -38,6 +38,7 @@ __all__ = [
     "Worlds",
     "scene_support",
     "with_declared",
+    "worlds_of",
 ]
 
 
@@ -252,11 +253,14 @@ class Backend(ABC):
         name: Name that users type, as in `backend="mujoco"`.
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
         applies_air: Whether `build` applies `Scene.air` to cloth. Scenes with air are declined for other engines.
+        worlds_mix_constants: Whether `build_worlds` takes scenes that differ in masses and contact constants too. Such
+            scenes are built one by one for other engines.
     """
 
     name: ClassVar[str]
     file_suffixes: ClassVar[tuple[str, ...]] = ()
     applies_air: ClassVar[bool] = False
+    worlds_mix_constants: ClassVar[bool] = False
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
@@ -282,7 +286,8 @@ class Backend(ABC):
         """Build several instances of a scene. An engine with batched worlds overrides it.
 
         Args:
-            scenes: One or more scenes that differ only in their start poses and velocities.
+            scenes: One or more scenes that differ only in their start poses and velocities; with `worlds_mix_constants`
+                also in the masses of rigid bodies, and in friction and restitution.
             settings: As in `build`.
 
         Raises:
@@ -315,6 +320,37 @@ class Backend(ABC):
             ParameterError: A setting cannot replace one of the file.
         """
         raise UnsupportedSceneError(f"backend {self.name!r} builds no model files: use a USD layer")
+
+
+def worlds_of(engine: Backend, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+    """Build several instances of a scene that may differ in starts and constants.
+
+    The engine builds them together where it can, and one by one otherwise. An engine whose `build_worlds` was written
+    for scenes with the same constants thus never gives all worlds those of the first.
+
+    Args:
+        engine: The engine.
+        scenes: One or more scenes with the same bodies, shapes and drivers.
+        settings: As in `Backend.build`.
+
+    Raises:
+        ParameterError: A setting does not exist or has an invalid value.
+    """
+    first = scenes[0]
+    alike = all(_soft_constants(scene) == _soft_constants(first) for scene in scenes)
+    same = alike and all(_rigid_constants(scene) == _rigid_constants(first) for scene in scenes)
+    if same or (alike and engine.worlds_mix_constants and not first.deformables):
+        return engine.build_worlds(scenes, settings)
+    return Backend.build_worlds(engine, scenes, settings)
+
+
+def _rigid_constants(scene: Scene) -> tuple[object, ...]:
+    return (*((body.mass_kg, body.inertia_kg_m2) for body in scene.bodies), *scene.contacts)
+
+
+def _soft_constants(scene: Scene) -> tuple[object, ...]:
+    origin = Pose(position_m=(0.0, 0.0, 0.0))
+    return (*(replace(body, pose=origin) for body in scene.deformables), *scene.joints, scene.air)
 
 
 def scene_support(engine: Backend, scene: Scene) -> Support:

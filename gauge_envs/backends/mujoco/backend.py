@@ -27,6 +27,7 @@ class BackendMuJoCo(Backend):
     name = "mujoco"
     file_suffixes = (".xml",)
     applies_air = True
+    worlds_mix_constants = True
 
     def versions(self) -> dict[str, str]:
         """Return the version of the engine."""

@@ -29,6 +29,7 @@ class BackendNewton(Backend):
     """
 
     name = "newton"
+    worlds_mix_constants = True
 
     def __init__(self) -> None:
         for module in MODULES:

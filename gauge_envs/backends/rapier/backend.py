@@ -26,6 +26,7 @@ class BackendRapier(Backend):
     """
 
     name = "rapier"
+    worlds_mix_constants = True
 
     def __init__(self) -> None:
         if find_spec("rapier3d") is None:
