@@ -30,6 +30,7 @@ __all__ = [
     "matching_variants",
     "parsed_parameters",
     "parsed_settings",
+    "split_commas",
 ]
 
 
@@ -104,7 +105,7 @@ def matching_subjects(pattern: str) -> Sequence[Variant | str]:
     return [pattern] if is_experiment_file(Path(pattern)) else matching_variants(pattern)
 
 
-def _split(text: str) -> list[str]:
+def split_commas(text: str) -> list[str]:
     """Split at the commas that are outside brackets."""
     parts, depth = [""], 0
     for character in text:
@@ -130,7 +131,7 @@ def parsed_parameters(text: str | None) -> Parameters | None:
     """Return the name of a parameter set, or overrides such as `cube.friction=0.3,cube.mass_kg=0.1` as a dictionary."""
     if text is None or "=" not in text:
         return text
-    return dict(_assigned(part) for part in _split(text))
+    return dict(_assigned(part) for part in split_commas(text))
 
 
 def parsed_settings(changes: Sequence[str]) -> dict[str, Any] | None:
