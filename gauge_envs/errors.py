@@ -20,6 +20,7 @@ __all__ = [
     "MissingExtraError",
     "NoRewardWarning",
     "ParameterError",
+    "PolicyError",
     "ReferenceFileError",
     "RenderError",
     "ResultFileError",
@@ -84,6 +85,10 @@ class EpisodeError(GaugeError, RuntimeError):
 
 class ParameterError(GaugeError, ValueError):
     """An argument names something that does not exist, or holds an impossible value."""
+
+
+class PolicyError(GaugeError, ValueError):
+    """A policy cannot be loaded, or does not fit the task; the message names the file and what is expected."""
 
 
 class RenderError(GaugeError, RuntimeError):

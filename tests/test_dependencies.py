@@ -32,12 +32,11 @@ INDIRECT = {
     "newton-usd-schemas": "Newton's USD importer imports it",
     "packaging": "Gymnasium's MuJoCo environments import it",
     "moviepy": "Gymnasium's RecordVideo imports it",
-    "torch": "Genesis imports it, and leaves the choice of a build to its users",
 }
 """Declared, and not imported by this package's own modules: the reason for each."""
 
-NOT_OF_USERS = {"bench", "dev", "docs", "rl"}
-"""Extras of benchmarks, development, guides and examples; the package imports nothing of theirs."""
+NOT_OF_USERS = {"bench", "dev", "docs"}
+"""Extras of benchmarks, development and guides; the package imports nothing of theirs."""
 
 
 def canonical(name: str) -> str:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -39,6 +39,7 @@ __all__ = [
     "Worlds",
     "scene_support",
     "with_declared",
+    "worlds_of",
 ]
 
 
@@ -277,6 +278,8 @@ class Backend(ABC):
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
         joins_bodies: Whether `build` builds `Scene.body_hinges`. Scenes with them are declined for other engines.
+        worlds_mix_constants: Whether `build_worlds` takes scenes that differ in masses and contact constants too. Such
+            scenes are built one by one for other engines.
     """
 
     name: ClassVar[str]
@@ -284,6 +287,7 @@ class Backend(ABC):
     applies_air: ClassVar[bool] = False
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     joins_bodies: ClassVar[bool] = False
+    worlds_mix_constants: ClassVar[bool] = False
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
@@ -309,7 +313,8 @@ class Backend(ABC):
         """Build several instances of a scene. An engine with batched worlds overrides it.
 
         Args:
-            scenes: One or more scenes that differ only in their start poses and velocities.
+            scenes: One or more scenes that differ only in their start poses and velocities; with `worlds_mix_constants`
+                also in the masses of rigid bodies, and in friction and restitution.
             settings: As in `build`.
 
         Raises:
@@ -359,6 +364,37 @@ class Backend(ABC):
             ParameterError: A setting cannot replace one of the file.
         """
         raise UnsupportedSceneError(f"backend {self.name!r} builds no model files: use a USD layer")
+
+
+def worlds_of(engine: Backend, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+    """Build several instances of a scene that may differ in starts and constants.
+
+    The engine builds them together where it can, and one by one otherwise. An engine whose `build_worlds` was written
+    for scenes with the same constants thus never gives all worlds those of the first.
+
+    Args:
+        engine: The engine.
+        scenes: One or more scenes with the same bodies, shapes and drivers.
+        settings: As in `Backend.build`.
+
+    Raises:
+        ParameterError: A setting does not exist or has an invalid value.
+    """
+    first = scenes[0]
+    alike = all(_soft_constants(scene) == _soft_constants(first) for scene in scenes)
+    same = alike and all(_rigid_constants(scene) == _rigid_constants(first) for scene in scenes)
+    if same or (alike and engine.worlds_mix_constants and not first.deformables):
+        return engine.build_worlds(scenes, settings)
+    return Backend.build_worlds(engine, scenes, settings)
+
+
+def _rigid_constants(scene: Scene) -> tuple[object, ...]:
+    return (*((body.mass_kg, body.inertia_kg_m2) for body in scene.bodies), *scene.contacts)
+
+
+def _soft_constants(scene: Scene) -> tuple[object, ...]:
+    origin = Pose(position_m=(0.0, 0.0, 0.0))
+    return (*(replace(body, pose=origin) for body in scene.deformables), *scene.joints, scene.air)
 
 
 def scene_support(engine: Backend, scene: Scene) -> Support:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, Unpack, cast
 
 import numpy as np
@@ -13,6 +14,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
+from gauge_envs.backends.base import worlds_of
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment, start_of
 from gauge_envs.envs.at_once import EpisodesAtOnce
 from gauge_envs.envs.base import EngineEnvironment
@@ -41,7 +43,8 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
     """Worlds of one experiment in lockstep on one backend, which may simulate them at once.
 
     Each world behaves as a `GaugeEnv`. Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`.
-    Worlds differ in their actions and, after a reset with jitter, in their starts.
+    Worlds differ in their actions, after a reset with jitter in their starts, and with `world_parameters` in their
+    constants.
 
     Worlds are reset together, and without divergence all end in the same frame. The step after that ignores its actions
     and starts the next episode of all worlds (`AutoresetMode.NEXT_STEP`).
@@ -56,6 +59,8 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
+            come on top of `parameters`. Engines that cannot mix constants in one batch build such worlds one by one.
         **arguments: Keywords of `GaugeEnv`: `backend`, `parameters`, `settings`, ...
 
     Attributes:
@@ -68,7 +73,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
     Raises:
         GaugeError: See `GaugeEnv`.
-        ParameterError: `num_envs` is no whole number from 1 to 100 000.
+        ParameterError: `num_envs` is no whole number from 1 to 100 000, or `world_parameters` has another length.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -97,6 +102,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        world_parameters: Sequence[Mapping[str, Any]] | None = None,
         **arguments: Unpack[EnvKeywords],
     ) -> None:
         _check_world_count(num_envs)
@@ -108,15 +114,27 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         self.band = self.arguments.band(experiment)
         self.seeds_used: tuple[int, ...] = ()
         self.jitter: Jitter | TrialStart | None = None
-        self._build([experiment] * num_envs)
+        self._stated = self._with_parameters(world_parameters)
+        self._build(self._stated)
         first = self.episodes[0]
         self.single_action_space = first.action_space
         self.single_observation_space = first.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
+    def _with_parameters(self, world_parameters: Sequence[Mapping[str, Any]] | None) -> list[Experiment]:
+        """Return the experiment of each world, with its own constants."""
+        if world_parameters is None:
+            return [self.experiment] * self.num_envs
+        if len(world_parameters) != self.num_envs:
+            raise ParameterError(
+                f"world_parameters has {len(world_parameters)} entries for {self.num_envs} worlds: give one for each"
+            )
+        common = dict(self.experiment.overrides)
+        return [replace(self.arguments, parameters=common | dict(one)).experiment() for one in world_parameters]
+
     def _build(self, experiments: Sequence[Experiment]) -> None:
-        self.worlds = self._engine.build_worlds([one.scene for one in experiments], self._settings)
+        self.worlds = worlds_of(self._engine, [one.scene for one in experiments], self._settings)
         self.episodes = [
             Episode(one, world, band=self._band_of(one), marker_proxy=self.arguments.proxy, backend=self.backend_name)
             for one, world in zip(experiments, self.worlds.worlds, strict=True)
@@ -128,8 +146,10 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         self._at_once = EpisodesAtOnce(self.episodes, self.worlds) if fits else None
 
     def _band_of(self, experiment: Experiment) -> Band | None:
-        """Return the band of a world: that of the calibrated start, or of the single-shot trial that it starts as."""
-        return self.band if experiment.trial is None else self.arguments.band(experiment)
+        """Return the band of a world: that of the stated start, or of the single-shot trial that it starts as."""
+        if experiment.trial is not None or experiment.overrides != self.experiment.overrides:
+            return self.arguments.band(experiment)
+        return self.band
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -155,8 +175,8 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         starts = [start_of(self.experiment, jitter, seed=one) for one in seeds]
         if starts[0] is not None or self.jitter is not None:
             experiments = [
-                jittered_experiment(self.experiment, start, seed=one, backend=self.backend_name)
-                for start, one in zip(starts, seeds, strict=True)
+                jittered_experiment(stated, start, seed=one, backend=self.backend_name)
+                for stated, start, one in zip(self._stated, starts, seeds, strict=True)
             ]
             self._free()
             self._build(experiments)

@@ -37,6 +37,7 @@ class BackendMuJoCo(Backend):
         }
     )
     joins_bodies = True
+    worlds_mix_constants = True
 
     def versions(self) -> dict[str, str]:
         """Return the version of the engine."""

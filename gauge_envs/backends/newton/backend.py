@@ -32,6 +32,7 @@ class BackendNewton(Backend):
     name = "newton"
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
     joins_bodies = True
+    worlds_mix_constants = True
 
     def __init__(self) -> None:
         for module in MODULES:

@@ -31,6 +31,7 @@ class BackendRapier(Backend):
         {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
     )
     joins_bodies = True
+    worlds_mix_constants = True
 
     def __init__(self) -> None:
         if find_spec("rapier3d") is None:

@@ -1,0 +1,55 @@
+"""Figure of the reward that policies keep in each world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gauge_envs.analysis.transfer import FALL_SHARE, TransferReport
+from gauge_envs.report.figures.style import OURS, REAL, new_figure, save_png, tidy_axis
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_transfer", "save_transfer"]
+
+
+def save_transfer(report: TransferReport, path: Path) -> Path:
+    """Write the picture of `draw_transfer` as PNG, and return its path.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ResultFileError: The file cannot be written.
+    """
+    return save_png(draw_transfer(report), path)
+
+
+def draw_transfer(report: TransferReport) -> Figure:
+    """Return the picture of kept rewards: a point with its interval for each world.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    rows = (report.training, *report.others)
+    figure = new_figure(9.0, 0.28 * len(rows) + 1.6)
+    axis = figure.add_subplot()
+    for place, row in enumerate(rows):
+        color = REAL if place == 0 else OURS[1] if row.falls else OURS[0]
+        kept = row.kept
+        if kept.low is not None and kept.high is not None:
+            axis.plot([100 * kept.low, 100 * kept.high], [place, place], color=color, lw=2.0, solid_capstyle="round")
+        axis.plot(100 * kept.value, place, "o", color=color, ms=6)
+        allowed = 100 * min(1.0, row.allowed)
+        axis.plot([allowed, allowed], [place - 0.4, place + 0.4], color="#707070", lw=1.2)
+    axis.set_yticks(range(len(rows)), [row.world.name for row in rows], fontsize=8)
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    lowest = min([0.0, *(row.kept.value if row.kept.low is None else row.kept.low for row in rows)])
+    axis.set_xlim(100 * lowest - 5, None)
+    axis.set_xlabel(
+        f"reward kept [% of the promise]; bar: the law's limit there; orange: below {100 * FALL_SHARE:.0f} % of that",
+        loc="left",
+        fontsize=9,
+    )
+    axis.set_title(report.task, loc="left", fontsize=10)
+    tidy_axis(axis)
+    return figure

@@ -1,0 +1,1 @@
+"""Policies of other packages, as functions from an observation to an action."""

@@ -1,0 +1,222 @@
+"""Policies of other packages: they act as in the package that saved them, and loading them runs no code."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.errors import PolicyError
+from gauge_envs.runs.policies.load import checked_policy, load_policies, load_policy
+from gauge_envs.runs.policies.normalization import read_normalization
+from gauge_envs.runs.replays import make_control_env
+
+TASK = "Pendulum-Limit-metal"
+
+
+@pytest.fixture(scope="module")
+def env() -> ControlEnv:
+    return make_control_env(TASK)
+
+
+def observations() -> np.ndarray:
+    return 3.0 * np.random.default_rng(0).normal(size=(40, 5))
+
+
+class Evil:
+    """Object whose unpickling writes a file."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def __reduce__(self):
+        return (Path.touch, (self.file,))
+
+
+# --- Stable-Baselines3 ---
+
+
+@pytest.mark.parametrize(
+    ("name", "kwargs"),
+    [
+        ("PPO", {"net_arch": [8, 8], "activation_fn": "ReLU"}),
+        ("A2C", {"net_arch": [8]}),
+        ("SAC", {"net_arch": [8]}),
+        ("TD3", {"net_arch": [8, 8]}),
+    ],
+)
+def test_an_actor_from_weights_acts_as_the_package_that_saved_it(name, kwargs, env, tmp_path) -> None:
+    sb3 = pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
+    torch = pytest.importorskip("torch")
+    if "activation_fn" in kwargs:
+        kwargs = kwargs | {"activation_fn": getattr(torch.nn, kwargs["activation_fn"])}
+    model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs=kwargs, device="cpu", seed=1)
+    file = tmp_path / "policy.zip"
+    model.save(file)
+    policy = load_policy(str(file), env)
+    for observation in observations():
+        expected = model.predict(observation, deterministic=True)[0]
+        # SAC and TD3 scale their action to the space and round once more.
+        assert policy(observation) == pytest.approx(expected, abs=1e-7)
+
+
+def test_a_network_that_weights_do_not_state_needs_trust(env, tmp_path) -> None:
+    sb3 = pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
+    model = sb3.PPO("MlpPolicy", env, policy_kwargs={"squash_output": True}, use_sde=True, device="cpu")
+    file = tmp_path / "policy.zip"
+    model.save(file)
+    with pytest.raises(PolicyError, match=r"gSDE.*runs code.*--trust"):
+        load_policy(str(file), env)
+    trusted = load_policy(str(file), env, trust=True)
+    observation = observations()[0]
+    assert trusted(observation) == pytest.approx(model.predict(observation, deterministic=True)[0])
+
+
+def write_sb3(file: Path, sizes: tuple[int, ...], *, evil: Path | None = None, **data: object) -> Path:
+    torch = pytest.importorskip("torch")
+    weights = {}
+    for number, (before, after) in enumerate(pairwise(sizes)):
+        name = "action_net." if number == len(sizes) - 2 else f"mlp_extractor.policy_net.{2 * number}."
+        weights |= {f"{name}weight": torch.ones(after, before), f"{name}bias": torch.zeros(after)}
+    stream = io.BytesIO()
+    torch.save(weights if evil is None else {"weight": Evil(evil)}, stream)
+    stated = {"policy_class": {"__module__": "stable_baselines3.common.policies"}, "policy_kwargs": {}} | data
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("data", json.dumps(stated))
+        archive.writestr("policy.pth", stream.getvalue())
+    return file
+
+
+def test_a_policy_of_another_task_is_refused(env, tmp_path) -> None:
+    with pytest.raises(PolicyError, match="7 entries of the observation, the task has 5"):
+        load_policy(str(write_sb3(tmp_path / "a.zip", (7, 4, 1))), env)
+    with pytest.raises(PolicyError, match="2 entries of the action, the task has 1"):
+        load_policy(str(write_sb3(tmp_path / "b.zip", (5, 4, 2))), env)
+
+
+def test_weights_that_hold_code_are_refused_and_do_not_run(env, tmp_path) -> None:
+    mark = tmp_path / "ran"
+    with pytest.raises(PolicyError, match="holds no weights"):
+        load_policy(str(write_sb3(tmp_path / "a.zip", (5, 4, 1), evil=mark)), env)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        ({"policy_class": {"__module__": "mine"}}, "module 'mine'"),
+        ({"policy_kwargs": {"features_extractor_class": "<class 'mine.Net'>"}}, "features_extractor_class"),
+        ({"policy_kwargs": {"activation_fn": "<class 'mine.Swish'>"}}, "activation is <class 'mine.Swish'>"),
+        ({"use_sde": True}, "gSDE"),
+    ],
+)
+def test_what_may_change_the_network_needs_trust(data, reason, env, tmp_path) -> None:
+    with pytest.raises(PolicyError, match=f"{reason}.*--trust"):
+        load_policy(str(write_sb3(tmp_path / "a.zip", (5, 4, 1), **data)), env)
+
+
+# --- statistics ---
+
+
+def test_statistics_are_those_of_vec_normalize(env, tmp_path) -> None:
+    vec = pytest.importorskip("stable_baselines3.common.vec_env", reason="extra 'rl' is not installed")
+    scaled = vec.VecNormalize(vec.DummyVecEnv([lambda: make_control_env(TASK)]), clip_obs=2.0)
+    scaled.obs_rms.update(observations())
+    scaled.save(str(tmp_path / "norm.pkl"))
+    statistics = read_normalization(tmp_path / "norm.pkl", observation_size=5)
+    for observation in observations():
+        assert np.array_equal(statistics.apply(observation), scaled.normalize_obs(observation))
+    with pytest.raises(PolicyError, match=r"shape \(5,\), the task has \(3,\)"):
+        read_normalization(tmp_path / "norm.pkl", observation_size=3)
+
+
+def test_statistics_are_read_without_running_code(tmp_path) -> None:
+    mark, file = tmp_path / "ran", tmp_path / "norm.pkl"
+    file.write_bytes(pickle.dumps({"obs_rms": Evil(mark)}))
+    with pytest.raises(PolicyError, match="expected a file of VecNormalize"):
+        read_normalization(file, observation_size=5)
+    assert not mark.exists()
+
+
+# --- ONNX ---
+
+
+def write_onnx(file: Path, size: int, *, outputs: int = 1) -> Path:
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime", reason="extra 'onnx' is not installed")
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    weights = helper.make_tensor("w", kind, [size, outputs], np.full(size * outputs, 0.1).tolist())
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["observation", "w"], ["action"])],
+        "policy",
+        [helper.make_tensor_value_info("observation", kind, ["batch", size])],
+        [helper.make_tensor_value_info("action", kind, ["batch", outputs])],
+        [weights],
+    )
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), file)
+    return file
+
+
+def test_an_onnx_policy_acts_as_its_network_and_is_clipped(env, tmp_path) -> None:
+    policy = load_policy(str(write_onnx(tmp_path / "a.onnx", 5)), env)
+    for observation in observations():
+        expected = np.clip(0.1 * observation.sum(), -1.0, 1.0)
+        assert policy(observation) == pytest.approx(expected, abs=1e-6)
+    with pytest.raises(PolicyError, match="observation has 5 entries"):
+        load_policy(str(write_onnx(tmp_path / "b.onnx", 6)), env)
+    with pytest.raises(PolicyError, match=r"action has shape \(1, 3\), the task takes \(1,\)"):
+        load_policy(str(write_onnx(tmp_path / "c.onnx", 5, outputs=3)), env)
+
+
+# --- any source ---
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("policy.pt", r"expected a \.zip of Stable-Baselines3, a \.onnx, or module:function"),
+        ("missing.zip", "missing.zip: cannot be read: No such file"),
+        ("os:getcwd", "importing a module runs its code: add --trust"),
+    ],
+)
+def test_what_is_no_policy_is_named(source: str, reason: str, env) -> None:
+    with pytest.raises(PolicyError, match=reason):
+        load_policy(source, env)
+
+
+def test_a_zip_that_is_no_policy_is_named(env, tmp_path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("readme", "hello")
+    with pytest.raises(PolicyError, match=r"expected the parts data and policy\.pth"):
+        load_policy(str(tmp_path / "a.zip"), env)
+    (tmp_path / "b.zip").write_bytes(b"no archive")
+    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: File is not a zip file"):
+        load_policy(str(tmp_path / "b.zip"), env)
+
+
+def test_a_function_of_a_module(env) -> None:
+    with pytest.raises(PolicyError, match="the policy raised TypeError"):
+        load_policy("os:getcwd", env, trust=True)
+    with pytest.raises(PolicyError, match="module 'os' has no 'nothing'"):
+        load_policy("os:nothing", env, trust=True)
+    assert load_policy("numpy:mean", env, trust=True)(np.full(5, 0.25)) == 0.25
+
+
+def test_actions_are_checked(env) -> None:
+    with pytest.raises(PolicyError, match=r"mine: the action is \[nan\]"):
+        checked_policy("mine", lambda _: np.array([np.nan]), env)
+    assert checked_policy("mine", lambda _: np.array([7.0]), env)(np.zeros(5)) == 1.0
+
+
+def test_numbers_of_files_must_fit(env) -> None:
+    with pytest.raises(PolicyError, match="given twice"):
+        load_policies(["a.zip", "a.zip"], env)
+    with pytest.raises(PolicyError, match="2 files of statistics for 3 policies"):
+        load_policies(["a.zip", "b.zip", "c.zip"], env, normalization=[Path("x"), Path("y")])
