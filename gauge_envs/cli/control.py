@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import Json, ParametersOption, Wide, parsed_parameters, parsed_settings, split_commas
+from gauge_envs.cli.arguments import Json, ParametersOption, Wide, parsed_parameters, parsed_settings, split_list
 from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, print_table, stderr_console, stdout_console
 from gauge_envs.errors import ParameterError
 
@@ -115,7 +115,7 @@ def _installed(names: tuple[str, ...]) -> list[tuple[str, dict[str, Any]]]:
 
 def _engine(text: str) -> tuple[str, dict[str, Any]]:
     name, _, settings = text.partition(":")
-    return name, parsed_settings(split_commas(settings) if settings else []) or {}
+    return name, parsed_settings(split_list(settings) if settings else []) or {}
 
 
 def _numbers(text: str) -> list[float]:
