@@ -102,9 +102,10 @@ def replay(result: Result) -> Replay:
     with engine_call(result.backend, "build"):
         simulation = backend_for(result.backend, None).build(experiment.scene, result.settings_given or None)
     try:
-        simulation.reset(result.seed or 0)
-        episode = Episode(experiment, simulation, band=None, marker_proxy=checked_proxy(result.marker_proxy))
-        recorded = _recorded(episode, simulation, experiment.scene)
+        with engine_call(result.backend, "advance"):
+            simulation.reset(result.seed or 0)
+            episode = Episode(experiment, simulation, band=None, marker_proxy=checked_proxy(result.marker_proxy))
+            recorded = _recorded(episode, simulation, experiment.scene)
     finally:
         simulation.close()
     _check_same(result, episode, installed)
@@ -125,7 +126,10 @@ def load_or_replay(result: Result, file: Path) -> Replay:
         ReplayError: See `replay`.
         GaugeError: See `replay`.
     """
-    key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
+    try:
+        key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
+    except OSError as error:
+        raise ReplayError(f"{file}: cannot be read: {error.strerror or error}") from error
     path = replay_path(file)
     known = _stored(result, path, key)
     if known is not None:
@@ -218,10 +222,9 @@ def _check_same(result: Result, episode: Episode, installed: Mapping[str, str]) 
 
 def _packed(made: Replay, key: NDArray[np.uint8]) -> bytes:
     stream = io.BytesIO()
-    nodes = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
-    np.savez_compressed(
-        stream, key=key, rate_hz=np.array([made.rate_hz]), poses=made.poses, markers_m=made.markers_m, **nodes
-    )
+    arrays: dict[str, Any] = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
+    arrays |= {"key": key, "rate_hz": np.array([made.rate_hz]), "poses": made.poses, "markers_m": made.markers_m}
+    np.savez_compressed(stream, **arrays)
     return stream.getvalue()
 
 
