@@ -47,10 +47,12 @@ class EpisodesAtOnce:
         self._rows = [self._dynamic.index(name) for name in self._recorded]
         self._bounds = RigidBoundsOfWorlds([episode.experiment.scene for episode in episodes])
         self._has_faults = any(type(world).fault is not World.fault for world in worlds.worlds)
-        self._samples = np.full((count, *first.sample_shape), np.nan)
-        self._bodies = np.full((count, first.experiment.frame_count, len(self._recorded), 13), np.nan)
-        for episode, samples, bodies in zip(episodes, self._samples, self._bodies, strict=True):
-            episode.record_in(samples, bodies)
+        # Time comes first, so that a sample of all worlds is one block of memory.
+        sample_count, width = first.sample_shape
+        self._samples = np.full((sample_count, count, width), np.nan)
+        self._bodies = np.full((first.experiment.frame_count, count, len(self._recorded), 13), np.nan)
+        for number, episode in enumerate(episodes):
+            episode.record_in(self._samples[:, number], self._bodies[:, number])
         self._shown = np.zeros(count, dtype=np.intp)
         self._reward_terms = reward_terms(first.band)
         self.frame = 0
@@ -76,8 +78,8 @@ class EpisodesAtOnce:
         self.running = np.arange(len(self._episodes))
         self.diverged = np.zeros(len(self._episodes), dtype=np.bool_)
         self._shown[:] = 0
-        self._bodies[:, 0] = states[:, self._rows]
-        self._samples[:, 0] = 1e3 * self._bodies[:, 0, :, :3].reshape(len(states), -1)
+        self._bodies[0] = states[:, self._rows]
+        self._samples[0] = 1e3 * self._bodies[0, :, :, :3].reshape(len(states), -1)
         for episode in self._episodes:
             episode.restart()
 
@@ -87,7 +89,7 @@ class EpisodesAtOnce:
         self._advance(running, self.frame)
         self.frame += 1
         states = self._worlds.body_states(self._dynamic)
-        self._bodies[running, self.frame] = states[running][:, self._rows]
+        self._bodies[self.frame, running] = states[running][:, self._rows]
         self._shown[running] = self.frame
         for number in running.tolist():
             self._episodes[number].frame = self.frame
@@ -105,7 +107,7 @@ class EpisodesAtOnce:
     @property
     def is_complete(self) -> bool:
         """Whether this is the last frame."""
-        return self.frame == self._bodies.shape[1] - 1
+        return self.frame == len(self._bodies) - 1
 
     def run_on(self) -> None:
         """Simulate on past the last frame, as `Episode.run_on` does for one world."""
@@ -114,28 +116,31 @@ class EpisodesAtOnce:
             return
         states = self._worlds.body_states(self._dynamic)
         for number in running.tolist():
-            poses = dict(zip(self._dynamic, states[number][:, :7].copy(), strict=True))
+            poses = dict(zip(self._dynamic, states[number, :, :7], strict=True))
             self._episodes[number].begin_later_frame((poses, {}))
-        frame = self.frame
-        while len(running):
+        limit = self._episodes[running[0]].later_limit
+        started, counts = running, np.zeros(len(self._episodes), dtype=np.intp)
+        for later in range(limit):
+            frame = self.frame + later
             self._advance(running, frame)
-            frame += 1
-            states = self._worlds.body_states(self._dynamic)
-            for number in running.tolist():
-                self._episodes[number].count_later_frame()
-            later = slice((frame - 1) * SAMPLES_PER_FRAME + 1, frame * SAMPLES_PER_FRAME + 1)
-            finite = np.isfinite(self._samples[:, later]).all(axis=(1, 2))
-            faulty = [n for n in self._suspects(states, running) if self._episodes[n].fault_of(states[n]) is not None]
-            for number in {*faulty, *running[~finite[running]].tolist()}:
-                self._episodes[number].end_before_later_frame()
-            running = np.flatnonzero([episode.runs_on for episode in self._episodes])
+            now = self._worlds.body_states(self._dynamic)
+            rows = self._samples[frame * SAMPLES_PER_FRAME + 1 : (frame + 1) * SAMPLES_PER_FRAME + 1]
+            ended = ~np.isfinite(rows).all(axis=(0, 2))
+            for number in self._suspects(now, running):
+                ended[number] |= self._episodes[number].fault_of(now[number]) is not None
+            running = running[~ended[running]]
+            counts[running] = later + 1
+            if not len(running):
+                break
+        for number in started.tolist():
+            self._episodes[number].count_later_frames(int(counts[number]))
 
     def observations(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""
         every = np.arange(len(self._episodes))
         return {
-            "bodies": self._bodies[every, self._shown],
-            "observable": self._samples[every, self._shown * SAMPLES_PER_FRAME],
+            "bodies": self._bodies[self._shown, every],
+            "observable": self._samples[self._shown * SAMPLES_PER_FRAME, every],
             "time": (self._shown / FRAME_RATE_HZ)[:, None],
         }
 
@@ -144,7 +149,7 @@ class EpisodesAtOnce:
         rewards = np.zeros(len(self._episodes))
         if self._reward_terms is not None:
             projection, mean, weight = self._reward_terms
-            g = self._samples[self.running, self.frame * SAMPLES_PER_FRAME]
+            g = self._samples[self.frame * SAMPLES_PER_FRAME, self.running]
             # A stack of matrix-vector products gives the bits of `Episode.reward`; one matrix product would not.
             deviations = np.abs(np.matmul(projection, g[:, :, None])[:, :, 0] - mean[self.frame])
             rewards[self.running] = -np.matmul(deviations[:, None, :], weight[self.frame][:, None])[:, 0, 0]
@@ -159,17 +164,20 @@ class EpisodesAtOnce:
 
         Samples that a world did not reach are NaN.
         """
-        numbers = np.arange(self._samples.shape[1])
+        numbers = np.arange(len(self._samples))
         counts = np.array([episode.sample_count for episode in self._episodes])
-        samples = np.where((numbers < counts[:, None])[:, :, None], self._samples, np.nan)
-        return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples
+        samples = np.where((numbers[:, None] < counts)[:, :, None], self._samples, np.nan)
+        return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples.transpose(1, 0, 2)
 
     def _advance(self, running: Numbers, frame: int) -> None:
         """Advance all worlds from a frame to the next, and record g(t) of some."""
         for sample in range(frame * SAMPLES_PER_FRAME + 1, (frame + 1) * SAMPLES_PER_FRAME + 1):
             self._worlds.advance(SAMPLE_INTERVAL_S)
             positions_mm = 1e3 * self._worlds.body_positions(self._recorded)
-            self._samples[running, sample] = positions_mm[running].reshape(len(running), -1)
+            if len(running) == len(positions_mm):
+                self._samples[sample] = positions_mm.reshape(len(running), -1)
+            else:
+                self._samples[sample, running] = positions_mm[running].reshape(len(running), -1)
 
     def _suspects(self, states: FloatArray, running: Numbers) -> list[int]:
         """Return the numbers of running worlds that may have diverged."""

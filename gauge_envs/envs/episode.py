@@ -292,19 +292,19 @@ class Episode:
 
     def end_later_frame(self) -> None:
         """Count a frame after the last one; a world that diverges there ends before it."""
-        self.count_later_frame()
+        self._later += 1
         states = self._world.body_states(self._dynamic)
         if self.fault_of(states) is not None or not np.isfinite(self._later_rows()).all():
-            self.end_before_later_frame()
+            self.count_later_frames(self._later - 1)
 
-    def count_later_frame(self) -> None:
-        """Count a frame after the last one."""
-        self._later += 1
+    def count_later_frames(self, count: int) -> None:
+        """State how many frames the world ran on after the last one; it runs on no further."""
+        self._later = self._later_limit = count
 
-    def end_before_later_frame(self) -> None:
-        """Take back the last frame that was counted, in which the world diverged, and end there."""
-        self._later -= 1
-        self._later_limit = self._later
+    @property
+    def later_limit(self) -> int:
+        """Largest number of frames that the world runs on after the last one."""
+        return self._later_limit
 
     def _later_rows(self) -> NDArray[np.float64]:
         first = ((self.frame or 0) * SAMPLES_PER_FRAME) + 1

@@ -49,10 +49,11 @@ def score_worlds(
         )
     if np.abs(times_s - SAMPLE_INTERVAL_S * np.arange(len(times_s))).max() > 1e-9:
         raise ShapeError("times_s: 180 samples a second from 0 are needed")
-    projected = values @ band.projection.T
+    # Time comes first, so that a sample of all worlds is one block of memory.
+    projected = values.transpose(1, 0, 2) @ band.projection.T
     known = np.isfinite(band.mean)
     count = int(np.count_nonzero(known.any(axis=1)))
-    frames = projected[:, ::SAMPLES_PER_FRAME][:, : len(band.mean)]
+    frames = projected[::SAMPLES_PER_FRAME][: len(band.mean)]
     scores = {"rmse": _rmse(frames, band.mean, known, count)}
     if band.grade is not BandGrade.LAW and experiment.trial is None:
         scores["release_offset_s"], scores["rmse_aligned"] = _aligned(projected, band.mean, known, count)
@@ -70,13 +71,13 @@ def _rmse(frames: FloatArray, mean: FloatArray, known: NDArray[np.bool_], count:
     """Return the root-mean-square distance of each world, shape [world_count].
 
     Args:
-        frames: Band coordinates at the frames, shape [world_count, frame_count, C].
+        frames: Band coordinates at the frames, shape [frame_count, world_count, C].
         mean: Mean of the band, shape [frame_count, C].
         known: Where it is known, same shape.
         count: Number of frames with a mean.
     """
-    squares = np.where(known, np.square(frames - np.where(known, mean, 0.0)), 0.0)
-    return np.sqrt(squares.sum(axis=(1, 2)) / count)
+    apart = np.where(known[:, None], frames - np.where(known, mean, 0.0)[:, None], 0.0)
+    return np.sqrt(np.einsum("tnc,tnc->n", apart, apart) / count)
 
 
 def _aligned(
@@ -84,15 +85,19 @@ def _aligned(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the time shift of each world that minimises its RMSE [s], and that RMSE, shape [world_count] each.
 
+    The trajectories have the shape [sample_count, world_count, C].
+
     Frames are samples, so all of them pass from one pair of samples to the next at the same shifts. Between two such
     shifts the squared distance is a parabola, whose minimum is exact.
     """
     frames = SAMPLES_PER_FRAME * np.arange(len(mean))
     ends = _last_samples(projected)
     least = -np.clip(ends - frames[np.flatnonzero(known.any(axis=1))[-1]], 0, MOST_STEPS)
-    # A world is held at its last sample. Samples come first, so that the rows of a shift are copied whole.
-    numbers = np.minimum(np.arange(projected.shape[1])[:, None], ends)
-    held = np.ascontiguousarray(np.nan_to_num(projected)[np.arange(len(projected)), numbers])
+    held = np.ascontiguousarray(projected)
+    if (ends < len(projected) - 1).any():
+        # A world is held at its last sample.
+        numbers = np.minimum(np.arange(len(projected))[:, None], ends)
+        held = np.nan_to_num(projected)[numbers, np.arange(projected.shape[1])]
     mask, target = known[:, None].astype(np.float64), np.where(known, mean, 0.0)[:, None]
 
     def deviations(shift: int) -> FloatArray:
@@ -103,7 +108,7 @@ def _aligned(
         return np.einsum("tnc,tnc->n", one, other)
 
     centre = deviations(0)
-    shifts, best = np.zeros(len(projected)), product(centre, centre)
+    shifts, best = np.zeros(len(ends)), product(centre, centre)
     nearer = {1: centre, -1: centre}
     # From the smallest shift on, so that of equally good shifts the smallest is kept.
     for first, step in ((shift, sign) for shift in range(MOST_STEPS) for sign in (1, -1)):
@@ -122,5 +127,5 @@ def _aligned(
 def _last_samples(projected: FloatArray) -> NDArray[np.intp]:
     """Return the number of the last sample of each world before its first NaN, shape [world_count]."""
     missing: NDArray[np.bool_] = np.isnan(projected.sum(axis=2))
-    counts = np.where(missing.any(axis=1), missing.argmax(axis=1), projected.shape[1])
+    counts = np.where(missing.any(axis=0), missing.argmax(axis=0), len(projected))
     return np.maximum(counts - 1, 0).astype(np.intp)
