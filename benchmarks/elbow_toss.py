@@ -38,6 +38,9 @@ from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 NAME = "ElbowToss-blocks"
+UNIT_MM = 50.0
+"""Position error that counts as much as one radian in the loss of a fit: half the length of a block."""
+
 WORLDS = 20
 """Tosses that are built at once."""
 
@@ -125,7 +128,8 @@ def run(options: argparse.Namespace) -> None:
     name = options.name or f"run-{options.engine}-{options.preset or 'default'}"
     head = {"engine": options.engine, "preset": options.preset or "default", "changes": changes}
     write(options.out, name, head | {"wall_s": time.perf_counter() - start, "rows": found})
-    print(name, len(found), {key: median(found, key) for key in KEYS}, flush=True)
+    losses = [row["mean_mm"] / UNIT_MM + float(np.radians(row["mean_deg"])) for row in found]
+    print(name, len(found), {key: median(found, key) for key in KEYS}, f"loss {np.mean(losses):.2f}", flush=True)
 
 
 def floor(options: argparse.Namespace) -> None:
