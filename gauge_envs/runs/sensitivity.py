@@ -225,4 +225,8 @@ def _shifted(scene: Scene, names: tuple[str, ...], shift_m: FloatArray) -> Scene
         else body
         for body in scene.bodies
     )
-    return replace(scene, bodies=bodies)
+    hinges = tuple(
+        replace(hinge, anchor_m=vector(np.asarray(hinge.anchor_m) + shift_m)) if hinge.first in names else hinge
+        for hinge in scene.body_hinges
+    )
+    return replace(scene, bodies=bodies, body_hinges=hinges)

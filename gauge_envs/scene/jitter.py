@@ -107,8 +107,8 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         deformables.append(deformable)
     if not moved:
         raise ParameterError("nothing to jitter: every body of this scene is fixed, driven, or attached to one that is")
-    joined, hinges = _joined(bodies, scene)
-    return replace(scene, bodies=joined, body_hinges=hinges, deformables=tuple(deformables))
+    joined, body_hinges = _joined(bodies, scene)
+    return replace(scene, bodies=joined, body_hinges=body_hinges, deformables=tuple(deformables))
 
 
 def _joined(bodies: Sequence[RigidBody], scene: Scene) -> tuple[tuple[RigidBody, ...], tuple[BodyHinge, ...]]:

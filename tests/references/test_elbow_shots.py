@@ -1,4 +1,4 @@
-"""The recorded tosses of two hinged blocks: their conventions against laws of flight, the scores, and planted faults."""
+"""The recorded tosses of two hinged blocks: their conventions against laws of flight, scores, and planted faults."""
 
 from __future__ import annotations
 
