@@ -1,12 +1,12 @@
-"""Real tosses of a cube on every engine: errors, their floor, impacts, and the constants that fit best.
+"""Real tosses of a cube on every engine: errors, their floor, and impacts.
 
     python benchmarks/cube_toss.py run ENGINE OUT [--preset NAME] [--half judge] [--every 1] [--set KEY=VALUE ...]
     python benchmarks/cube_toss.py floor ENGINE OUT        error between two starts within the measurement
-    python benchmarks/cube_toss.py fit ENGINE OUT          errors on a grid of friction and restitution, even tosses
     python benchmarks/cube_toss.py recorded OUT            impacts of the recorded tosses
     python benchmarks/cube_toss.py report OUT              the tables of docs/cube_toss.md
 
-Each command but the last writes JSON files into the folder OUT. Odd tosses judge; constants are fitted on even ones.
+Each command but the last writes JSON files into the folder OUT. Odd tosses judge; `cube_toss_fit.py`
+fits constants on even ones.
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ HALF_WIDTH_M = 0.0524
 WORLDS = 50
 """Tosses that are built at once."""
 
-FRICTIONS = (0.12, 0.16, 0.20, 0.24, 0.28)
-RESTITUTIONS = (0.0, 0.125, 0.25, 0.4)
 FloatArray = NDArray[np.float64]
 
 
@@ -159,49 +157,9 @@ def floor(options: argparse.Namespace) -> None:
     print(options.engine, {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm", "rest_deg")})
 
 
-def fit(options: argparse.Namespace) -> None:
-    """Write the errors on a grid of constants."""
-    trials = shots().trials("fit")[:: options.every]
-    settings = {"preset": options.preset} if options.preset else {}
-    grid = []
-    for friction in FRICTIONS:
-        for restitution in RESTITUTIONS:
-            constants = {"cube.friction": friction, "cube.restitution": restitution}
-            found = rows(options.engine, trials, constants=constants, settings=settings)
-            grid.append({"friction": friction, "restitution": restitution, "losses": [loss(row) for row in found]})
-            print(options.engine, friction, restitution, round(float(np.mean(grid[-1]["losses"])), 4), flush=True)
-    write(options.out, f"fit-{options.engine}-{options.preset or 'default'}", {"engine": options.engine, "grid": grid})
-
-
 def loss(row: Mapping[str, float]) -> float:
     """Return the mean position error in half widths plus the mean rotation error in radians."""
     return row["mean_mm"] / (1e3 * HALF_WIDTH_M) + float(np.radians(row["mean_deg"]))
-
-
-def best_constants(grid: Sequence[Mapping[str, Any]], draws: int = 1000) -> dict[str, list[float]]:
-    """Return friction and restitution of the least mean loss, each with its 95 % bootstrap interval over tosses.
-
-    The loss on the grid is interpolated by a product of splines; each resample of the tosses has its own minimum.
-    """
-    from scipy.interpolate import RectBivariateSpline
-
-    losses = np.array([entry["losses"] for entry in grid]).reshape(len(FRICTIONS), len(RESTITUTIONS), -1)
-    friction = np.linspace(FRICTIONS[0], FRICTIONS[-1], 81)
-    restitution = np.linspace(RESTITUTIONS[0], RESTITUTIONS[-1], 81)
-
-    def minimum(columns: NDArray[np.int_]) -> tuple[float, float]:
-        surface = RectBivariateSpline(FRICTIONS, RESTITUTIONS, losses[:, :, columns].mean(axis=2), kx=2, ky=2)
-        place = np.unravel_index(np.argmin(surface(friction, restitution)), (81, 81))
-        return float(friction[place[0]]), float(restitution[place[1]])
-
-    count = losses.shape[2]
-    draw = np.random.default_rng(0)
-    found = np.array([minimum(draw.integers(0, count, count)) for _ in range(draws)])
-    best = minimum(np.arange(count))
-    return {
-        name: [best[index], *np.percentile(found[:, index], [2.5, 97.5]).tolist()]
-        for index, name in enumerate(("friction", "restitution"))
-    }
 
 
 def recorded(options: argparse.Namespace) -> None:
@@ -254,12 +212,6 @@ def report(options: argparse.Namespace) -> None:
     for file in (options.out / "recorded.json", *sorted(options.out.glob("run-*.json"))):
         if file.is_file():
             print(f"| {file.stem} | {' | '.join(_impact_cells(json.loads(file.read_text())['rows']))} |")
-    print("\n| engine | best friction | best restitution | tosses |\n|---|---|---|---|")
-    for file in sorted(options.out.glob("fit-*.json")):
-        grid = json.loads(file.read_text())["grid"]
-        best = best_constants(grid)
-        texts = [f"{value:.3f} [{low:.3f}, {high:.3f}]" for value, low, high in best.values()]
-        print(f"| {file.stem.removeprefix('fit-')} | {' | '.join(texts)} | {len(grid[0]['losses'])} |")
 
 
 def _impact_cells(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -281,10 +233,10 @@ def main() -> None:
     """Run one of the commands."""
     parser = argparse.ArgumentParser(description="Real tosses of a cube on every engine.")
     commands = parser.add_subparsers(required=True)
-    for function in (run, floor, fit, recorded, report):
+    for function in (run, floor, recorded, report):
         command = commands.add_parser(function.__name__)
         command.set_defaults(function=function)
-        if function in (run, floor, fit):
+        if function in (run, floor):
             command.add_argument("engine")
         command.add_argument("out", type=Path)
         command.add_argument("--preset")

@@ -134,7 +134,10 @@ SPACES: dict[str, Space] = {
     "physx": Space(("friction", "restitution"), (FRICTION, RESTITUTION), _rigid),
     "pybullet": Space(*SPRINGS, _pybullet),
 }
-"""Constants of each engine, or of one of its kinds of contact. The frequency is that of the cube on its contact spring: sqrt(stiffness / mass) / 2 pi."""
+"""Constants of each engine, or of one of its kinds of contact.
+
+The frequency is that of the cube on its contact spring: sqrt(stiffness / mass) / 2 pi.
+"""
 
 
 def losses_at(engine: str, trials: Sequence[int], changes: Changes, settings: Mapping[str, Any]) -> list[float]:

@@ -184,9 +184,7 @@ def main() -> None:
     contacts = _starts(range(len(data)))
     moved = _starts(range(len(data)), perturbed=True)
     noise = [_distance_m(contacts[trial], moved[trial]) for trial in contacts if trial in moved]
-    print(
-        f"{len(contacts)} tosses that start in flight; a start within the measurement is {1e3 * np.median(noise):.2f} mm away"
-    )
+    print(f"{len(contacts)} tosses start in flight; the uncertainty of a start is {1e3 * np.median(noise):.2f} mm")
     pairs = closest(contacts, options.pairs)
     copies = [pair for pair in pairs if pair.distance_m < COPY_M]
     across = sum((pair.first - pair.second) % 2 for pair in copies)

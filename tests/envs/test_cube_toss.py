@@ -100,7 +100,7 @@ def test_stored_repeats_are_found_again(tmp_path) -> None:
     assert not notes
 
 
-@pytest.mark.parametrize("engine", (*ENGINES, "drake"))
+@pytest.mark.parametrize("engine", [*ENGINES, "drake"])
 @pytest.mark.parametrize("inertia", [8.1e-4, 1.6e-3])
 def test_an_impact_depends_on_the_stated_moment_of_inertia(engine: str, inertia: float) -> None:
     """A drop on one corner without friction: an impulse J at the arm r changes the spin by r x J / I."""

@@ -85,10 +85,10 @@ PRESETS: dict[str, SettingsDrake] = {
     "impact": SettingsDrake(preset="impact", timestep_s=1 / 72000, **IMPACT),
     # Gravity has no part in horizontal impacts, so longer contacts do.
     "impact_chain": SettingsDrake(preset="impact_chain", timestep_s=1 / 36000, **IMPACT),
-    # A polyhedron touches a plane at its corners alone. A hydroelastic corner is a small surface, whose force grows with
-    # the cube of the depth: a cube of 105 mm that strikes with 1.5 m/s sinks in by 25 mm, and its spin is 24 % off. Here
-    # it is within 5 %, and friction in an impact within 6 %. At 1/3600 s and a rate of 0.4, which is as stiff, `lagged`
-    # friction is 48 % too large.
+    # A polyhedron touches a plane at its corners alone. A hydroelastic corner is a small surface, whose force grows
+    # with the cube of the depth: a cube of 105 mm that strikes with 1.5 m/s sinks in by 25 mm, and its spin is 24 %
+    # off. Here it is within 5 %, and friction in an impact within 6 %. At 1/3600 s and a rate of 0.4, which is as
+    # stiff, `lagged` friction is 48 % too large.
     "corners": SettingsDrake(preset="corners", timestep_s=1 / 9000, contact_model="point", impact_rate=0.2),
     # The energy of a pendulum oscillates by 0.04 %.
     "contact_free": SettingsDrake(preset="contact_free", timestep_s=1 / 9000),

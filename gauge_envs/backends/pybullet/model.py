@@ -270,13 +270,10 @@ class WorldPyBullet(BulletWorld):
 
     def _springs(self) -> dict[str, float]:
         """Return the arguments of compliant contacts, nothing for rigid ones."""
-        settings = self.settings
-        if settings.contact_stiffness_n_per_m is None:
+        stiffness, damping = self.settings.contact_stiffness_n_per_m, self.settings.contact_damping_n_s_per_m
+        if stiffness is None or damping is None:
             return {}
-        return {
-            "contactStiffness": settings.contact_stiffness_n_per_m,
-            "contactDamping": settings.contact_damping_n_s_per_m,
-        }
+        return {"contactStiffness": stiffness, "contactDamping": damping}
 
     def _surface_handles(self, name: str) -> list[tuple[Surface, Handle]]:
         """Return the surfaces of a rigid body, each with its copy of the body."""
