@@ -6,7 +6,8 @@ step and the iterations. All distances are those of `ErrorMeasure`, in the unit 
 - *Converged motion* of a family: its finest run at its usual iterations. If the next coarser neighbours are closer to
   each other than the finest run is to its neighbour, it is the finer one of those, and so on: an engine in single
   precision moves away again at very fine steps, where rounding dominates.
-- *Resolution*: the distance of the converged motion to its coarser neighbour. Nothing smaller is known about it.
+- *Resolution*: the largest distance of the converged motion to its coarser neighbour and to any finer run. Nothing
+  smaller is known about it.
 - *Numerical error* of a run: its distance to the converged motion of its own family.
 - *Model error* of a family: the distance of its converged motion to the exact motion of the scene's own constants. It
   is what no finer step removes.
@@ -93,7 +94,8 @@ class Family:
         given: Settings that were given, without the effort and the preset.
         versions: Versions of the engine's packages.
         points: Its settings, the cheapest first.
-        resolution: Distance of the converged motion to its neighbour; None with less than two steps.
+        resolution: Largest distance of the converged motion to its coarser neighbour and to any finer run; infinite if
+            a finer run diverged, None with less than two steps.
         model: Model error; None without a closed form or a converged motion.
         floor: Parametric floor; None without sensitivities.
         floor_source: Origin of the floor.

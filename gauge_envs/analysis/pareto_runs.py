@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -82,7 +83,7 @@ class ExperimentFamily:
         measure: Measure of distances.
         exact: Exact motion, shape [T, D]; None without one.
         runs: Its settings.
-        resolution: Distance of the converged motion to its neighbour.
+        resolution: Largest distance of the converged motion to its coarser neighbour and to any finer run.
         model: Model error.
         floor: Parametric floor.
         floor_source: Origin of the floor.
@@ -178,10 +179,14 @@ def _analyse(member: ExperimentFamily, notes: list[str]) -> None:
     for run in member.runs:
         if run.frames is not None:
             run.numerical = _finite(measure.distance(run.frames, reference.frames))
+    finer = [run for run in member.runs if run.is_main and (run.step_s or 0.0) < (reference.step_s or 0.0)]
+    # Finer runs that move away may round, or may converge to something else.
+    away = [math.inf if run.numerical is None else run.numerical for run in finer]
+    member.resolution = max([member.resolution or 0.0, *away])
 
 
 def _converged(member: ExperimentFamily) -> SettingRun | None:
-    """Return the run of the converged motion, and keep its resolution; None with less than two steps."""
+    """Return the run of the converged motion, and keep its distance to its neighbour; None with less than two steps."""
     line = sorted(
         (run for run in member.runs if run.is_main and run.frames is not None and run.step_s),
         key=lambda run: run.step_s or 0.0,

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from gauge_envs.analysis.pareto import Family, Phenomenon, Point, Tradeoff
+from gauge_envs.analysis.pareto_runs import STEP
 from gauge_envs.files import json_ready
 from gauge_envs.report.table import Column, Table, as_markdown
 
@@ -30,7 +31,7 @@ def pareto_markdown(tradeoff: Tradeoff) -> str:
     for phenomenon in tradeoff.phenomena:
         lines += [f"### {phenomenon.name}", "", f"{_heading(phenomenon)}", ""]
         lines += [f"- {statement}" for statement in phenomenon_statements(phenomenon, tradeoff)]
-        lines += ["", as_markdown(_table(phenomenon, tradeoff)).rstrip(), ""]
+        lines += ["", as_markdown(_table(phenomenon)).rstrip(), ""]
     return "\n".join(lines)
 
 
@@ -105,24 +106,27 @@ def _heading(phenomenon: Phenomenon) -> str:
     names = ", ".join(name.removeprefix("GAUGE/") for name in phenomenon.ids)
     unit = "the scatter of real trials" if phenomenon.unit == "scatter" else phenomenon.unit
     worst = ", of the worst experiment" if len(phenomenon.ids) > 1 else ""
-    return f"{TITLES.get(phenomenon.metric, phenomenon.metric)} of {names}; errors in units of {unit}{worst}."
+    title = TITLES.get(phenomenon.metric, phenomenon.metric)
+    return f"{title[0].upper()}{title[1:]} of {names}; errors in units of {unit}{worst}."
 
 
-def _table(phenomenon: Phenomenon, tradeoff: Tradeoff) -> Table:
-    unit = f"{tradeoff.cost.upper() if tradeoff.cost == 'cpu' else 'wall'} time"
+def _table(phenomenon: Phenomenon) -> Table:
     columns = (
         Column("family", "engine"),
         Column("floor", "parametric floor", is_number=True),
         Column("model", "model error", is_number=True),
         Column("sufficient", "sufficient step", is_number=True),
-        Column("sufficient_cost", f"its {unit}", is_number=True),
+        Column("sufficient_cost", "its cost", is_number=True),
         Column("cheapest", "cheapest within scatter"),
-        Column("cheapest_cost", f"its {unit}", is_number=True),
+        Column("cheapest_cost", "its cost", is_number=True),
+        Column("usual", "default step", is_number=True),
+        Column("usual_cost", "its cost", is_number=True),
     )
-    return Table(columns=columns, rows=[_row(family, tradeoff) for family in phenomenon.families])
+    return Table(columns=columns, rows=[_row(family) for family in phenomenon.families])
 
 
-def _row(family: Family, tradeoff: Tradeoff) -> dict[str, str]:
+def _row(family: Family) -> dict[str, str]:
+    usual = next((p for p in family.points if p.is_on_main_line and STEP not in p.settings_given), None)
     enough = next((p for p in family.points if p.is_on_main_line and p.step_s == family.sufficient_step_s), None)
     within = [p for p in family.points if p.to_reality is not None and p.to_reality <= SCATTER]
     cheapest = min(within, key=lambda point: point.cost, default=None)
@@ -134,6 +138,8 @@ def _row(family: Family, tradeoff: Tradeoff) -> dict[str, str]:
         "sufficient_cost": "" if enough is None or family.sufficient_step_s is None else _ratio(enough),
         "cheapest": "" if cheapest is None else setting_words(cheapest),
         "cheapest_cost": "" if cheapest is None else _ratio(cheapest),
+        "usual": "" if usual is None else step_words(usual.step_s),
+        "usual_cost": "" if usual is None else _ratio(usual),
     }
 
 

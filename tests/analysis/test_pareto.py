@@ -173,7 +173,20 @@ def test_a_finest_step_that_rounds_is_not_the_converged_motion() -> None:
     assert family.converged is not None
     assert family.converged.step_s is not None
     assert STEPS_S[-1] * 1.01 < family.converged.step_s < STEPS_S[0]
-    assert by_step(family, "numerical")[-1] > 0.0
+    assert by_step(family, "numerical")[-1] == family.resolution
+
+
+def test_a_motion_that_finer_steps_leave_is_not_resolved() -> None:
+    def leaving(acceleration: float, time_s: float, step_s: float) -> float:
+        """Two steps agree, and all finer ones converge to another motion."""
+        return euler(
+            acceleration * (0.5 if step_s > STEPS_S[2] + 1e-9 else 1.0 + STEPS_S[2] / step_s), time_s, 1 / 2880
+        )
+
+    phenomenon, family = only(sweep(leaving))
+    assert family.resolution is not None
+    assert family.sufficient_step_s is None
+    assert phenomenon.families[0].resolution == family.resolution > 1.0
 
 
 def test_the_cost_is_the_least_of_the_repeats_and_relative_to_mujoco() -> None:
