@@ -18,26 +18,23 @@ from gauge_envs.scene.fabrics import MAPPINGS, EngineConstants, Fabric, shear_st
 
 __all__ = ["fabric_recipe", "fabric_view", "material_table", "meaning_view", "recipe_view"]
 
-UNITS = {"penetration_m": "m", "creep_m_s": "m/s", "time_constant_s": "s"}
+TITLES = {
+    "penetration_m": "penetration [m]",
+    "creep_m_s": "creep [m/s]",
+    "time_constant_s": "time constant [s]",
+}
+"""Titles of values whose names carry a unit."""
 
 
 def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def _name(name: str) -> str:
-    return (
-        f"{name.rsplit('_', 2 if name == 'creep_m_s' else 1)[0].replace('_', ' ')} [{UNITS[name]}]"
-        if (name in UNITS)
-        else name
-    )
-
-
 def recipe_view(recipe: Recipe) -> Group:
     """Return what was asked and reached, the reason of a miss, and the text to paste."""
     asked = {"friction": recipe.aim.friction, "restitution": recipe.aim.rebound, "penetration_m": recipe.aim.depth_m}
     rows = [
-        {"name": _name(name), "asked": asked.get(name), "reached": value, "error": recipe.error.get(name)}
+        {"name": TITLES.get(name, name), "asked": asked.get(name), "reached": value, "error": recipe.error.get(name)}
         for name, value in recipe.reached.items()
     ]
     columns = (
@@ -54,7 +51,7 @@ def meaning_view(meaning: Meaning) -> Group:
     """Return what settings give by simulation and in closed form."""
     expected: Mapping[str, Any] = meaning.expected or {}
     rows = [
-        {"name": _name(name), "reached": value, "expected": expected.get(name)}
+        {"name": TITLES.get(name, name), "reached": value, "expected": expected.get(name)}
         for name, value in meaning.reached.items()
     ]
     columns = (

@@ -70,6 +70,8 @@ COMMANDS = (
     ("show", "SlopeSlider-3-metal"),
     ("show", "FoamTwisting-hard"),
     ("materials",),
+    ("recipe", "--list-materials"),
+    ("recipe", "--fabric", "satin", "--engine", "newton"),
     ("backend", "list"),
     ("backend", "check", "mujoco", "--only", "slide*"),
     ("assets", "list"),

@@ -21,6 +21,9 @@ __all__ = ["DrakeSettings"]
 RATES = np.geomspace(0.5, 0.01, 60)
 """Natural frequency of a contact times the step, from hard to soft. Above 0.5 a rebound depends on its phase most."""
 
+LONGEST_IMPACT_S = 0.1
+"""Longest impact [s], pi over the natural frequency. At 2 m/s a body then sinks in by 63 mm."""
+
 RIGID_RATE = 1.0
 """The same without rebound, as in the backend's sustained contacts."""
 
@@ -65,7 +68,8 @@ class DrakeSettings(ContactSettings):
         else:
             weight = GRAVITY_M_PER_S2 * step / math.sqrt(2.0 * GRAVITY_M_PER_S2 * DROP_M)
             given = hardness if aim.stiffness_n_per_m is not None else None
-            rate, relaxation = _rebounding(aim.rebound, weight, least=hardness, given=given)
+            least = max(hardness, math.pi * step / LONGEST_IMPACT_S)
+            rate, relaxation = _rebounding(aim.rebound, weight, least=least, given=given)
         return cls(
             timestep_s=step,
             friction=aim.friction,
@@ -127,7 +131,7 @@ def _rebounding(restitution: float, weight: float, *, least: float, given: float
     Args:
         restitution: The restitution.
         weight: Speed that gravity adds in a step, over the incoming speed.
-        least: Smallest rate, which the allowed depth states.
+        least: Smallest rate, which the allowed depth and the longest impact state.
         given: Rate that a stiffness states; None for the hardest one that rebounds enough.
     """
     rates = [given] if given is not None else [max(float(rate), least) for rate in RATES]
