@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from hostile import install
-from sweep_lanes import HereLane, contents, plain
+from sweep_lanes import HereLane, contents, needs_rapier, plain
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
@@ -54,6 +54,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
 # --- results ---
 
 
+@needs_rapier
 def test_results_are_those_of_gauge_run_bit_for_bit(tmp_path: Path) -> None:
     results = swept(planned(backends=["mujoco", "rapier"]), tmp_path, HereLane(), HereLane())
     requests = [
@@ -174,6 +175,7 @@ def test_failures_run_again_on_request(tmp_path: Path) -> None:
     assert query_sweep(tmp_path, "SELECT outcome FROM results")[1] == [("finished",)]
 
 
+@needs_rapier
 def test_worlds_that_die_together_run_one_by_one(tmp_path: Path) -> None:
     plan = planned(backends=["rapier"], variants=[WOOD], repeats=3, settings={"timestep_s": [1 / 360]})
     results = swept(plan, tmp_path, mortal_lane(1))
@@ -206,6 +208,7 @@ def test_a_task_that_always_loses_its_lane_fails(tmp_path: Path) -> None:
     assert {str(result.error) for result in results} == {"the machine is gone, 3 times"}
 
 
+@needs_rapier
 def test_what_a_declined_scene_leaves(tmp_path: Path) -> None:
     (result,) = swept(planned(backends=["rapier"], variants=["FoamBending-soft"], repeats=1, settings={}), tmp_path)
     assert result.outcome is Outcome.DECLINED
