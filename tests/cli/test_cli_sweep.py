@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sweep_lanes import HereLane, contents
+from sweep_lanes import HereLane, contents, needs_rapier
 from typer.testing import CliRunner
 
 from gauge_envs.cli import sweep as command
@@ -66,6 +66,7 @@ def test_options_alone_are_the_file(gauge: Any, tmp_path: Path) -> None:
     assert contents(tmp_path / "file") == contents(tmp_path / "options")
 
 
+@needs_rapier
 def test_options_replace_keys_of_the_file(gauge: Any) -> None:
     options = ["--backend", "mujoco", "--backend", "rapier", "--set", "mujoco.iterations=5,10", "--jitter-mm", "0.5"]
     rows = lines(gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", *options))
@@ -98,6 +99,7 @@ def test_ctrl_c_keeps_what_is_complete_and_says_how_to_go_on(
     assert len(contents(tmp_path / "out")) == 4 and kept.items() <= contents(tmp_path / "out").items()
 
 
+@needs_rapier
 def test_exit_code_1_states_a_bad_outcome(gauge: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     foam = ["--backend", "rapier", "--repeats", "1", "--out", "out"]
     declined = gauge("sweep", "--variant", "FoamBending-soft", *foam)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sqlite3
-from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from statistics import median
+
+import numpy as np
 
 from gauge_envs.runs.sweep.folder import SweepFolder
 from gauge_envs.runs.sweep.plan import SweepTask
@@ -32,30 +33,42 @@ class Cost:
 class EarlierCosts:
     """Costs of the results in the store of a folder.
 
-    The cost of an episode is its number of time steps, times the median cost of a step in earlier episodes of the same
-    engine and experiment. Other settings, as iterations, are not considered.
+    The cost of an episode is the median time of earlier episodes of the same engine and experiment with as many time
+    steps. Between two numbers of steps it is interpolated, and beyond the largest it grows in proportion. Other
+    settings, as iterations, are not considered.
 
     Args:
         folder: The folder; without a store nothing is known.
     """
 
     def __init__(self, folder: SweepFolder) -> None:
-        per_step: dict[tuple[str, str], list[float]] = defaultdict(list)
+        times_s: dict[tuple[str, str], dict[float, list[float]]] = {}
         for experiment, backend, wall_s, steps in _measured(folder):
-            per_step[backend, experiment].append(wall_s / steps)
-        self._per_step = {group: median(values) for group, values in per_step.items()}
+            times_s.setdefault((backend, experiment), {}).setdefault(round(steps), []).append(wall_s)
+        self._medians = {
+            group: {steps: median(values) for steps, values in sorted(by_steps.items())}
+            for group, by_steps in times_s.items()
+        }
 
     def of(self, tasks: Iterable[SweepTask]) -> Cost:
         """Return the estimated cost of tasks."""
         engine_s, known, unknown = 0.0, 0, 0
         for task in tasks:
-            step_s = self._per_step.get(task.run.group)
-            if step_s is None or task.run.steps is None:
+            medians = self._medians.get(task.run.group)
+            if medians is None or task.run.steps is None:
                 unknown += len(task.seeds)
             else:
                 known += len(task.seeds)
-                engine_s += len(task.seeds) * step_s * task.run.steps
+                engine_s += len(task.seeds) * _interpolated(medians, task.run.steps)
         return Cost(engine_s, known, unknown)
+
+
+def _interpolated(medians: Mapping[float, float], steps: float) -> float:
+    """Return the time for a number of steps [s], from times by numbers of steps in ascending order."""
+    most = max(medians)
+    if steps > most:
+        return medians[most] * steps / most
+    return float(np.interp(steps, list(medians), list(medians.values())))
 
 
 def _measured(folder: SweepFolder) -> list[tuple[str, str, float, float]]:

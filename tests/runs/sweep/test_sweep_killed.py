@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from places import ROOT
-from sweep_lanes import HereLane, contents
+from sweep_lanes import HereLane, contents, needs_rapier
 
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
@@ -51,6 +51,7 @@ def children(pid: int) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
+@needs_rapier
 def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_path: Path) -> None:
     expected = whole(tmp_path / "whole")
     folder, moments, kills = tmp_path / "killed", random.Random(0), 0
@@ -77,6 +78,7 @@ def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_pat
 
 
 @pytest.mark.slow
+@needs_rapier
 def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

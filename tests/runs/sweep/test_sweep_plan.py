@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from sweep_lanes import needs_rapier
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -41,7 +42,7 @@ def test_equal_sweeps_have_equal_names() -> None:
     "other",
     [
         {"variants": ["SlopeSlider-2-metal"]},
-        {"backends": ["rapier"]},
+        pytest.param({"backends": ["rapier"]}, marks=needs_rapier),
         {"parameters": [{"cube.friction": 0.3}]},
         {"seed": 5},
         {"jitter": {"position_m": 0.002}},
@@ -129,11 +130,13 @@ def test_an_unknown_pattern_offers_names() -> None:
         planned(variants=["SlopeSlider-2-wodd"])
 
 
+@needs_rapier
 def test_a_setting_of_one_engine_stands_in_its_table() -> None:
     plan = planned(backends=["mujoco", "rapier"], settings={"mujoco": {"noslip_iterations": [0, 5]}})
     assert [run.request.backend for run in plan.runs] == ["mujoco", "mujoco", "rapier"]
 
 
+@needs_rapier
 def test_declined_episodes_are_planned_with_the_reason() -> None:
     (run,) = planned(backends=["rapier"], variants=["FoamBending-soft"]).runs
     assert run.declined is not None and "rigid bodies only" in run.declined
@@ -148,6 +151,7 @@ def test_default_jitter_is_that_of_a_run() -> None:
 # --- tasks ---
 
 
+@needs_rapier
 def test_only_engines_with_shared_worlds_run_repeats_together() -> None:
     plan = planned(backends=["mujoco", "rapier"], repeats=4)
     assert [list(task.seeds) for task in remaining_tasks(plan, ())] == [[0], [1], [2], [3], [0, 1, 2, 3]]
@@ -159,6 +163,7 @@ def test_only_engines_with_shared_worlds_run_repeats_together() -> None:
     assert (tasks[0].request.seed, tasks[0].request.repeats, tasks[0].request.jitter) == (0, 2, rapier.request.jitter)
 
 
+@needs_rapier
 def test_parts_are_the_whole() -> None:
     plan = planned(variants=["SlopeSlider-*"], backends=["mujoco", "rapier"])
     parts = [shard(plan, number, 4) for number in range(4)]
