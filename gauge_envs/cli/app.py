@@ -9,7 +9,7 @@ import typer
 import typer.core
 
 from gauge_envs.cli.checks import backend_app, sanity
-from gauge_envs.cli.control import transfer
+from gauge_envs.cli.control import envelope, transfer
 from gauge_envs.cli.data import assets_app, data_app
 from gauge_envs.cli.describe import list_, materials, show
 from gauge_envs.cli.export import export_app
@@ -107,6 +107,7 @@ app.command()(sweep)
 app.command()(query)
 app.command()(recipe)
 app.command()(transfer)
+app.command()(envelope)
 app.command("sanity probe")(sanity_probe)
 app.command("sanity export")(sanity_export)
 app.command("sanity judge")(sanity_judge)

@@ -1,17 +1,28 @@
-"""Commands on control tasks: what a trained policy keeps of its reward elsewhere."""
+"""What a policy keeps of its reward elsewhere, and what uncertain constants do to a reward or a score."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gauge_envs.cli.arguments import Json, ParametersOption, Wide, parsed_parameters, parsed_settings, split_list
-from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, print_table, stderr_console, stdout_console
+from gauge_envs.cli.output import (
+    EXIT_FAILED,
+    plain_text,
+    print_json_lines,
+    print_table,
+    progress_bar,
+    stderr_console,
+    stdout_console,
+)
 from gauge_envs.errors import ParameterError
 
-__all__ = ["transfer"]
+if TYPE_CHECKING:
+    from gauge_envs.runs.envelope import Envelope
+
+__all__ = ["envelope", "transfer"]
 
 DEFAULT_ENGINES = ("mujoco", "newton")
 
@@ -96,6 +107,101 @@ def transfer(
         stderr.print(plain_text(str(save_transfer(report, figure))), soft_wrap=True)
     if fail_below is not None and 100.0 * report.kept.value < fail_below:
         raise typer.Exit(EXIT_FAILED)
+
+
+def envelope(
+    subject: Annotated[str, typer.Argument(metavar="ID", help="Control task or experiment.")],
+    policy: Annotated[
+        str | None,
+        typer.Option(metavar="POLICY", help="Policy of a control task, as in gauge transfer; else the law's."),
+    ] = None,
+    normalization: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Statistics that VecNormalize saved beside the policy.")
+    ] = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Let loading run code of the policy's file or module.")
+    ] = False,
+    fraction: Annotated[float, typer.Option(min=0.0, help="Share of the limit that the law's policy uses.")] = 0.95,
+    informed: Annotated[
+        bool, typer.Option("--informed", help="The law's policy knows the constants of each world.")
+    ] = False,
+    samples: Annotated[int, typer.Option(help="Number of points, a power of 2.")] = 256,
+    engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Setting of the engine; repeatable.")
+    ] = None,
+    batch: Annotated[int, typer.Option(min=1, help="Worlds of an experiment in one vector environment.")] = 256,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the points.")] = 0,
+    figure: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (PNG) to write.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the ranges as code for four training stacks.")
+    ] = None,
+    width: Annotated[float, typer.Option(help="Half width of those ranges, in standard uncertainties.")] = 2.0,
+    json_lines: Json = False,
+) -> None:
+    """Show what the measured uncertainty of constants and start does to a reward or a score.
+
+    With --out it writes the same uncertainty as ranges of domain randomization.
+    """
+    from gauge_envs.analysis.envelope import envelope_report
+    from gauge_envs.report.envelope import envelope_json, envelope_table, envelope_verdict
+    from gauge_envs.report.figures.style import new_figure
+    from gauge_envs.report.randomization import write_randomization
+
+    if figure is not None:
+        new_figure(1.0, 1.0)
+    stderr = stderr_console()
+    settings = parsed_settings(changes or [])
+    common: dict[str, Any] = {"samples": samples, "backend": engine, "settings": settings, "seed": seed}
+    with progress_bar(stderr) as bar:
+        line = bar.add_task("samples", total=samples)
+        common["notify"] = lambda done: bar.update(line, completed=done)
+        if _is_control(subject):
+            law = (fraction, informed)
+            found = _control(subject, policy, normalization, trust, law, **common)
+        elif policy is not None:
+            raise ParameterError(f"{subject} is an experiment: only control tasks have policies")
+        else:
+            from gauge_envs.runs.envelope import experiment_envelope
+
+            found = experiment_envelope(subject, batch=batch, **common)
+    report = envelope_report(found)
+    if json_lines:
+        print_json_lines([envelope_json(report)])
+    else:
+        print_table(envelope_table(report), json_lines=False)
+        stdout_console().print(f"\n{plain_text(envelope_verdict(report))}")
+    written = []
+    if figure is not None:
+        from gauge_envs.report.figures.envelope import save_envelope
+
+        written.append(save_envelope(found, report, figure))
+    if out is not None:
+        written += write_randomization(out, found.id, found.scene, found.parameters, width)
+    for path in written:
+        stderr.print(plain_text(str(path)), soft_wrap=True)
+
+
+def _is_control(subject: str) -> bool:
+    from gauge_envs.envs.control.tasks import control_tasks
+
+    return subject.removeprefix("GAUGE/") in {task.name for task in control_tasks()}
+
+
+def _control(
+    task: str, policy: str | None, normalization: Path | None, trust: bool, law: tuple[float, bool], **options: Any
+) -> Envelope:
+    from contextlib import closing
+
+    from gauge_envs.runs.envelope import LawPolicy, control_envelope
+    from gauge_envs.runs.policies.load import load_policy
+    from gauge_envs.runs.replays import make_control_env
+
+    if policy is None:
+        return control_envelope(task, policy=LawPolicy(fraction=law[0], informed=law[1]), **options)
+    with closing(make_control_env(task)) as env:
+        loaded = load_policy(policy, env, normalization=normalization, trust=trust)
+    return control_envelope(task, policy=loaded, policy_name=policy, **options)
 
 
 def _installed(names: tuple[str, ...]) -> list[tuple[str, dict[str, Any]]]:
