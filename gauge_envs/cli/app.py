@@ -22,8 +22,8 @@ from gauge_envs.cli.interrupts import (
 )
 from gauge_envs.cli.leaderboard import leaderboard_app
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
-from gauge_envs.cli.report import report
 from gauge_envs.cli.recipe import recipe
+from gauge_envs.cli.report import report
 from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
 from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
