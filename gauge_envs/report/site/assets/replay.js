@@ -82,7 +82,9 @@
 
   function bodyOf(body, shapes) {
     const group = new THREE.Group();
-    const material = new THREE.MeshLambertMaterial({ color: body.color });
+    // The faces lie a little deeper than their edges, or both flicker.
+    const deeper = { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 };
+    const material = new THREE.MeshLambertMaterial({ color: body.color, ...deeper });
     for (const solid of shapes[body.shape]) {
       const mesh = new THREE.Mesh(geometryOf(solid), material);
       if (solid.kind === "box" || solid.kind === "mesh") {
