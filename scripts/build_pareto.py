@@ -68,7 +68,7 @@ DEFAULT_STEPS = {
 IMPACT_STEPS = {"drake": (25, 50, 100, 200, 400, 800)}
 """The same for impacts, where an engine's preset has other steps."""
 
-FEW = {"pybullet": ("SlopeSlider-2-wood", BALL)}
+FEW = {"pybullet": (*SLIDES, BALL)}
 """Variants of an engine that is slow."""
 
 EXACT = ("settings_given", "effort", "step_s", "sufficient_step_s")
@@ -190,9 +190,9 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
         [
             "",
             f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each the least CPU time of "
-            f"{min(counts)} to {max(counts)} runs: {REPEATS} of each request, or one of a run that takes more than "
-            f"{REPEAT_BELOW_S:g} s of CPU time. Costs in the tables are relative to MuJoCo's default preset, which ran "
-            "in the same session on the same experiments.",
+            f"{min(counts)} to {max(counts)} runs; the data file states how many. A run of more than "
+            f"{REPEAT_BELOW_S:g} s of CPU time is not repeated. Costs in the tables are relative to MuJoCo's default "
+            "preset, which ran in the same session on the same experiments.",
             "",
             f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}.",
             "",

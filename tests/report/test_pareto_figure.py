@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
+from pydantic import TypeAdapter
 
 pytest.importorskip("matplotlib")
+
+import build_pareto
 
 from gauge_envs.analysis.pareto import Family, Phenomenon, Point, Tradeoff
 from gauge_envs.report.figures.pareto import draw_pareto, save_pareto
@@ -65,3 +69,25 @@ def test_the_converged_motion_has_no_point_of_numerical_error() -> None:
 
 def test_a_picture_is_written(tmp_path: Path) -> None:
     assert save_pareto(made(family("mujoco", floor=None), unit="mm"), tmp_path / "pareto.png").stat().st_size > 10_000
+
+
+def test_the_page_is_that_of_its_data_and_its_lessons_hold() -> None:
+    assert build_pareto.main(["--check"]) == 0
+    values = json.loads(build_pareto.DATA.read_text(encoding="utf-8"))
+    found = TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
+    phenomena = {one.name: one for one in found.phenomena}
+    coarse = [
+        (point.numerical, family.floor)
+        for family in phenomena["SlopeSlider-2"].families
+        for point in family.points
+        if point.is_on_main_line and point.step_s == pytest.approx(1 / 180)
+    ]
+    assert len(coarse) >= 10
+    assert all(error is not None and floor is not None and error <= 0.22 < 0.37 < floor for error, floor in coarse)
+    carried = {family.name: family for family in phenomena["Turntable-1"].families}
+    errors = {point.step_s: point.to_closed_form for point in carried["mujoco"].points}
+    assert min(error for error in errors.values() if error is not None) == pytest.approx(0.035, abs=5e-4)
+    assert carried["mujoco"].model == pytest.approx(0.054, abs=5e-4)
+    drop = {family.name: family for family in phenomena["BouncingBall"].families}["mujoco out_of_box"]
+    assert drop.model == pytest.approx(14.2, abs=0.1)
+    assert drop.resolution == pytest.approx(0.033, abs=1e-3)

@@ -84,7 +84,8 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
     figure.legend(handles=handles, loc="outside upper left", ncols=5, frameon=False, fontsize=9)
     figure.supxlabel(
         "Each line is one engine with one preset, from its coarsest step (left) to its finest (right). "
-        "Crosses: other iterations.\nThe converged motion itself, with numerical error 0, is not drawn.",
+        "Crosses: other iterations.\nThe converged motion itself, with numerical error 0, is not drawn. "
+        "Errors below 0.0001 are drawn there.",
         x=0.01,
         ha="left",
         fontsize=8.5,
