@@ -7,7 +7,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from gauge_envs.cli.arguments import Json
-from gauge_envs.cli.output import EXIT_FAILED, print_json_lines, print_table, stdout_console
+from gauge_envs.cli.output import EXIT_FAILED, echo, print_json_lines, print_table, stdout_console
 from gauge_envs.errors import ParameterError, UnknownNameError
 
 __all__ = ["recipe"]
@@ -55,6 +55,11 @@ def recipe(
         _print_recipe(_given(engine, "engine", "mujoco"), behaviour, mass, timestep, material, json_lines)
 
 
+def _print_snippet(snippet: str) -> None:
+    """Print a snippet as it is: a terminal's width must not wrap or cut what is to be pasted."""
+    echo(f"\npaste\n{snippet}", nl=False)
+
+
 def _refuse(text: str, *values: object) -> None:
     """Raise an error if an option is given that does not go with another one."""
     if any(value is not None for value in values):
@@ -99,6 +104,7 @@ def _print_recipe(
         if pair is not None:
             print_table(material_table((pair,)), json_lines=False)
         stdout_console().print(recipe_view(found))
+        _print_snippet(found.settings.snippet(aim.mass_kg))
     if found.found is None:
         raise typer.Exit(EXIT_FAILED)
 
@@ -116,6 +122,7 @@ def _explain(engine: str, text: str, mass: float | None, timestep: float | None,
         print_json_lines([meaning.json()])
     else:
         stdout_console().print(meaning_view(meaning))
+        _print_snippet(meaning.settings.snippet(meaning.mass_kg))
     if meaning.found is None:
         raise typer.Exit(EXIT_FAILED)
 
@@ -139,6 +146,7 @@ def _print_fabric(name: str, engine: str, json_lines: bool) -> None:
         print_json_lines([values])
     else:
         stdout_console().print(fabric_view(values))
+        _print_snippet(str(values["snippet"]))
 
 
 def _given(value: T | None, name: str, example: str) -> T:

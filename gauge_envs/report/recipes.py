@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Group
-from rich.text import Text
-
 from gauge_envs.checks.recipes import Recipe
 from gauge_envs.checks.recipes.explain import Meaning
 from gauge_envs.checks.recipes.materials import MaterialPair
 from gauge_envs.errors import ParameterError
-from gauge_envs.report.table import Column, Place, Table, as_rich
-from gauge_envs.report.text import heading
+from gauge_envs.report.table import Column, Place, Table, TerminalTable, as_rich
 from gauge_envs.scene.fabrics import MAPPINGS, EngineConstants, Fabric, shear_stiffness, uniaxial_stiffness
 
 __all__ = ["fabric_recipe", "fabric_view", "material_table", "meaning_view", "recipe_view"]
@@ -30,8 +26,8 @@ def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def recipe_view(recipe: Recipe) -> Group:
-    """Return what was asked and reached, the reason of a miss, and the text to paste."""
+def recipe_view(recipe: Recipe) -> TerminalTable:
+    """Return what was asked and reached, and the reason of a miss."""
     asked = {"friction": recipe.aim.friction, "restitution": recipe.aim.rebound, "penetration_m": recipe.aim.depth_m}
     rows = [
         {"name": TITLES.get(name, name), "asked": asked.get(name), "reached": value, "error": recipe.error.get(name)}
@@ -43,11 +39,10 @@ def recipe_view(recipe: Recipe) -> Group:
         Column("reached", "reached", _number, is_number=True),
         Column("error", "error", lambda value: f"{value:+.2g}", is_number=True),
     )
-    table = as_rich(Table(columns=columns, rows=rows, notes=("", recipe.explanation)))
-    return Group(table, *_pasted(recipe.settings.snippet(recipe.aim.mass_kg)))
+    return as_rich(Table(columns=columns, rows=rows, notes=("", recipe.explanation)))
 
 
-def meaning_view(meaning: Meaning) -> Group:
+def meaning_view(meaning: Meaning) -> TerminalTable:
     """Return what settings give by simulation and in closed form."""
     expected: Mapping[str, Any] = meaning.expected or {}
     rows = [
@@ -59,12 +54,7 @@ def meaning_view(meaning: Meaning) -> Group:
         Column("reached", "simulated", _number, is_number=True),
         Column("expected", "closed form", _number, is_number=True),
     )
-    table = as_rich(Table(columns=columns, rows=rows, notes=("", meaning.explanation)))
-    return Group(table, *_pasted(meaning.settings.snippet(meaning.mass_kg)))
-
-
-def _pasted(snippet: str) -> tuple[Text, Text]:
-    return heading("paste"), Text(snippet.rstrip("\n"), no_wrap=True, overflow="ignore")
+    return as_rich(Table(columns=columns, rows=rows, notes=("", meaning.explanation)))
 
 
 def _uncertain(value: float, std: float | None) -> str:
@@ -147,8 +137,8 @@ def fabric_snippet(mapped: EngineConstants) -> str:
     return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())
 
 
-def fabric_view(values: Mapping[str, Any]) -> Group:
-    """Return what a fabric's constants give, what is lost, and the text to paste."""
+def fabric_view(values: Mapping[str, Any]) -> TerminalTable:
+    """Return what a fabric's constants give, and what is lost."""
     names = {"stretch_n_per_m": "stretch [N/m]", "shear_n_per_m": "shear [N/m]", "bend_n_m_per_rad": "bend [N m/rad]"}
     rows = [
         {"name": title, "asked": values["asked"][key], "reached": values["reached"].get(key)}
@@ -159,5 +149,4 @@ def fabric_view(values: Mapping[str, Any]) -> Group:
         Column("asked", "measured", _number, is_number=True),
         Column("reached", "mapping gives", _number, is_number=True),
     )
-    table = as_rich(Table(columns=columns, rows=rows, notes=("", str(values["explanation"]))))
-    return Group(table, *_pasted(str(values["snippet"])))
+    return as_rich(Table(columns=columns, rows=rows, notes=("", str(values["explanation"]))))

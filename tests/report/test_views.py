@@ -71,7 +71,6 @@ COMMANDS = (
     ("show", "FoamTwisting-hard"),
     ("materials",),
     ("recipe", "--list-materials"),
-    ("recipe", "--fabric", "satin", "--engine", "newton"),
     ("backend", "list"),
     ("backend", "check", "mujoco", "--only", "slide*"),
     ("assets", "list"),

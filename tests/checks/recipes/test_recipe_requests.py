@@ -162,6 +162,13 @@ def test_a_fabric_states_what_its_mapping_loses() -> None:
     assert "tri_ke=28.5764" in found["snippet"]
 
 
+@pytest.mark.parametrize("width", ["40", "140"])
+def test_a_terminal_does_not_cut_what_is_to_be_pasted(width: str) -> None:
+    snippet = values("--fabric", "satin", "--engine", "newton")["snippet"]
+    text = CliRunner(env={"COLUMNS": width}).invoke(app, ["recipe", "--fabric", "satin", "--engine", "newton"]).stdout
+    assert text.endswith(snippet)
+
+
 # --- wrong requests --------------------------------------------------------------------------------------------------
 
 GOOD = {"--engine": "mujoco", "--friction": "0.4", "--mass": "0.5", "--timestep": "0.002"}
