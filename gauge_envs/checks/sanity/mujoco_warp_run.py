@@ -59,6 +59,7 @@ class BackendMuJoCoWarp(BackendMuJoCo):
 
     name = "mujoco_warp"
     applies_air = False
+    joins_bodies = False
 
     def __init__(self) -> None:
         _started()
