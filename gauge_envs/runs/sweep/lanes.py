@@ -44,7 +44,7 @@ class Lane(Protocol):
         """Return the results of a request, in the order of its seeds; those without a trajectory hold the reason.
 
         Raises:
-            LaneLostError: The lane ended; a later call starts it again.
+            LaneLostError: The lane ended, or lost its machine; then a later call starts it again.
         """
 
     def close(self) -> None:
@@ -65,15 +65,22 @@ class WorkerLane:
         self._worker = Worker(limits.time_limit_s, limits.memory_limit_gb)
         self._isolate = limits.isolate
         self._backend = ""
+        self._is_closed = False
 
     def run(self, request: RunRequest) -> list[Result]:
-        """Return the results of a request; an episode that ends the process is `failed`, with the cause."""
+        """Return the results of a request; an episode that ends the process is `failed`, with the cause.
+
+        Raises:
+            LaneLostError: The lane is closed.
+        """
         if self._backend != request.backend:
             self._worker.close()
             self._backend = request.backend
         try:
             return self._worker.call(run_request, request)
         except GaugeError as error:
+            if self._is_closed:
+                raise LaneLostError("the lane is closed") from error
             if request.repeats == 1:
                 return not_run(planned_results(request), Outcome.FAILED, str(error))
         finally:
@@ -84,7 +91,8 @@ class WorkerLane:
         return [result for seed in seeds for result in self.run(replace(request, seed=seed, repeats=1))]
 
     def close(self) -> None:
-        """End the process."""
+        """End the process for good."""
+        self._is_closed = True
         self._worker.close()
 
 

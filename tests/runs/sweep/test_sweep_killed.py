@@ -46,7 +46,9 @@ def whole(folder: Path) -> dict[str, str]:
 
 
 def children(pid: int) -> list[int]:
-    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    """Processes that any thread of a process has started."""
+    files = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for file in files for word in file.read_text().split()]
 
 
 @pytest.mark.slow
@@ -54,25 +56,23 @@ def children(pid: int) -> list[int]:
 @needs_rapier
 def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_path: Path) -> None:
     expected = whole(tmp_path / "whole")
-    folder, moments, kills = tmp_path / "killed", random.Random(0), 0
-    returncode = None
-    while returncode != 0:
+    folder, moments = tmp_path / "killed", random.Random(0)
+    kills = []
+    for victim in ("parent", "parent", "worker", None):
         before = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.json")}
         process = subprocess.Popen([*COMMAND, str(folder)], cwd=ROOT, stdout=subprocess.DEVNULL)
-        if kills < 6:
-            found = len(before)
-            while process.poll() is None and len(list(folder.glob("*.json"))) < min(found + 3, COUNT):
-                time.sleep(0.01)
-            time.sleep(moments.uniform(0.0, 0.3))
-            victims = [process.pid] if kills % 2 == 0 else children(process.pid)[:1]
-            for victim in victims:
-                os.kill(victim, signal.SIGKILL)
-                kills += 1
+        while victim and process.poll() is None and len(list(folder.glob("*.json"))) < len(before) + 3:
+            time.sleep(0.01)
+        time.sleep(moments.uniform(0.0, 0.3))
+        for pid in [process.pid] if victim == "parent" else children(process.pid)[:1] if victim else []:
+            os.kill(pid, signal.SIGKILL)
+            kills.append(victim)
         returncode = process.wait()
+        assert returncode in ({"parent": [-signal.SIGKILL], "worker": [0, 1], None: [0]}[victim])
         after = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.json")}
         assert before.items() <= after.items()
         assert contents(folder).items() <= expected.items()
-    assert kills >= 4
+    assert kills == ["parent", "parent", "worker"]
     assert contents(folder) == expected
     assert query_sweep(folder, "SELECT outcome, count(*) FROM results GROUP BY 1")[1] == [("finished", COUNT)]
 

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from sweep_lanes import needs_rapier
 
+from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
@@ -75,6 +76,16 @@ def test_settings_that_resolve_to_the_same_run_once() -> None:
     )
     assert plan.episode_count == 2 and plan.duplicates == 1
     assert names(planned()) < names(plan)
+
+
+@pytest.mark.parametrize("name", ["mujoco", pytest.param("rapier", marks=needs_rapier)])
+def test_resolved_settings_are_those_in_force(name: str) -> None:
+    engine, scene = backend(name), load_experiment(WOOD).scene
+    simulation = engine.build(scene, {"timestep_s": 1 / 720})
+    resolved = engine.resolved_settings(scene, {"timestep_s": 1 / 720})
+    assert resolved is not None and resolved["timestep_s"] == 1 / 720
+    assert dict(simulation.settings).items() <= dict(resolved).items()
+    simulation.close()
 
 
 def test_the_scene_belongs_to_the_hash_of_an_experiment() -> None:

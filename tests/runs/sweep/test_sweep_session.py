@@ -182,6 +182,13 @@ def test_worlds_that_die_together_run_one_by_one(tmp_path: Path) -> None:
     assert [result.outcome.value for result in results] == ["finished", "failed", "finished"]
 
 
+def test_a_lane_that_is_closed_while_it_runs_calls_nothing_a_failure() -> None:
+    lane = mortal_lane(0)
+    lane.close()
+    with pytest.raises(LaneLostError, match="closed"):
+        lane.run(RunRequest(WOOD, repeats=4))
+
+
 def test_a_lost_lane_costs_nothing(tmp_path: Path) -> None:
     class Lossy(HereLane):
         losses = 0
