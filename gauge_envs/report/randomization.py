@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -159,7 +159,7 @@ def _gymnasium(task: str, ranges: Sequence[ConstantRange | StartRange]) -> str:
     )  # fmt: skip
 
 
-def _literal(values: dict[str, object]) -> str:
+def _literal(values: Mapping[str, object]) -> str:
     """Return a dictionary as Python code, one entry a line."""
     if not values:
         return "{}"

@@ -132,7 +132,7 @@ def training_world(
 ) -> ReplayWorld:
     """Return the world of the training."""
     return ReplayWorld(
-        name=_titled(engine, settings or {}),
+        name=f"training: {_titled(engine, settings or {})}",
         kind=WorldKind.TRAINING,
         backend=engine,
         settings=settings or {},
@@ -167,7 +167,7 @@ def other_worlds(
     if isinstance(step, float):
         halved = {**training.settings, "timestep_s": 0.5 * step}
         yield ReplayWorld(
-            name=f"{training.name}, half the step",
+            name="training, half the step",
             kind=WorldKind.CONFIGURATION,
             backend=training.backend,
             settings=halved,

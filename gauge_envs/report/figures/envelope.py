@@ -73,7 +73,7 @@ def _unit(unit: str) -> str:
 def _draw_distribution(axis: Axes, envelope: Envelope, report: EnvelopeReport, colors: dict[str, str]) -> None:
     known = np.isfinite(envelope.values)
     if not is_constant(envelope.values[known]):
-        bins = np.histogram_bin_edges(envelope.values[known], bins=40)
+        bins = np.histogram_bin_edges(envelope.values[known], bins=40).tolist()
         stacked = [envelope.values[known & np.array([one == ending for one in envelope.endings])] for ending in colors]
         axis.hist(stacked, bins=bins, orientation="horizontal", stacked=True, color=list(colors.values()),
                   label=list(colors))  # fmt: skip
