@@ -46,6 +46,7 @@ CANONICAL = (
     "carry-turn",
     "carry-slip",
     "start-velocity",
+    "hinged-momentum",
     "cloth-stretch",
     "cloth-shear",
     "cloth-bending",
