@@ -34,7 +34,7 @@ class HereLane:
 
 def plain(result: Result) -> str:
     """A result without the times of its making, to the last bit."""
-    return json.dumps(replace(result, wall_s=None, created="").to_dict())
+    return json.dumps(replace(result, wall_s=None, cpu_s=None, created="").to_dict())
 
 
 def contents(folder: Path) -> dict[str, str]:

@@ -145,7 +145,7 @@ def test_a_parameter_set_that_some_lack(gauge):
 
 
 def test_a_failed_episode_gives_exit_code_1(gauge, monkeypatch):
-    monkeypatch.setattr("gauge_envs.envs.episode.Episode._fault", lambda *_: "it flew away")
+    monkeypatch.setattr("gauge_envs.envs.episode.Episode.fault_of", lambda *_: "it flew away")
     result = gauge("run", NAME)
     assert result.exit_code == 1
     assert "diverged: SlopeSlider-2-wood: it flew away" in result.stdout

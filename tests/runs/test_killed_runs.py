@@ -33,7 +33,7 @@ def run(folder: Path) -> None:
 def contents(folder: Path) -> dict[str, str]:
     """The results of a folder by file name, without the times of their making; each must be complete."""
     return {
-        file.name: json.dumps(replace(load_result(file), wall_s=None, created="").to_dict())
+        file.name: json.dumps(replace(load_result(file), wall_s=None, cpu_s=None, created="").to_dict())
         for file in folder.iterdir()
         if not file.name.startswith(".")
     }

@@ -159,7 +159,7 @@ def test_command_line_tells_them_apart() -> None:
     run = CliRunner().invoke
     listed = run(app, ["list"]).stdout.splitlines()
     assert listed[-1].startswith("75 ids")
-    assert "14 control tasks" in " ".join(listed[-6:])
+    assert "14 control tasks" in " ".join(listed[-8:])
     shown = run(app, ["show", "Turntable-Limit-wood"])
     assert shown.exit_code == 0
     assert "omega^2 r = mu g" in shown.stdout
