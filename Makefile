@@ -39,9 +39,9 @@ lint: $(VENV)/.installed
 check: lint
 	$(BIN)/python -m pytest -n 2 $(CHECK_TESTS)
 
-# Some slow checks train policies.
+# Some slow checks train policies, or need packages that the other tests do without.
 slow: $(VENV)/.installed
-	$(BIN)/pip install --quiet -e ".[rl]"
+	$(BIN)/pip install --quiet -e ".[onnx,ray,rerun,rl,slurm]"
 	$(BIN)/python -m pytest -n 2 -m slow
 
 # Engines that the other tests do without, because they are large, and the slow checks of all engines.
