@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
+from hostile import install
 
 import gauge_envs
-from gauge_envs.backends import Support
+from gauge_envs.backends import Support, backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
@@ -31,6 +32,17 @@ def gauge_data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "gauge-data"
     monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
     return folder
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Installs hostile backends, as in `installed("crash", "greedy")`."""
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(folder))
+    backend.cache_clear()
+    yield lambda *names: install(folder, *names)
+    backend.cache_clear()
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.runs.replays import Replay, Replays, ReplayWorld, WorldKind
+from gauge_envs.runs.policy_replays import Replay, Replays, ReplayWorld, WorldKind
 
 __all__ = ["FALL_SHARE", "Estimate", "TransferReport", "WorldTransfer", "transfer_report"]
 

@@ -78,7 +78,7 @@ def transfer(
     from gauge_envs.report.figures.style import new_figure
     from gauge_envs.report.transfer import transfer_json, transfer_table, transfer_verdict
     from gauge_envs.runs.policies.load import load_policies
-    from gauge_envs.runs.replays import make_control_env, other_worlds, replay, training_world
+    from gauge_envs.runs.policy_replays import make_control_env, other_worlds, replay, training_world
 
     if figure is not None:
         new_figure(1.0, 1.0)  # A missing matplotlib is an error before the replays, not after.
@@ -195,7 +195,7 @@ def _control(
 
     from gauge_envs.runs.envelope import LawPolicy, control_envelope
     from gauge_envs.runs.policies.load import load_policy
-    from gauge_envs.runs.replays import make_control_env
+    from gauge_envs.runs.policy_replays import make_control_env
 
     if policy is None:
         return control_envelope(task, policy=LawPolicy(fraction=law[0], informed=law[1]), **options)

@@ -18,7 +18,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
-from gauge_envs.runs.replays import make_control_env, play_paid
+from gauge_envs.runs.policy_replays import make_control_env, play_paid
 from gauge_envs.runs.uncertain_task import task_uncertainties
 from gauge_envs.scene import Scene
 

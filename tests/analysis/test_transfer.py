@@ -19,7 +19,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.errors import ParameterError
 from gauge_envs.report.transfer import transfer_json, transfer_verdict
-from gauge_envs.runs.replays import (
+from gauge_envs.runs.policy_replays import (
     Replay,
     Replays,
     ReplayWorld,

@@ -19,7 +19,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
 from gauge_envs.report.randomization import randomization_files, ranges_of
 from gauge_envs.runs.envelope import Envelope, LawPolicy, control_envelope, experiment_envelope, sobol_sigmas
-from gauge_envs.runs.replays import make_control_env
+from gauge_envs.runs.policy_replays import make_control_env
 from gauge_envs.runs.uncertain_task import task_uncertainties
 
 SLIDE = "SlopeSlider-2-wood"

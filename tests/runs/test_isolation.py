@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hostile import install
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
@@ -22,17 +21,6 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 
 WOOD, PLASTIC, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"
-
-
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs hostile backends: installed("crash", "hang")."""
-    folder = tmp_path / "site"
-    folder.mkdir()
-    monkeypatch.syspath_prepend(str(folder))
-    backend.cache_clear()
-    yield lambda *names: install(folder, *names)
-    backend.cache_clear()
 
 
 def plain(result: Result) -> str:

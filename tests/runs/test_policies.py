@@ -16,7 +16,7 @@ from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.errors import PolicyError
 from gauge_envs.runs.policies.load import checked_policy, load_policies, load_policy
 from gauge_envs.runs.policies.normalization import read_normalization
-from gauge_envs.runs.replays import make_control_env
+from gauge_envs.runs.policy_replays import make_control_env
 
 TASK = "Pendulum-Limit-metal"
 

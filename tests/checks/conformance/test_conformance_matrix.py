@@ -4,29 +4,16 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hostile import install
 from typer.testing import CliRunner
 
-from gauge_envs.backends import backend
 from gauge_envs.checks.conformance import Status, checks
 from gauge_envs.checks.conformance.matrix import CANONICAL, MatrixColumn, matrix_columns, run_column
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
-
-
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs hostile backends."""
-    folder = tmp_path / "site"
-    folder.mkdir()
-    monkeypatch.syspath_prepend(str(folder))
-    backend.cache_clear()
-    yield lambda *names: install(folder, *names)
-    backend.cache_clear()
 
 
 def test_canonical_checks_exist_and_are_named_once() -> None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
-from hostile import install
 from typer.testing import CliRunner, Result
 
-from gauge_envs.backends import backend
 from gauge_envs.checks.conformance import Status, run_checks
 from gauge_envs.checks.conformance.lab import RefusedSettingsError
 from gauge_envs.cli.app import app
@@ -20,17 +17,6 @@ from gauge_envs.runs.isolation import Worker
 
 ONLY = ("free-fall", "slide-plane", "start-velocity")
 """Of these, only the second has contacts."""
-
-
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs hostile backends."""
-    folder = tmp_path / "site"
-    folder.mkdir()
-    monkeypatch.syspath_prepend(str(folder))
-    backend.cache_clear()
-    yield lambda *names: install(folder, *names)
-    backend.cache_clear()
 
 
 def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:

@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
-import pytest
-from hostile import install
 from typer.testing import CliRunner, Result
 
-from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
-
-
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs hostile backends."""
-    folder = tmp_path / "site"
-    folder.mkdir()
-    monkeypatch.syspath_prepend(str(folder))
-    backend.cache_clear()
-    yield lambda *names: install(folder, *names)
-    backend.cache_clear()
 
 
 def checked(target: str, *only: str) -> tuple[list[dict[str, Any]], Result]:

@@ -6,16 +6,14 @@ import json
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hostile import install
 from sweep_lanes import HereLane, contents, needs_rapier, plain
 
-from gauge_envs.backends import backend
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
@@ -38,17 +36,6 @@ def planned(**values: Any) -> SweepPlan:
 def swept(plan: SweepPlan, folder: Path, *used: Any, **options: Any) -> list[Result]:
     with SweepSession(plan, folder, **options) as session:
         return list(session.run(used or [HereLane()]))
-
-
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs hostile backends: installed("crash", "greedy")."""
-    folder = tmp_path / "site"
-    folder.mkdir()
-    monkeypatch.syspath_prepend(str(folder))
-    backend.cache_clear()
-    yield lambda *names: install(folder, *names)
-    backend.cache_clear()
 
 
 # --- results ---
