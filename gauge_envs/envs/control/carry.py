@@ -55,6 +55,16 @@ class CarryLimit(LeastTimeLimit):
         return (2.0 * fastest - speed_m_per_s) / deceleration_m_per_s2
 
     @staticmethod
+    def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
+        """Return the least time [s] to rest at the goal: a cube that is too fast passes the goal and comes back."""
+        braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
+        braked_m = 0.5 * speed_m_per_s * braked_s
+        if 0.0 < braked_m <= distance_m:
+            fastest = math.sqrt(deceleration_m_per_s2 * distance_m + 0.5 * speed_m_per_s**2)
+            return (2.0 * fastest - speed_m_per_s) / deceleration_m_per_s2
+        return braked_s + 2.0 * math.sqrt(abs(distance_m - braked_m) / deceleration_m_per_s2)
+
+    @staticmethod
     def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
         """Return the least acceleration a [m/s^2], with 4 a D = (a T + v)^2 - 2 v^2."""
         twice = 4.0 * distance_m - 2.0 * time_s * speed_m_per_s

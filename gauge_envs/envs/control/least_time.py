@@ -44,10 +44,11 @@ class LeastTimeLimit(ControlEnv):
     arrived when its centre is within 15 mm of the goal, it has turned by less than 10 degrees, and it is slower than
     20 mm/s.
 
-    **Reward.** The distance gained over that of the goal, minus the time over the law's least time. That is the time
-    to the nearest place and the largest speed that count as arrived. Arrival adds 1, so that an episode earns
-    2 - T / T_law at most, and no policy more than 1. The loss of the cube ends an episode and takes 1 and the time that
-    was left, so that it never pays.
+    **Reward.** The change of the time to go, minus the time that passed, both over the law's least time. The time to go
+    is the least time from the cube's place and velocity to rest at the goal; it shapes the reward and cancels over an
+    episode. The least time is that to the nearest place and the largest speed that count as arrived. Arrival adds 1, so
+    that an episode earns 2 - T / T_law at most, and no policy more than 1. The loss of the cube ends an episode and
+    takes 1 and the time that was left, so that it never pays.
 
     **Reached** is the smallest friction with which any motion could bring the cube as far in the same time, with the
     speed that it has left: at most mu. It is 0 if the cube did not arrive.
@@ -125,6 +126,11 @@ class LeastTimeLimit(ControlEnv):
     def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
         """Return mu g of the smallest friction that allows a distance in a time with a speed left, at least 0."""
 
+    @staticmethod
+    @abstractmethod
+    def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
+        """Return the time [s] that is left at a distance from the goal with a speed towards it, negative if away."""
+
     @abstractmethod
     def _is_lost(self, cube_m: FloatArray) -> bool:
         """Return whether the cube can no longer arrive; `cube_m` is its centre [m], shape [3]."""
@@ -141,9 +147,10 @@ class LeastTimeLimit(ControlEnv):
         self._yaw_rad = self._arrived_s = 0.0
         self._cube_velocity = np.zeros(2)
         self._samples = 0
+        self._to_go = self._time_to_go()
 
     def _advance(self, command: FloatArray) -> tuple[float, Ending | None]:
-        left_m, samples, ending = self._left_m, self._samples, None
+        to_go, samples, ending = self._to_go, self._samples, None
         for _ in range(SAMPLES_PER_FRAME):
             self._stage.advance(self.simulation, command * self.ACCELERATION_M_PER_S2)
             self._samples += 1
@@ -154,12 +161,20 @@ class LeastTimeLimit(ControlEnv):
                 ending, self._arrived_s = Ending.REACHED, self._samples * SAMPLE_INTERVAL_S
             if ending is not None:
                 break
-        gained = (left_m - self._left_m) / self.DISTANCE_M
+        self._to_go = 0.0 if ending is Ending.REACHED else self._time_to_go()
         spent = (self._samples - samples) * SAMPLE_INTERVAL_S / self._law_time_s
         bonus = 1.0 if ending is Ending.REACHED else 0.0
         if ending is Ending.LOST:
             bonus = -1.0 - (self.DURATION_S - self._samples * SAMPLE_INTERVAL_S) / self._law_time_s
-        return gained - spent + bonus, ending
+        return to_go - self._to_go - spent + bonus, ending
+
+    def _time_to_go(self) -> float:
+        """Return the time to go, over that at the start. Speed across the way takes its braking time in addition."""
+        most = self.limit.value * self.experiment.scene.gravity_m_per_s2
+        way, left_m = self.goal_m - self._moved_m, self._left_m
+        speed = float(self._cube_velocity @ way) / left_m if left_m > 0.0 else 0.0
+        across = math.sqrt(max(float(self._cube_velocity @ self._cube_velocity) - speed**2, 0.0))
+        return (self.time_to_go_s(left_m, speed, most) + across / most) / self.time_to_go_s(self.DISTANCE_M, 0.0, most)
 
     def _look(self) -> None:
         """Read the cube's place, its yaw, and its mean velocity since the last look, 1/180 s ago."""

@@ -96,6 +96,15 @@ class PushLimit(LeastTimeLimit):
         return (first - speed_m_per_s) / deceleration_m_per_s2
 
     @staticmethod
+    def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
+        """Return the time [s] of coasting to the goal, or past it and, if that were possible, back."""
+        braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
+        over_m = 0.5 * speed_m_per_s * braked_s - distance_m
+        if over_m <= 0.0:
+            return math.sqrt(2.0 * distance_m / deceleration_m_per_s2)
+        return braked_s + math.sqrt(2.0 * over_m / deceleration_m_per_s2)
+
+    @staticmethod
     def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
         """Return the least deceleration a [m/s^2], with D = v T + a T^2 / 2."""
         return max(2.0 * (distance_m - speed_m_per_s * time_s) / time_s**2, 0.0)

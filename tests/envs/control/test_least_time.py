@@ -70,6 +70,21 @@ def test_a_frame_on_the_way_to_rest_leaves_the_braking_distance() -> None:
     assert acceleration_to_rest(-0.2, 0.1, 3.0) == -acceleration_to_rest(0.2, -0.1, 3.0)
 
 
+@pytest.mark.parametrize(("distance", "speed"), [(0.5, 0.0), (0.2, 1.0), (0.1, 1.0), (0.3, -0.5)])
+def test_time_to_go_is_that_of_the_fastest_motion(distance: float, speed: float) -> None:
+    """By integration of the motion with the switching curve v |v| = 2 a x, which is time-optimal."""
+    most, step = 3.2, 1e-5
+    place, rate, time_s = distance, speed, 0.0
+    while time_s < 5.0 and (place**2 + rate**2) > 1e-6:
+        acceleration = most if 2.0 * most * place > rate * abs(rate) else -most
+        rate, place, time_s = (
+            rate + acceleration * step,
+            place - (rate + 0.5 * acceleration * step) * step,
+            time_s + step,
+        )
+    assert CarryLimit.time_to_go_s(distance, speed, most) == pytest.approx(time_s, abs=2e-3)
+
+
 # --- carry ---
 
 
@@ -82,6 +97,10 @@ def test_carry_at_the_law(material: str) -> None:
         # Arrival is seen each 1/180 s and the change of the acceleration takes a frame.
         assert 0.95 < report.ratio <= 1.0
         assert 0.93 < paid <= 1.0
+        # The time to go cancels: 2 - T / T_law is left, to the nearest place that counts as arrived.
+        most = env.limit.value * GRAVITY_M_PER_S2
+        law_s = CarryLimit.least_time_s(env.DISTANCE_M - TOLERANCE_M, most, REST_M_PER_S)
+        assert paid == pytest.approx(2.0 - env.trajectory()[-1, -1] / law_s)
     for more in (1.05, 1.2):
         report, paid = by_law(env, more)  # it slips, and arrives later
         assert report.ratio <= 1.0
