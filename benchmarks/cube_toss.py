@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -22,18 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tosses import Run, add_run_options, median, quartiles, recorded_tosses, simulated_tosses, write
 
-from gauge_envs.backends import backend_for
 from gauge_envs.evaluation.single_shot import (
     bootstrap_interval,
     impacts,
-    perturbed_start,
     shot_error,
 )
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.single_shot import with_trial
-from gauge_envs.references.single_shot import SingleShots, single_shots
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.references.single_shot import SingleShots
 
 NAME = "CubeToss-acrylic"
 HALF_WIDTH_M = 0.0524
@@ -45,9 +41,7 @@ FloatArray = NDArray[np.float64]
 
 def shots() -> SingleShots:
     """Return the recorded tosses."""
-    found = single_shots(NAME)
-    assert found is not None
-    return found
+    return recorded_tosses(NAME)
 
 
 def toss(
@@ -58,45 +52,18 @@ def toss(
     constants: Mapping[str, float] | None = None,
     floor: bool = False,
 ) -> Iterator[tuple[int, FloatArray, FloatArray, Rotation]]:
-    """Yield trial, times, positions and orientations of simulated tosses, 180 samples a second for 1 s.
-
-    Args:
-        engine: Name of the backend.
-        trials: Numbers of the trials.
-        settings: Settings of the engine.
-        constants: Constants that replace the calibrated ones, as `cube.friction`.
-        floor: Whether each toss starts with an error of the size of that of the measured start.
-    """
-    experiment = load_experiment(NAME, dict(constants or {}))
-    count = round(experiment.scene.duration_s / SAMPLE_INTERVAL_S)
-    times_s = SAMPLE_INTERVAL_S * np.arange(count + 1)
-    for begin in range(0, len(trials), WORLDS):
-        chunk = trials[begin : begin + WORLDS]
-        scenes = [with_trial(experiment, trial).scene for trial in chunk]
-        if floor:
-            nuisances = shots().sidecar.nuisances
-            scenes = [
-                replace(
-                    scene,
-                    bodies=tuple(
-                        perturbed_start(body, nuisances, seed=trial) if body.name == "cube" else body
-                        for body in scene.bodies
-                    ),
-                )
-                for trial, scene in zip(chunk, scenes, strict=True)
-            ]
-        worlds = backend_for(engine, None).build_worlds(scenes, dict(settings or {}))
-        worlds.reset(0)
-        states = np.empty((count + 1, len(chunk), 13))
-        for number in range(count + 1):
-            if number:
-                worlds.advance(SAMPLE_INTERVAL_S)
-            for place, world in enumerate(worlds.worlds):
-                states[number, place] = world.body_states(("cube",))[0]
-        worlds.close()
-        for place, trial in enumerate(chunk):
-            state = states[:, place]
-            yield trial, times_s, state[:, :3], Rotation.from_quat(state[:, 3:7], scalar_first=True)
+    """Yield trial, times, positions and orientations of simulated tosses; the arguments are those of `tosses`."""
+    some = simulated_tosses(
+        NAME,
+        engine,
+        trials,
+        settings=settings or {},
+        constants=constants or {},
+        floor=floor,
+        worlds_at_once=WORLDS,
+    )
+    for trial, times_s, states in some:
+        yield trial, times_s, states[:, 0, :3], Rotation.from_quat(states[:, 0, 3:7], scalar_first=True)
 
 
 Toss = tuple[int, FloatArray, FloatArray, Rotation]
@@ -116,27 +83,12 @@ def rows(engine: str, trials: Sequence[int], **keywords: Any) -> list[dict[str, 
     return [row_of(one) for one in toss(engine, trials, **keywords)]
 
 
-def write(out: Path, name: str, content: Any) -> None:
-    """Write one JSON file."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
-
-
 def run(options: argparse.Namespace) -> None:
     """Write the errors of an engine."""
-    changes = {key: json.loads(value) for key, value in (text.split("=", 1) for text in options.set)}
-    constants = {key: value for key, value in changes.items() if key.startswith("cube.")}
-    settings = {key: value for key, value in changes.items() if key not in constants}
-    settings |= {"preset": options.preset} if options.preset else {}
-    trials = shots().trials(options.half)[:: options.every]
-    start = time.perf_counter()
-    tosses = list(toss(options.engine, trials, settings=settings, constants=constants))
-    wall_s = time.perf_counter() - start
-    found = [row_of(one) for one in tosses]
-    name = options.name or f"run-{options.engine}-{options.preset or 'default'}"
-    head = {"engine": options.engine, "preset": options.preset or "default", "changes": changes, "wall_s": wall_s}
-    write(options.out, name, head | {"rows": found})
-    print(name, len(found), round(wall_s, 1), {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm")})
+    wanted = Run(options, shots(), lambda key: key.startswith("cube."))
+    found = rows(options.engine, wanted.trials, settings=wanted.settings, constants=wanted.constants)
+    wanted.write(found)
+    print(wanted.name, len(found), {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm")})
 
 
 def floor(options: argparse.Namespace) -> None:
@@ -172,17 +124,6 @@ def recorded(options: argparse.Namespace) -> None:
         struck = impacts(body, HALF_WIDTH_M, shot.times_s, shot.positions_m, rotations)
         found.append({"trial": trial, "impacts": [asdict(impact) for impact in struck]})
     write(options.out, "recorded", {"rows": found})
-
-
-def median(found: Sequence[Mapping[str, Any]], key: str) -> float:
-    """Return the rounded median of one error."""
-    return round(float(np.median([row[key] for row in found])), 2)
-
-
-def quartiles(found: Sequence[Mapping[str, Any]], key: str) -> str:
-    """Return the median of one error with its quartiles."""
-    low, middle, high = np.percentile([row[key] for row in found], [25, 50, 75])
-    return f"{middle:.1f} ({low:.1f} to {high:.1f})"
 
 
 def report(options: argparse.Namespace) -> None:
@@ -239,11 +180,10 @@ def main() -> None:
         if function in (run, floor):
             command.add_argument("engine")
         command.add_argument("out", type=Path)
-        command.add_argument("--preset")
-        command.add_argument("--half", choices=("fit", "judge"), default="judge")
-        command.add_argument("--every", type=int, default=1)
-        command.add_argument("--set", nargs="*", default=[])
-        command.add_argument("--name")
+        if function in (run, floor):
+            command.add_argument("--every", type=int, default=1)
+        if function is run:
+            add_run_options(command)
     options = parser.parse_args()
     options.function(options)
 

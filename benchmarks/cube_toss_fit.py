@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cube_toss import loss, shots, toss, write
+from cube_toss import loss, shots, toss
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.stats import qmc
+from tosses import write
 
 from gauge_envs.evaluation.single_shot import shot_error
 

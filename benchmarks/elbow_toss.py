@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,19 +22,17 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from cube_toss import median, quartiles, write
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from tosses import Run, Toss, add_run_options, median, quartiles, recorded_tosses, simulated_tosses, write
 
-from gauge_envs.backends import backend_for
-from gauge_envs.evaluation.single_shot import angle_error, bootstrap_interval, perturbed_scene, shot_error
+from gauge_envs.evaluation.single_shot import angle_error, bootstrap_interval, shot_error
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.single_shot import with_trial
-from gauge_envs.references.single_shot import SingleShot, SingleShots, single_shots
+from gauge_envs.references.single_shot import SingleShot, SingleShots
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 NAME = "ElbowToss-blocks"
 UNIT_MM = 50.0
@@ -45,15 +42,11 @@ WORLDS = 20
 """Tosses that are built at once."""
 
 FloatArray = NDArray[np.float64]
-Toss = tuple[int, FloatArray, FloatArray]
-"""Trial, times, and states of the recorded bodies, shape [T, body_count, 13]."""
 
 
 def shots() -> SingleShots:
     """Return the recorded tosses."""
-    found = single_shots(NAME)
-    assert found is not None
-    return found
+    return recorded_tosses(NAME)
 
 
 def tosses(
@@ -64,37 +57,11 @@ def tosses(
     constants: Mapping[str, float] | None = None,
     floor: bool = False,
 ) -> Iterator[Toss]:
-    """Yield simulated tosses, 180 samples a second.
-
-    Args:
-        engine: Name of the backend.
-        trials: Numbers of the trials.
-        settings: Settings of the engine.
-        constants: Constants that replace those of both blocks, as `friction`.
-        floor: Whether each toss starts with an error of the size of that of the measured start.
-    """
-    data = shots()
-    changed = {f"{body}.{key}": value for body in data.sidecar.bodies for key, value in (constants or {}).items()}
-    experiment = load_experiment(NAME, changed)
-    count = round(experiment.scene.duration_s / SAMPLE_INTERVAL_S)
-    times_s = np.asarray(SAMPLE_INTERVAL_S * np.arange(count + 1), dtype=np.float64)
-    for begin in range(0, len(trials), WORLDS):
-        chunk = trials[begin : begin + WORLDS]
-        scenes = [with_trial(experiment, trial).scene for trial in chunk]
-        if floor:
-            scenes = [
-                perturbed_scene(scene, data.sidecar, seed=trial) for trial, scene in zip(chunk, scenes, strict=True)
-            ]
-        worlds = backend_for(engine, None).build_worlds(scenes, dict(settings or {}))
-        worlds.reset(0)
-        states = np.empty((count + 1, len(chunk), len(data.sidecar.bodies), 13))
-        for number in range(count + 1):
-            if number:
-                worlds.advance(SAMPLE_INTERVAL_S)
-            for place, world in enumerate(worlds.worlds):
-                states[number, place] = world.body_states(data.sidecar.bodies)
-        worlds.close()
-        yield from ((trial, times_s, states[:, place]) for place, trial in enumerate(chunk))
+    """Yield simulated tosses; `constants`, as `friction`, replace those of both blocks."""
+    changed = {f"{body}.{key}": value for body in shots().sidecar.bodies for key, value in (constants or {}).items()}
+    yield from simulated_tosses(
+        NAME, engine, trials, settings=settings or {}, constants=changed, floor=floor, worlds_at_once=WORLDS
+    )
 
 
 def row_of(one: Toss, recorded: Sequence[SingleShot]) -> dict[str, Any]:
@@ -116,20 +83,12 @@ def records(trial: int) -> list[SingleShot]:
 
 def run(options: argparse.Namespace) -> None:
     """Write the errors of an engine."""
-    changes = {key: json.loads(value) for key, value in (text.split("=", 1) for text in options.set)}
-    constants = {key: value for key, value in changes.items() if key in ("friction", "restitution", "mass_kg")}
-    settings = {key: value for key, value in changes.items() if key not in constants}
-    settings |= {"preset": options.preset} if options.preset else {}
-    trials = shots().trials(options.half)[:: options.every]
-    start = time.perf_counter()
-    found = [
-        row_of(one, records(one[0])) for one in tosses(options.engine, trials, settings=settings, constants=constants)
-    ]
-    name = options.name or f"run-{options.engine}-{options.preset or 'default'}"
-    head = {"engine": options.engine, "preset": options.preset or "default", "changes": changes}
-    write(options.out, name, head | {"wall_s": time.perf_counter() - start, "rows": found})
+    wanted = Run(options, shots(), lambda key: key in ("friction", "restitution", "mass_kg"))
+    some = tosses(options.engine, wanted.trials, settings=wanted.settings, constants=wanted.constants)
+    found = [row_of(one, records(one[0])) for one in some]
+    wanted.write(found)
     losses = [row["mean_mm"] / UNIT_MM + float(np.radians(row["mean_deg"])) for row in found]
-    print(name, len(found), {key: median(found, key) for key in KEYS}, f"loss {np.mean(losses):.2f}", flush=True)
+    print(wanted.name, len(found), {key: median(found, key) for key in KEYS}, f"loss {np.mean(losses):.2f}", flush=True)
 
 
 def floor(options: argparse.Namespace) -> None:
@@ -424,10 +383,7 @@ def main() -> None:
         if function in (run, floor, pair):
             command.add_argument("--every", type=int, default=1)
         if function is run:
-            command.add_argument("--preset")
-            command.add_argument("--half", choices=("fit", "judge"), default="judge")
-            command.add_argument("--set", nargs="*", default=[])
-            command.add_argument("--name")
+            add_run_options(command)
     options = parser.parse_args()
     options.function(options)
 
