@@ -15,8 +15,6 @@ trials judge.
 
 from __future__ import annotations
 
-import argparse
-import hashlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,24 +22,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from toss_files import (
+    QUATERNION_COUNTS,
+    RATE_HZ,
+    REST_FRAMES,
+    median_error,
+    sidecar_head,
+    slope_error,
+    spread,
+    write_or_check,
+)
 
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 NAME = "CubeToss-acrylic"
 HALF_WIDTH_M = 0.0524
-RATE_HZ = 148.0
 POSITION_UNIT_M = 2e-5
 CLEAR_M = 0.004
 """Height of the lowest corner above which a cube counts as flying, about its deepest recorded penetration."""
 
 LEAST_FLIGHT = 8
 """Frames of flight from which on an acceleration is fitted."""
-
-QUATERNION_COUNTS = 32767.0
-"""Counts of a stored quaternion per unit."""
-
-REST_FRAMES = 5
-"""Last frames of a toss, which show the cube at rest."""
 
 SOURCE_TEXT = (
     "processed tosses of an acrylic cube, DAIRLab/contact-nets, commit c3dc21c, data/tosses_processed, "
@@ -87,12 +88,6 @@ def read_tosses(source: Path) -> list[Toss]:
     return tosses
 
 
-def spread(values: FloatArray) -> float:
-    """Return a standard deviation from quartiles, which outliers do not move; of a normal distribution it is exact."""
-    low, high = np.percentile(values, [25, 75])
-    return float(high - low) / 1.349
-
-
 def nuisances(tosses: list[Toss]) -> dict[str, float]:
     """Return the nuisances, fitted on even trials."""
     fit = tosses[::2]
@@ -111,8 +106,6 @@ def nuisances(tosses: list[Toss]) -> dict[str, float]:
         turning.append((turned - np.vander(times_s, 2) @ rate) * np.sqrt(count / (count - 2.0)))
     accelerations = np.array(fall)
     scale = GRAVITY_M_PER_S2 / float(np.median(accelerations))
-    # The standard error of a median of normal values is 1.2533 times that of their mean.
-    scale_error = scale * 1.2533 * spread(accelerations) / np.median(accelerations) / np.sqrt(len(accelerations))
     rest_m = np.array([scale * toss.positions_m[-REST_FRAMES:, 2].mean() for toss in fit])
     upward = np.array([np.abs(toss.rotations[-1].as_matrix()[2]).max() for toss in fit])
     noise_m = scale * spread(np.concatenate(residuals).ravel())
@@ -120,7 +113,7 @@ def nuisances(tosses: list[Toss]) -> dict[str, float]:
     errors = [slope_error(len(toss.flight_times_s(4))) for toss in fit]
     return {
         "length_scale": scale,
-        "length_scale_std_error": float(scale_error),
+        "length_scale_std_error": scale * median_error(accelerations),
         "height_offset_m": HALF_WIDTH_M - float(np.median(rest_m)),
         "velocity_lag_s": float(np.median(lags)),
         "position_noise_m": noise_m,
@@ -130,12 +123,6 @@ def nuisances(tosses: list[Toss]) -> dict[str, float]:
         "start_velocity_std_m_per_s": noise_m * float(np.median(errors)),
         "start_angular_velocity_std_rad_per_s": noise_rad * float(np.median(errors)),
     }
-
-
-def slope_error(count: int) -> float:
-    """Return the standard error [1/s] of the slope of a line through frames of unit noise."""
-    times_s = np.arange(count) / RATE_HZ
-    return float(1.0 / np.sqrt(np.sum(np.square(times_s - times_s.mean()))))
 
 
 def start_of(toss: Toss, scale: float) -> tuple[FloatArray, FloatArray]:
@@ -165,46 +152,41 @@ def arrays_of(tosses: list[Toss], scale: float) -> dict[str, NDArray[np.generic]
 
 def sidecar_text(source: Path, count: int, found: dict[str, float]) -> str:
     """Return the text of the sidecar."""
+    head = sidecar_head(
+        source,
+        script="build_tosses.py",
+        name=NAME,
+        body="cube",
+        trial_count=count,
+        position_unit_m=POSITION_UNIT_M,
+        origin=SOURCE_TEXT,
+    )
     lines = [
-        "# Written by scripts/build_tosses.py; do not edit.",
-        'body = "cube"',
-        f"trial_count = {count}",
-        f"rate_hz = {RATE_HZ}",
-        f"position_unit_m = {POSITION_UNIT_M}",
-        'fit = "even"',
-        f'source = "{SOURCE_TEXT}"',
-        f'source_sha256 = "{hashlib.sha256(source.read_bytes()).hexdigest()}"',
-        f'licence = "{NAME}.LICENSE"',
-        "",
+        *head,
         "[nuisances]",
         *(f"{name} = {value:.6g}" for name, value in found.items()),
     ]
     return "\n".join(lines) + "\n"
 
 
-def main() -> int:
-    """Write the files, or check that they are current."""
-    parser = argparse.ArgumentParser(description="Build the recorded tosses of a cube.")
-    parser.add_argument("source", type=Path, help="NumPy archive of the authors' tosses")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if a file is not current")
-    options = parser.parse_args()
-    tosses = read_tosses(options.source)
+def generate(source: Path) -> tuple[dict[str, NDArray[np.generic]], str]:
+    """Return the arrays of the data file and the text of the sidecar."""
+    tosses = read_tosses(source)
     found = nuisances(tosses)
     # The text rounds the scale, and the start velocities contain it.
     scale = float(f"{found['length_scale']:.6g}")
-    arrays, text = arrays_of(tosses, scale), sidecar_text(options.source, len(tosses), found)
-    file = Path(__file__).parents[1] / "scoring" / "single_shot" / f"{NAME}.npz"
-    sidecar = file.with_suffix(".toml")
-    if not options.check:
-        sidecar.write_text(text, encoding="utf-8", newline="\n")
-        np.savez_compressed(file, **arrays)
-        return 0
-    with np.load(file) as stored:
-        same = set(stored) == set(arrays) and all(np.array_equal(stored[name], arrays[name]) for name in arrays)
-    stale = [path for path, current in ((file, same), (sidecar, sidecar.read_text("utf-8") == text)) if not current]
-    for path in stale:
-        print(f"{path} is not current: run python scripts/build_tosses.py SOURCE", file=sys.stderr)
-    return 1 if stale else 0
+    return arrays_of(tosses, scale), sidecar_text(source, len(tosses), found)
+
+
+def main() -> int:
+    """Write the files, or check that they are current."""
+    return write_or_check(
+        generate,
+        name=NAME,
+        script="build_tosses.py",
+        what="Build the recorded tosses of a cube.",
+        same=lambda stored, generated: np.array_equal(stored, generated),
+    )
 
 
 if __name__ == "__main__":
