@@ -40,7 +40,12 @@ def solid(name: str, shape: object, position_m: tuple, *, motion: Motion = Motio
 
 
 @pytest.mark.parametrize(
-    "patterns", [["free-*", "start-*", "pendulum-*", "hinge-*"], ["reset-*", "restore*", "determinism"]]
+    "patterns",
+    [
+        ["free-*", "start-*", "pendulum-*", "hinge-*"],
+        ["reset-*", "determinism", "restore", "restore-impact", "restore-rest", "restore-edge", "restore-hinge"],
+        pytest.param(["restore-benchmark-*"], marks=pytest.mark.slow),
+    ],
 )
 def test_laws_without_contact_and_the_contract(patterns: list[str]) -> None:
     findings = list(run_checks("newton", only=patterns))
