@@ -16,6 +16,7 @@ import tomllib
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from secrets import token_hex
@@ -314,6 +315,12 @@ def json_ready(value: Any) -> Any:
 
 def versions() -> dict[str, str]:
     """Return the versions of gauge-envs, gymnasium, numpy and python."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Return the versions, read once: reading the metadata of packages takes as long as a short episode."""
     packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
     return packages | {"python": platform.python_version()}
 

@@ -13,7 +13,7 @@ from gauge_envs.analysis.configuration import RunConfiguration, group_by_configu
 from gauge_envs.analysis.distance import Distance, trajectory_distance
 from gauge_envs.analysis.draws import ScoreDraws, score_draws
 from gauge_envs.analysis.grades import GradeComparison, GradedExperiment, compare_grade
-from gauge_envs.analysis.scores import COMPARED_METRICS, ComparedMetric, ScoreSpread
+from gauge_envs.analysis.scores import COMPARED_METRICS, ComparedMetric, ScoreSpread, repeats_interval
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.task_files import task_sha256
@@ -58,18 +58,17 @@ class Cell:
         return ScoreSpread.of([value for value in self.values(metric, normalized=normalized) if value is not None])
 
     def interval_95(self, metric: ComparedMetric) -> tuple[float, float] | None:
-        """Return the 95 % interval of the normalized metric; None if a repeat with the metric has none.
-
-        The ends for several repeats are means of theirs: they share their errors, which no average removes.
-        """
+        """Return the 95 % interval of the mean of the normalized metric; None if a repeat with the metric has none."""
         if metric.interval is None or metric.normalized is None:
             return None
-        scored = [result.score for result in self.results if getattr(result.score, metric.normalized) is not None]
-        ends = [getattr(score, metric.interval) for score in scored]
-        if not ends or None in ends:
+        known = [
+            (value, getattr(result.score, metric.interval))
+            for result in self.results
+            if (value := getattr(result.score, metric.normalized)) is not None
+        ]
+        if not known or any(ends is None for _, ends in known):
             return None
-        low, high = np.mean(ends, axis=0)
-        return float(low), float(high)
+        return repeats_interval([value for value, _ in known], [ends for _, ends in known])
 
     def percentile(self, metric: ComparedMetric) -> float | None:
         """Return the percentage of real trials that are closer to their mean; mean over the repeats that have it."""
@@ -149,6 +148,17 @@ class ExperimentComparison:
             return None
         return line.engines
 
+    def graded(self) -> GradedExperiment:
+        """Return the scores of this experiment for a comparison within its grade."""
+        primary, raw = COMPARED_METRICS[self.primary], COMPARED_METRICS["rmse"]
+        return GradedExperiment(
+            id=self.id,
+            draws=tuple(None if cell is None else cell.draws for cell in self.cells),
+            published=self.published("rmse") or {},
+            intervals=tuple(None if cell is None else cell.interval_95(primary) for cell in self.cells),
+            raw_intervals=tuple(None if cell is None else cell.interval_95(raw) for cell in self.cells),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
@@ -193,7 +203,7 @@ class Comparison:
             compare_grade(
                 grade.value,
                 withheld=withheld,
-                experiments=[_graded(one) for one in graded if (one.grade, one.withheld) == (grade.value, withheld)],
+                experiments=[one.graded() for one in graded if (one.grade, one.withheld) == (grade.value, withheld)],
             )
             for grade in BandGrade
             for withheld in (False, True)
@@ -234,11 +244,6 @@ def _has_one_reference(one: ExperimentComparison) -> bool:
 
 def _reference_of(result: Result) -> tuple[object, ...]:
     return (result.score.grade, result.score.withheld, *sorted(result.dataset.items()))
-
-
-def _graded(one: ExperimentComparison) -> GradedExperiment:
-    draws = tuple(None if cell is None else cell.draws for cell in one.cells)
-    return GradedExperiment(id=one.id, draws=draws, published=one.published("rmse") or {})
 
 
 def _cost(cells: Iterable[Cell]) -> float | None:

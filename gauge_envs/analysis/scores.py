@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from gauge_envs.errors import UnknownNameError
+from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.metrics import METRICS
 
-__all__ = ["COMPARED_METRICS", "ComparedMetric", "ScoreSpread", "check_metrics"]
+__all__ = ["COMPARED_METRICS", "ComparedMetric", "ScoreSpread", "check_metrics", "repeats_interval"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,3 +100,24 @@ class ScoreSpread:
             return None
         std = float(np.std(values, ddof=1)) if len(values) > 1 else None
         return cls(mean=float(np.mean(values)), std=std, count=len(values))
+
+
+def repeats_interval(values: Sequence[float], intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of normalized scores over repeats.
+
+    Two things are random. The repeats share the sample of real trials and the uncertain inputs, so the mean of their
+    intervals is that of their mean. Each repeat has a start of its own, so the mean of a few has a standard error,
+    which Student's t makes an interval. The two are independent, and their widths add in quadrature on each side.
+
+    Args:
+        values: Score of each repeat, at least one.
+        intervals: 95 % interval of each score.
+    """
+    spread = ScoreSpread.of(values)
+    assert spread is not None
+    low, high = np.mean(intervals, axis=0)
+    half = 0.0
+    if spread.std:
+        half = float(student.ppf(0.5 * (1.0 + LEVEL), spread.count - 1)) * spread.std / math.sqrt(spread.count)
+    below, above = math.hypot(spread.mean - low, half), math.hypot(high - spread.mean, half)
+    return max(spread.mean - below, 0.0), spread.mean + above

@@ -13,8 +13,9 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
 from gauge_envs.scene import Hinge, Pose, RigidBody, Scene, Sphere, Tether
+from gauge_envs.scene.contact_faces import blocked_directions
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.jitter import face_normal, swung
+from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["TrialStart", "trial_scene"]
@@ -55,8 +56,9 @@ def trial_scene(experiment: Experiment, trial: int) -> Scene:
 
     Each recorded body moves as far as it can without starting inside another, as with a jitter:
 
-    - A body that is neither a sphere nor on a joint moves and flies in the plane of the face that it rests on, and
-      rotates about the normal of that face.
+    - A body that is neither a sphere nor on a joint moves and flies in the plane of the face at which it touches
+      another one, and rotates about the normal of that face. Where it touches none, the normal is the body axis that is
+      closest to vertical.
     - A sphere takes the recorded pose and velocities.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
     - A body that is attached to a deformable body keeps its start.
@@ -76,7 +78,13 @@ def trial_scene(experiment: Experiment, trial: int) -> Scene:
     attached = {attachment.to for attachment in scene.attachments}
     joints = {joint.body: joint for joint in scene.joints}
     started = {
-        name: _started(scene.body(name), joints.get(name), positions_m[:, index], *turns[index])
+        name: _started(
+            scene.body(name),
+            joints.get(name),
+            blocked_directions(scene.body(name).pose, scene.contact_faces.normals([name])),
+            positions_m[:, index],
+            *turns[index],
+        )
         for index, name in enumerate(experiment.recorded)
         if name not in attached
     }
@@ -145,13 +153,19 @@ def _first_turns(imported: ImportedVariant, trial: int, body_count: int) -> list
 
 
 def _started(
-    body: RigidBody, joint: Hinge | Tether | None, positions_m: FloatArray, rotation: Rotation, spin: FloatArray
+    body: RigidBody,
+    joint: Hinge | Tether | None,
+    blocked: FloatArray,
+    positions_m: FloatArray,
+    rotation: Rotation,
+    spin: FloatArray,
 ) -> RigidBody:
     """Return a body at its recorded start.
 
     Args:
         body: The body.
         joint: Its joint, if any.
+        blocked: Directions along which it cannot start elsewhere, shape [1 to 3, 3].
         positions_m: Its positions in the first frames [m], shape [START_FRAMES, 3].
         rotation: Its rotation from the mean start.
         spin: Its angular velocity [rad/s].
@@ -161,10 +175,11 @@ def _started(
     if joint is not None:
         return _swinging(body, joint, positions_m[0], velocity)
     if not isinstance(body.shape, Sphere):
-        normal = face_normal(body.pose)
-        shift, velocity = (one - (one @ normal) * normal for one in (shift, velocity))
-        spin = (spin @ normal) * normal
-        rotation = _about(rotation, normal)
+        for normal in blocked:
+            shift, velocity = (one - (one @ normal) * normal for one in (shift, velocity))
+        is_single = len(blocked) == 1
+        spin = (spin @ blocked[0]) * blocked[0] if is_single else np.zeros(3)
+        rotation = _about(rotation, blocked[0]) if is_single else Rotation.identity()
     pose = Pose.from_rotation(vector(body.pose.position_m + shift), rotation * body.pose.rotation)
     if rotation.magnitude() < SAME_ANGLE_RAD:
         # A rotation of nothing keeps the orientation bit for bit.

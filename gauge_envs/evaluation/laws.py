@@ -12,14 +12,12 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Plane, RigidBody, Scene
+from gauge_envs.scene.contact_faces import TOUCHING_M
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["Straight", "distance_to_contact_m", "free_flight", "slide"]
 
 FloatArray = NDArray[np.float64]
-
-TOUCHING_M = 1e-5
-"""Largest gap between two faces that are in contact [m]: published positions have six decimals."""
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,8 @@ def run_repeats(request: RunRequest) -> list[Result]:
         shares_s = clock.wall_s / request.repeats, clock.cpu_s / request.repeats
         results = [
             _finished(
-                planned_result(request, episode.experiment, seed=seed, jitter=jitter),
+                # The grade is that of the calibrated start: a law may not hold for another one.
+                planned_result(request, experiment, seed=seed, jitter=jitter),
                 episode,
                 episode.score(),
                 engine_versions=engine.versions(),

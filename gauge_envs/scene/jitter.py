@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,11 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, Motion, RigidBody, Tether
+from gauge_envs.scene.contact_faces import blocked_directions, face_normal
 from gauge_envs.scene.geometry import Pose, Sphere, vector
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
-__all__ = ["Jitter", "face_normal", "jittered", "swung"]
+__all__ = ["Jitter", "jittered", "swung"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +54,12 @@ class Jitter:
 
 
 def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
-    """Return the scene with random start poses and velocities, chosen so that no body starts inside another.
+    """Return the scene with random start poses and velocities that keep the contacts of the start.
 
-    - A dynamic body translates in the plane of the face that it rests on, and rotates about the normal of that face:
-      the body axis that is closest to vertical.
+    - A dynamic body translates in the plane of the face at which it touches another one, and rotates about the normal
+      of that face. Where it touches none, the normal is the body axis that is closest to vertical. Where it touches
+      faces of several directions, it translates along all of them, and does not rotate.
+    - Bodies that touch one another, as the bricks of a wall, move as one.
     - A ball translates in all three coordinates.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
     - Bodies that hinges join move as one body, as the root of their tree does.
@@ -80,11 +83,11 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     tethers = {joint.body: joint for joint in scene.joints if isinstance(joint, Tether)}
     attached = {attachment.deformable for attachment in scene.attachments} | {a.to for a in scene.attachments}
-    hanging = parent_hinges(scene.body_hinges)
+    groups = _Groups(scene, {*attached, *parent_hinges(scene.body_hinges)}, {*hinges, *tethers}, jitter)
     moved = 0
     bodies: list[RigidBody] = []
     for body in scene.bodies:
-        if body.motion is Motion.DYNAMIC and body.name not in attached and body.name not in hanging:
+        if body.name in groups.free:
             moved += 1
             if body.name in hinges:
                 hinge = hinges[body.name]
@@ -94,16 +97,21 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
                 swing = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal(3))
                 body = swung(body, swing, np.asarray(tethers[body.name].anchor_m))
             else:
-                body = replace(body, pose=_shifted(body.pose, jitter, random, is_free=isinstance(body.shape, Sphere)))
+                body = groups.moved(body, random)
             if jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s:
                 joint = hinges.get(body.name) or tethers.get(body.name)
-                body = _pushed(body, joint, jitter, random_velocity)
+                if joint is None:
+                    body = groups.pushed(body, random_velocity)
+                else:
+                    body = _swinging(body, joint, jitter, random_velocity)
         bodies.append(body)
     deformables: list[Any] = []
     for deformable in scene.deformables:
         if isinstance(deformable, Cloth) and deformable.name not in attached:
             moved += 1
-            deformable = replace(deformable, pose=_shifted(deformable.pose, jitter, random, is_free=False))
+            pose = deformable.pose
+            move = _drawn(pose.position_m, face_normal(pose)[None], jitter, random)
+            deformable = replace(deformable, pose=move(pose))
         deformables.append(deformable)
     if not moved:
         raise ParameterError("nothing to jitter: every body of this scene is fixed, driven, or attached to one that is")
@@ -126,20 +134,96 @@ def _joined(bodies: Sequence[RigidBody], scene: Scene) -> tuple[tuple[RigidBody,
     return tuple(now.values()), tuple(hinges)
 
 
-def _shifted(pose: Pose, jitter: Jitter, random: np.random.Generator, *, is_free: bool) -> Pose:
+@dataclass(frozen=True)
+class _Move:
+    """A rotation about a point, and a translation.
+
+    Attributes:
+        rotation: The rotation.
+        point_m: The point [m], shape [3].
+        shift_m: The translation [m], shape [3].
+    """
+
+    rotation: Rotation
+    point_m: NDArray[np.float64]
+    shift_m: NDArray[np.float64]
+
+    def __call__(self, pose: Pose) -> Pose:
+        rotated = _rotated(pose, self.rotation, self.point_m)
+        return replace(rotated, position_m=vector(np.asarray(rotated.position_m) + self.shift_m))
+
+
+def _drawn(
+    point_m: Any, blocked: NDArray[np.float64], jitter: Jitter, random: np.random.Generator, *, is_ball: bool = False
+) -> _Move:
+    """Return a random move about a point that keeps the contacts with faces of given normals; a ball has none."""
     shift = jitter.position_m * random.standard_normal(3)
     angle_rad = jitter.angle_rad * random.standard_normal()
-    normal = face_normal(pose)
-    if not is_free:
-        shift -= (shift @ normal) * normal
-    rotated = _rotated_about(pose, normal, pose.position_m, angle_rad)
-    return replace(rotated, position_m=vector(np.asarray(rotated.position_m) + shift))
+    if not is_ball:
+        shift = _along(shift, blocked)
+    turn = angle_rad * blocked[0] if len(blocked) == 1 else np.zeros(3)
+    return _Move(Rotation.from_rotvec(turn), np.asarray(point_m), shift)
 
 
-def face_normal(pose: Pose) -> NDArray[np.float64]:
-    """Return the body axis that is closest to vertical, in the world frame, shape [3]."""
-    axes: NDArray[np.float64] = pose.rotation.as_matrix().T
-    return axes[int(np.abs(axes[:, 2]).argmax())]
+def _along(vector_3: NDArray[np.float64], blocked: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the part of a vector that is across no blocked direction."""
+    for direction in blocked:
+        vector_3 = vector_3 - (vector_3 @ direction) * direction
+    return vector_3
+
+
+class _Groups:
+    """The bodies that can start elsewhere; those that touch one another have one move and one push.
+
+    Args:
+        scene: The scene.
+        kept: Names of bodies that do not move, or follow another one.
+        jointed: Names of bodies on a hinge or a string.
+        jitter: Standard deviations of the start.
+
+    Attributes:
+        free: Names of the bodies that can start elsewhere, those on joints included.
+    """
+
+    def __init__(self, scene: Scene, kept: Collection[str], jointed: Collection[str], jitter: Jitter) -> None:
+        self._jitter = jitter
+        bodies = {body.name: body for body in scene.bodies}
+        self.free = {name for name, one in bodies.items() if one.motion is Motion.DYNAMIC and name not in kept}
+        faces = scene.contact_faces
+        self._members: dict[str, tuple[str, ...]] = {}
+        self._normals: dict[tuple[str, ...], list[NDArray[np.float64]]] = {}
+        self._centre_m: dict[tuple[str, ...], NDArray[np.float64]] = {}
+        for members in faces.groups([name for name in bodies if name in self.free and name not in jointed]):
+            self._members.update(dict.fromkeys(members, members))
+            self._normals[members] = faces.normals(members)
+            self._centre_m[members] = np.mean([bodies[name].pose.position_m for name in members], axis=0)
+        self._moves: dict[tuple[str, ...], _Move] = {}
+        self._pushes: dict[tuple[str, ...], NDArray[np.float64]] = {}
+
+    def moved(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
+        """Return a body at its random start."""
+        members = self._members[body.name]
+        if members not in self._moves:
+            blocked = blocked_directions(body.pose, self._normals[members])
+            is_ball = isinstance(body.shape, Sphere)
+            self._moves[members] = _drawn(self._centre_m[members], blocked, self._jitter, random, is_ball=is_ball)
+        return replace(body, pose=self._moves[members](body.pose))
+
+    def pushed(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
+        """Return a body that has moved, with a random velocity in addition to its own."""
+        members = self._members[body.name]
+        if members not in self._pushes:
+            self._pushes[members] = random.standard_normal((2, 3))
+        linear = self._jitter.velocity_m_per_s * self._pushes[members][0]
+        angular = self._jitter.angular_velocity_rad_per_s * self._pushes[members][1]
+        if not isinstance(body.shape, Sphere):
+            blocked = blocked_directions(body.pose, self._normals[members])
+            linear = _along(linear, blocked)
+            angular = (angular @ blocked[0]) * blocked[0] if len(blocked) == 1 else np.zeros(3)
+        if len(members) > 1:
+            centre_m = self._centre_m[members] + self._moves[members].shift_m
+            linear = linear + np.cross(angular, np.asarray(body.pose.position_m) - centre_m)
+        return _faster(body, linear, angular)
 
 
 def swung(body: RigidBody, rotation: Rotation, point_m: NDArray[np.float64]) -> RigidBody:
@@ -155,35 +239,31 @@ def swung(body: RigidBody, rotation: Rotation, point_m: NDArray[np.float64]) -> 
     )
 
 
-def _pushed(body: RigidBody, joint: Hinge | Tether | None, jitter: Jitter, random: np.random.Generator) -> RigidBody:
-    """Return a body with a random velocity in addition to its own."""
+def _swinging(body: RigidBody, joint: Hinge | Tether, jitter: Jitter, random: np.random.Generator) -> RigidBody:
+    """Return a body on a joint with a random velocity in addition to its own."""
     linear = jitter.velocity_m_per_s * random.standard_normal(3)
     angular = jitter.angular_velocity_rad_per_s * random.standard_normal(3)
-    if joint is not None:
-        arm = np.subtract(body.pose.position_m, joint.anchor_m)
-        if isinstance(joint, Hinge):
-            axis = np.asarray(joint.axis)
-            # A linear velocity along the circle is also a rate of rotation.
-            radius_m = float(np.linalg.norm(np.cross(axis, arm)))
-            along = np.cross(axis, arm) @ linear / radius_m**2 if radius_m else 0.0
-            angular = (angular @ axis + along) * axis
-            linear = np.cross(angular, arm)
-        else:
-            length = float(np.linalg.norm(arm))
-            linear = linear - arm * (arm @ linear) / length**2 + np.cross(angular, arm)
-    elif not isinstance(body.shape, Sphere):
-        normal = face_normal(body.pose)
-        linear = linear - (linear @ normal) * normal
-        angular = (angular @ normal) * normal
+    arm = np.subtract(body.pose.position_m, joint.anchor_m)
+    if isinstance(joint, Hinge):
+        axis = np.asarray(joint.axis)
+        # A linear velocity along the circle is also a rate of rotation.
+        radius_m = float(np.linalg.norm(np.cross(axis, arm)))
+        along = np.cross(axis, arm) @ linear / radius_m**2 if radius_m else 0.0
+        angular = (angular @ axis + along) * axis
+        linear = np.cross(angular, arm)
+    else:
+        length = float(np.linalg.norm(arm))
+        linear = linear - arm * (arm @ linear) / length**2 + np.cross(angular, arm)
+    return _faster(body, linear, angular)
+
+
+def _faster(body: RigidBody, linear: NDArray[np.float64], angular: NDArray[np.float64]) -> RigidBody:
+    """Return a body with velocities in addition to its own."""
     return replace(
         body,
         linear_velocity_m_per_s=vector(linear + body.linear_velocity_m_per_s),
         angular_velocity_rad_per_s=vector(angular + body.angular_velocity_rad_per_s),
     )
-
-
-def _rotated_about(pose: Pose, axis: Any, point_m: Any, angle_rad: float) -> Pose:
-    return _rotated(pose, Rotation.from_rotvec(angle_rad * np.asarray(axis)), np.asarray(point_m))
 
 
 def _rotated(pose: Pose, rotation: Rotation, point_m: NDArray[np.float64]) -> Pose:

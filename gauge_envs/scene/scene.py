@@ -30,6 +30,7 @@ from gauge_envs.scene.bodies import (
     RigidBody,
     Tether,
 )
+from gauge_envs.scene.contact_faces import ContactFaces
 from gauge_envs.scene.geometry import Plane
 from gauge_envs.scene.hinged import hinge_fault
 from gauge_envs.scene.meshes import body_mass_properties
@@ -174,6 +175,12 @@ class Scene:
             if first != second and pair & moving and pair not in seen:
                 seen.add(pair)
                 yield first, second
+
+    @cached_property
+    def contact_faces(self) -> ContactFaces:
+        """Faces at which bodies that collide touch at the start."""
+        pairs = (pair for contact in self.contacts for pair in self.colliding_pairs(contact))
+        return ContactFaces(self.bodies, pairs)
 
     @cached_property
     def floor_height_m(self) -> float:

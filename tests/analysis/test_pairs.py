@@ -32,6 +32,7 @@ from gauge_envs.analysis.grades import (
     geometric_mean,
     interquartile_mean,
 )
+from gauge_envs.analysis.scores import repeats_interval
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.references.sensitivities import input_uncertainties
 
@@ -65,7 +66,7 @@ def observed(
     inputs = random.standard_normal(3)
     tilt, start = math.radians(known.tilt.std) * inputs[1], 1e3 * known.start.std * inputs[2]
     order = np.random.default_rng([*name.encode()]).permutation(len(of_band.factors))
-    draws = []
+    draws, intervals = [], []
     for error in errors:
         friction = world.friction + error + known.friction.std * inputs[0]
         run = simulated_mm(friction, tilt, start)
@@ -76,7 +77,10 @@ def observed(
         score = np.array([rmse(deviation)]) / sample_baseline(band)
         drawn = own.draws(deviation)[None, order] / sample_baseline(band)
         draws.append(ScoreDraws(seeds=(0,), raw=score, raw_draws=drawn, primary=score, primary_draws=drawn))
-    return GradedExperiment(id=name, draws=tuple(draws), published={})
+        low, high = own.interval(deviation)
+        intervals.append((low / sample_baseline(band), high / sample_baseline(band)))
+    ends = tuple(intervals)
+    return GradedExperiment(id=name, draws=tuple(draws), published={}, intervals=ends, raw_intervals=ends)
 
 
 def paired(experiments: Sequence[GradedExperiment]) -> PairComparison:
@@ -112,6 +116,35 @@ def test_the_interval_of_a_difference_holds_the_true_one_in_95_percent_of_500(
     errors: tuple[float, float], align: bool
 ) -> None:
     assert 0.93 <= coverage(errors, align=align, repeats=500) <= 0.97
+
+
+@pytest.mark.parametrize(("error", "align"), [(0.0, True), (0.01, False)])
+def test_the_interval_of_a_mean_over_one_experiment_holds_the_true_score(error: float, align: bool) -> None:
+    (truth,) = true_scores(WORLD, [error], align=align)
+    random = np.random.default_rng(3)
+    held = 0
+    for _ in range(150):
+        one = observed(WORLD, [error], align=align, random=random)
+        (score,) = compare_grade("trials", withheld=False, experiments=[one]).scores
+        assert score.mean is not None and score.mean.interval_95 == one.intervals[0]
+        held += score.mean.interval_95[0] <= truth <= score.mean.interval_95[1]
+    # Of 150 realities, a true 95 % gives at least 0.91 in 98 of 100 runs.
+    assert held >= 0.91 * 150
+
+
+def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean() -> None:
+    random = np.random.default_rng(8)
+    for count, shared, own in [(4, 0.1, 0.1), (3, 0.02, 0.2), (8, 0.2, 0.05)]:
+        held = 0
+        for _ in range(1000):
+            scores = 2.0 + shared * random.standard_normal() + own * random.standard_normal(count)
+            low, high = repeats_interval([*scores], [(one - 1.96 * shared, one + 1.96 * shared) for one in scores])
+            held += low <= 2.0 <= high
+        # A true 95 % of 1000 is 0.93 to 0.97 in 99 of 100 runs; the sum of a t and a normal in quadrature is wider.
+        assert 0.93 <= held / 1000 <= 0.985
+    assert repeats_interval([1.0], [(0.5, 2.5)]) == pytest.approx((0.5, 2.5))
+    assert repeats_interval([1.0, 1.0], [(0.5, 2.5), (0.5, 2.5)]) == pytest.approx((0.5, 2.5))
+    assert repeats_interval([0.1, 0.3], [(0.0, 0.2), (0.2, 0.4)])[0] == 0.0
 
 
 WORLDS = (

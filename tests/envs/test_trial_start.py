@@ -18,7 +18,7 @@ from gauge_envs.dataset.layout import find_trials
 from gauge_envs.envs.trial_start import trial_scene
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.episodes import episode_result
-from gauge_envs.scene.jitter import face_normal
+from gauge_envs.scene.contact_faces import face_normal
 
 SLIDE, BALL, SWING = "SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"
 

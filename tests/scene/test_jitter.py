@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend
@@ -17,7 +20,7 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats, run_together
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.jitter import jittered
 
 STILL = Jitter(position_m=0.0, angle_rad=0.0)
@@ -170,3 +173,65 @@ def test_jittered_scenes_do_not_start_inside_each_other() -> None:
         simulation.advance(1 / 30)
         state = simulation.body_states(["cube"])[0]
         assert np.linalg.norm(state[7:10]) < 5e-3
+
+
+def gaps_mm(scene: Scene, first: str, second: str) -> float:
+    """Gap between two convex bodies along the best separating face [mm], negative where they overlap."""
+    corners = [scene.body(name).pose.to_world(scene.body(name).shape.corners_m) for name in (first, second)]
+    hulls = [ConvexHull(points).equations for points in corners]
+    return 1e3 * max(
+        (points @ hull[:, :3].T + hull[:, 3]).min(axis=0).max()
+        for points, hull in zip(corners, reversed(hulls), strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", ["SlopeContact-wood", "SlopeContact-plastic"])
+def test_a_tetrahedron_on_a_seam_keeps_its_contact(name: str) -> None:
+    positions, scene = starts(name, "teh", Jitter(), count=500)
+    # The face that cuts the corner of a cube off makes equal angles with its edges.
+    normal = np.array([1.0, 0.0, 0.0]) * math.sqrt(2.0 / 3.0) + np.array([0.0, 0.0, 1.0]) / math.sqrt(3.0)
+    moved = positions - np.asarray(scene.body("teh").pose.position_m)
+    assert np.abs(moved @ normal).max() < 1e-12
+    along = np.array([[0.0, 1.0, 0.0], np.cross([0.0, 1.0, 0.0], normal)])
+    assert (moved @ along.T).std(axis=0) == pytest.approx([1e-3, 1e-3], rel=0.1)
+    start = gaps_mm(scene, "teh", "base")
+    for seed in range(20):
+        moved_scene = jittered(scene, Jitter(angle_rad=0.02), seed=seed)
+        assert gaps_mm(moved_scene, "teh", "base") == pytest.approx(start, abs=1e-6)
+
+
+def test_bricks_that_touch_move_as_one() -> None:
+    scene = load_experiment("WallBreaking-wood").scene
+    bricks = [body.name for body in scene.bodies if body.name.startswith("brick")]
+    other = jittered(scene, Jitter(velocity_m_per_s=0.01, angular_velocity_rad_per_s=0.1), seed=4)
+    turns = [(scene.body(one).pose.rotation.inv() * other.body(one).pose.rotation).magnitude() for one in bricks]
+    assert turns == pytest.approx(np.full(len(bricks), turns[0]), abs=1e-9) and turns[0] > 1e-4
+    before, after = (np.array([one.body(name).pose.position_m for name in bricks]) for one in (scene, other))
+    assert pdist(after) == pytest.approx(pdist(before), abs=1e-12)
+    assert after[:, 2] == pytest.approx(before[:, 2], abs=1e-12)
+    # A rigid motion: the velocity between two bricks is across the line between them.
+    velocity = np.array([other.body(name).linear_velocity_m_per_s for name in bricks])
+    closing = (velocity[1:] - velocity[0]) * (after[1:] - after[0])
+    assert np.abs(closing.sum(axis=1)).max() < 1e-12
+    assert np.linalg.norm(velocity[1:] - velocity[0], axis=1).max() > 1e-3
+
+
+def test_a_body_in_a_corner_moves_along_it_and_does_not_turn() -> None:
+    scene = replace(load_experiment("SlopeSlider-2-wood").scene, drivers=())
+    floor = replace(scene.body("board"), shape=Plane(), pose=Pose(position_m=(0.0, 0.0, 0.0)))
+    wall = replace(floor, name="wall", pose=Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0)))
+    size_m = scene.body("cube").shape.size_m
+    cube = replace(scene.body("cube"), pose=Pose(position_m=(0.5 * size_m[0], 0.0, 0.5 * size_m[2])))
+    contact = replace(scene.contacts[0], first=("cube",), second=("board", "wall"))
+    corner = replace(scene, bodies=(cube, floor, wall), contacts=(contact,))
+    moved = [jittered(corner, Jitter(), seed=seed).body("cube").pose for seed in range(200)]
+    shifts = np.array([pose.position_m for pose in moved]) - cube.pose.position_m
+    assert np.abs(shifts[:, [0, 2]]).max() < 1e-15
+    assert shifts[:, 1].std() == pytest.approx(1e-3, rel=0.15)
+    assert all(pose.rotation.approx_equal(cube.pose.rotation, atol=1e-12) for pose in moved)
+
+
+def test_a_start_off_the_seam_is_scored_against_the_calibrated_law() -> None:
+    results = run_repeats(RunRequest("SlopeContact-wood", repeats=4))
+    assert [(result.outcome, result.score.grade) for result in results] == [("finished", "law")] * 4
+    assert max(result.score.rmse for result in results) < 5.0

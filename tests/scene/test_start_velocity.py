@@ -31,8 +31,9 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.contact_faces import face_normal
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scene.jitter import face_normal, jittered
+from gauge_envs.scene.jitter import jittered
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.tilt import tilted
 

@@ -35,12 +35,12 @@ def _means(site: Site, index: int) -> Html:
         ForestRow(
             label=f"{grade.name}, {len(grade.ids)} exp.",
             color=site.color(index),
-            value=mean[0],
-            interval=mean[1],
+            value=score.mean.value,
+            interval=score.mean.interval_95,
         )
         for grade in site.comparison.grades
         for score in grade.scores
-        if score.configuration == index and (mean := site.mean_of(grade, score)) is not None
+        if score.configuration == index and score.mean is not None
     ]
     figure = element("div", forest("Mean score of each grade", rows), class_="forest") if rows else Html("")
     heading = element("h2", site.swatch(index), site.labels[index])

@@ -8,7 +8,7 @@ from gauge_envs.analysis.budget_fit import BudgetStage
 from gauge_envs.analysis.comparison import Cell, ExperimentComparison
 from gauge_envs.analysis.diagnosis import Diagnosis
 from gauge_envs.analysis.error_budget import diagnose
-from gauge_envs.analysis.grades import GradedExperiment, compare_grade
+from gauge_envs.analysis.grades import compare_grade
 from gauge_envs.analysis.scores import COMPARED_METRICS
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
@@ -119,10 +119,7 @@ def _forest(site: Site, one: ExperimentComparison) -> Html:
 
 def _place(site: Site, one: ExperimentComparison) -> Html:
     """Return the ranks within this experiment in words."""
-    graded = GradedExperiment(
-        id=one.id, draws=tuple(None if cell is None else cell.draws for cell in one.cells), published={}
-    )
-    grade = compare_grade(one.grade, withheld=one.withheld, experiments=[graded])
+    grade = compare_grade(one.grade, withheld=one.withheld, experiments=[one.graded()])
     shared = sum(score.rank == 1 for score in grade.scores)
     if len(grade.scores) < 2:
         return Html("")

@@ -9,7 +9,6 @@ from functools import cached_property
 from pathlib import Path
 
 from gauge_envs.analysis.comparison import Cell, Comparison, ExperimentComparison
-from gauge_envs.analysis.grades import GradeComparison, GradeScore
 from gauge_envs.analysis.scores import COMPARED_METRICS
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.experiment import TaskExperiment
@@ -136,23 +135,6 @@ class Site:
     def swatch(self, index: int) -> Html:
         """Return a piece of the colour of a configuration."""
         return element("span", Html(""), class_="swatch", style=f"background:{self.color(index)}")
-
-    def mean_of(self, grade: GradeComparison, score: GradeScore) -> tuple[float, Interval] | None:
-        """Return the mean of the primary score over the experiments of a comparison, with its 95 % interval.
-
-        For one experiment it is the score itself with its own interval, as on the page of the experiment. The interval
-        of a mean is another bootstrap, which corrects a bias that adds up over experiments (`analysis.grades`).
-        """
-        if score.mean is None:
-            return None
-        if len(grade.ids) == 1:
-            one = next(one for one in self.comparison.experiments if one.id == grade.ids[0])
-            cell, metric = one.cells[score.configuration], COMPARED_METRICS[one.primary]
-            spread = None if cell is None else cell.spread(metric, normalized=True)
-            interval = None if cell is None else cell.interval_95(metric)
-            if spread is not None and interval is not None:
-                return spread.mean, interval
-        return score.mean.value, score.mean.interval_95
 
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:

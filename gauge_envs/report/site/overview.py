@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gauge_envs.analysis.comparison import ExperimentComparison
-from gauge_envs.analysis.grades import GradeComparison, GradedExperiment, GradeScore, PairComparison, compare_grade
+from gauge_envs.analysis.grades import GradeComparison, GradeScore, PairComparison, compare_grade
 from gauge_envs.analysis.scores import COMPARED_METRICS
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.report.site.html import Html, element, join, page, table
@@ -109,13 +109,8 @@ def _common_pairs(site: Site, grade: GradeComparison) -> Sequence[PairComparison
     """Return the pairs of a grade over the experiments that all have scored; a pair may have more in common."""
     if all(pair.ids == grade.ids for pair in grade.pairs):
         return grade.pairs
-    common = [_graded(one) for one in site.comparison.experiments if one.id in grade.ids]
+    common = [one.graded() for one in site.comparison.experiments if one.id in grade.ids]
     return compare_grade(grade.grade, withheld=grade.withheld, experiments=common).pairs
-
-
-def _graded(one: ExperimentComparison) -> GradedExperiment:
-    draws = tuple(None if cell is None else cell.draws for cell in one.cells)
-    return GradedExperiment(id=one.id, draws=draws, published={})
 
 
 def _away(pair: PairComparison, best: int) -> str:
@@ -127,7 +122,7 @@ def _away(pair: PairComparison, best: int) -> str:
 
 def _means(site: Site, grade: GradeComparison) -> list[tuple[int, float, tuple[float, float]]]:
     """Return configuration, mean and interval of each score, lowest first."""
-    means = [(one.configuration, *mean) for one in grade.scores if (mean := site.mean_of(grade, one)) is not None]
+    means = [(one.configuration, one.mean.value, one.mean.interval_95) for one in grade.scores if one.mean is not None]
     return sorted(means, key=lambda entry: entry[1])
 
 
@@ -151,7 +146,7 @@ def _phenomena(site: Site) -> Iterator[tuple[str, str, GradeComparison, list[Exp
     for one in site.comparison.experiments:
         groups.setdefault((*site.family(one), one.grade, one.withheld), []).append(one)
     for (title, tests, grade, withheld), members in groups.items():
-        experiments = [_graded(one) for one in members]
+        experiments = [one.graded() for one in members]
         if any(draws is not None for one in experiments for draws in one.draws):
             yield title, tests, compare_grade(grade, withheld=withheld, experiments=experiments), members
 
@@ -205,14 +200,13 @@ def _matrix_cell(
         for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
         if (count := sum(result.outcome is outcome for result in results))
     ]
-    mean = None if score is None else site.mean_of(grade, score)
-    if score is None or mean is None:
+    if score is None or score.mean is None:
         return element("td", element("span", "no score" if results else "not run", class_="quiet"), *lost)
-    parts = [whisker_text(*mean)]
+    parts = [whisker_text(score.mean.value, score.mean.interval_95)]
     parts.append(element("span", place_text(score.rank, shared, len(grade.scores)), class_="quiet block"))
     if len(grade.ids) < len(members):
         parts.append(element("span", f"over {len(grade.ids)} of {len(members)} experiments", class_="quiet block"))
-    return element("td", *parts, *lost, class_=standing_of(mean[1]).value)
+    return element("td", *parts, *lost, class_=standing_of(score.mean.interval_95).value)
 
 
 def place_text(rank: int | None, shared: int, count: int) -> str:

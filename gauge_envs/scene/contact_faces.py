@@ -1,0 +1,167 @@
+"""Faces at which bodies touch at the start: along them, and not across, a body can start elsewhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from gauge_envs.scene.bodies import RigidBody
+from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Plane, Pose, Shape, vector
+
+__all__ = ["TOUCHING_M", "ContactFaces", "blocked_directions", "face_normal"]
+
+FloatArray = NDArray[np.float64]
+
+TOUCHING_M = 1e-5
+"""Largest gap between two faces that are in contact [m]: published positions have six decimals."""
+
+PARALLEL = 1.0 - 1e-9
+"""Smallest cosine between normals of the same direction."""
+
+
+class ContactFaces:
+    """Pairs of bodies that collide and touch at a flat face, with the normals of the faces.
+
+    Boxes, ends of cylinders, convex unions and planes have such faces. Round surfaces have none.
+
+    Args:
+        bodies: The bodies at their start.
+        colliding: Names of each pair that collides; names of others than these bodies count as no pair.
+    """
+
+    def __init__(self, bodies: Iterable[RigidBody], colliding: Iterable[tuple[str, str]]) -> None:
+        named = {body.name: body for body in bodies}
+        pieces = {name: [*_pieces(body.shape, body.pose)] for name, body in named.items()}
+        bounds = {name: _bounds(body, pieces[name]) for name, body in named.items()}
+        self._normals: dict[frozenset[str], list[FloatArray]] = {}
+        for first, second in colliding:
+            if first not in named or second not in named or frozenset((first, second)) in self._normals:
+                continue
+            (low, high), (other_low, other_high) = bounds[first], bounds[second]
+            if all(a <= b for a, b in zip(low, other_high, strict=True)) and all(
+                a <= b for a, b in zip(other_low, high, strict=True)
+            ):
+                normals = [*_touching(named[first], pieces[first], named[second], pieces[second])]
+                if normals:
+                    self._normals[frozenset((first, second))] = normals
+
+    def groups(self, names: Collection[str]) -> list[tuple[str, ...]]:
+        """Return bodies joined with those that they touch, in the order of the names.
+
+        Args:
+            names: Names of the bodies; contacts with others join nothing.
+        """
+        group = {name: {name} for name in names}
+        for first, second in combinations(names, 2):
+            if frozenset((first, second)) in self._normals and group[first] is not group[second]:
+                joined = group[first] | group[second]
+                group.update(dict.fromkeys(joined, joined))
+        found: dict[str, tuple[str, ...]] = {}
+        for name in names:
+            members = tuple(other for other in names if other in group[name])
+            found.setdefault(members[0], members)
+        return list(found.values())
+
+    def normals(self, names: Collection[str]) -> list[FloatArray]:
+        """Return the normals at which a group touches other bodies, each direction once, each of shape [3].
+
+        Args:
+            names: Names of the bodies of the group.
+        """
+        found: list[FloatArray] = []
+        for pair, normals in self._normals.items():
+            if len(pair.intersection(names)) == 1:
+                found += [one for one in normals if all(abs(one @ other) < PARALLEL for other in found)]
+        return found
+
+
+def blocked_directions(pose: Pose, normals: Sequence[FloatArray]) -> FloatArray:
+    """Return the orthonormal directions along which a body cannot start elsewhere, shape [1 to 3, 3].
+
+    They are those of the faces at which it touches others. A body that touches none, as one on a cloth, keeps the plane
+    of its own face: the normal is the body axis that is closest to vertical.
+
+    Args:
+        pose: Pose of the body.
+        normals: Normals of the faces at which it touches others, each of shape [3].
+    """
+    own = face_normal(pose)
+    if not normals or (len(normals) == 1 and abs(own @ normals[0]) > PARALLEL):
+        return own[None]
+    if len(normals) == 1:
+        return np.asarray(normals)
+    _, sizes, directions = np.linalg.svd(np.asarray(normals))
+    return np.asarray(directions[: int((sizes > 1.0 - PARALLEL).sum())])
+
+
+def face_normal(pose: Pose) -> FloatArray:
+    """Return the body axis that is closest to vertical, in the world frame, shape [3]."""
+    axes: FloatArray = pose.rotation.as_matrix().T
+    return axes[int(np.abs(axes[:, 2]).argmax())]
+
+
+def _pieces(shape: Shape, pose: Pose) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield corners [m] and planes of flat faces, shape [face_count, 4], of the pieces of a shape, in the world.
+
+    A plane is an outward normal, and minus the distance from the origin along it [m].
+    """
+    if isinstance(shape, Compound):
+        for part in shape.parts:
+            place = vector(pose.to_world(np.asarray(part.pose.position_m)))
+            yield from _pieces(part.shape, Pose.from_rotation(place, pose.rotation * part.pose.rotation))
+    elif isinstance(shape, ConvexUnion):
+        for piece in shape.pieces_m:
+            corners = pose.to_world(np.asarray(piece))
+            yield corners, np.unique(ConvexHull(corners).equations.round(9), axis=0)
+    elif isinstance(shape, Box | Cylinder):
+        size_m = shape.size_m if isinstance(shape, Box) else (np.inf, np.inf, shape.length_m)
+        axes = pose.rotation.as_matrix().T
+        flat = np.isfinite(size_m)
+        normals = np.concatenate([axes[flat], -axes[flat]])
+        heights = np.tile(0.5 * np.asarray(size_m)[flat], 2)
+        offsets = -(normals @ np.asarray(pose.position_m)) - heights
+        yield pose.to_world(shape.corners_m), np.column_stack([normals, offsets])
+
+
+def _bounds(body: RigidBody, pieces: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[list[float], list[float]]:
+    """Return the least and largest coordinates of a body, with the gap that counts as contact [m]."""
+    if isinstance(body.shape, Plane):
+        return [-math.inf] * 3, [math.inf] * 3
+    if not pieces:
+        return [math.inf] * 3, [-math.inf] * 3
+    corners = np.concatenate([corners for corners, _ in pieces])
+    return (corners.min(axis=0) - TOUCHING_M).tolist(), (corners.max(axis=0) + TOUCHING_M).tolist()
+
+
+def _touching(
+    first: RigidBody,
+    pieces: Sequence[tuple[FloatArray, FloatArray]],
+    second: RigidBody,
+    others: Sequence[tuple[FloatArray, FloatArray]],
+) -> Iterator[FloatArray]:
+    """Yield the normals of the faces at which the pieces of two bodies touch."""
+    for plane, corners in ((first, others), (second, pieces)):
+        if isinstance(plane.shape, Plane):
+            normal = np.asarray(plane.pose.rotation.apply([0.0, 0.0, 1.0]))
+            gaps = [((piece - np.asarray(plane.pose.position_m)) @ normal).min() for piece, _ in corners]
+            if gaps and abs(min(gaps)) <= TOUCHING_M:
+                yield normal
+            return
+    for corners_m, planes in pieces:
+        for other_m, other_planes in others:
+            # Of two convex bodies that touch at a face, the plane of that face separates them, and none does better.
+            candidates = [
+                (float(gaps.max()), faces[int(gaps.argmax()), :3])
+                for faces, points in ((planes, other_m), (other_planes, corners_m))
+                if len(faces)
+                for gaps in [(points @ faces[:, :3].T + faces[:, 3]).min(axis=0)]
+            ]
+            if candidates:
+                gap, normal = max(candidates, key=lambda one: one[0])
+                if abs(gap) <= TOUCHING_M:
+                    yield normal / np.linalg.norm(normal)
