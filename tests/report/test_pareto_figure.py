@@ -23,6 +23,7 @@ def family(backend: str, *, preset: str = "default", floor: float | None = 0.3) 
             settings_given={},
             step_s=step_s,
             cost=1e-4 / step_s,
+            cost_most=1e-4 / step_s,
             cost_ratio=None,
             repeats=1,
             diverged=False,

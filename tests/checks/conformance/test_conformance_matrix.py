@@ -76,6 +76,6 @@ def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None],
     assert "SystemExit: 3" in text
 
 
-@pytest.mark.parametrize("options", [["--all"], ["mujoco", "--all", "--markdown"], []])
+@pytest.mark.parametrize("options", [["--all"], ["mujoco", "--all", "--markdown", "--json"], ["--from", "x.json"], []])
 def test_a_request_without_output_or_engine_is_refused(options: list[str]) -> None:
     assert CliRunner().invoke(app, ["backend", "check", *options]).exit_code == 2
