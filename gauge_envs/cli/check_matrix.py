@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -63,6 +63,7 @@ def check_matrix(
     names: Sequence[str],
     *,
     every: bool,
+    configurations: Sequence[str],
     files: Sequence[Path],
     settings: Mapping[str, Any] | None,
     only: Sequence[str],
@@ -74,6 +75,7 @@ def check_matrix(
     Args:
         names: Engines; with none and `every`, all installed ones.
         every: Whether to run every configuration that an engine declares.
+        configurations: Names of the configurations that run; all with none.
         files: Files with further columns, which are not run again.
         settings: Settings for every column that runs.
         only: Ids or patterns of checks; none are those of the files.
@@ -90,12 +92,15 @@ def check_matrix(
     new: list[MatrixColumn] = []
     if names or every:
         with Worker(*limits) as importer:
-            new = matrix_columns(names, settings, every=every, worker=importer)
+            new = matrix_columns(names, settings, every=every, configurations=configurations, worker=importer)
     # Before anything runs, so that a wrong file costs no time.
     columns = with_columns(new, files)
     stderr = stderr_console()
     if new:
-        _run(new, only, limits, json_lines=output.json_lines)
+        for column in _run(new, only, limits, json_lines=output.json_lines):
+            if output.file is not None and column is not new[-1]:
+                # After each column, so that a run that is stopped leaves the columns that ended.
+                write_columns([one for one in columns if one.made], output.file)
     found = {name for column in columns for name in (*column.findings, *column.refused)}
     chosen = [check for check in checks(only) if new or only or check.id in found]
     command = join(["gauge", *sys.argv[1:]])
@@ -114,8 +119,8 @@ def check_matrix(
 
 def _run(
     columns: Sequence[MatrixColumn], only: Sequence[str], limits: tuple[float, float | None], *, json_lines: bool
-) -> None:
-    """Run the checks of columns, with a bar or lines of progress."""
+) -> Iterator[MatrixColumn]:
+    """Run the checks of columns, with a bar or lines of progress, and yield each column as it ends."""
     from gauge_envs.checks.conformance import checks
     from gauge_envs.checks.conformance.matrix import run_column
     from gauge_envs.runs.isolation import Worker
@@ -133,6 +138,7 @@ def _run(
                             print_json_lines([finding.to_dict() | {"configuration": column.name}])
                     if not stderr.is_terminal:
                         stderr.print(plain_text(f"{column.title}: {_summary(column)}"), soft_wrap=True)
+                    yield column
 
 
 def _summary(column: MatrixColumn) -> str:

@@ -266,6 +266,10 @@ def backend_check(
             "per phenomenon without --only. Needs --report, --out, --markdown or --json.",
         ),
     ] = False,
+    configurations: Annotated[
+        list[str] | None,
+        typer.Option("--configuration", metavar="NAME", help="With --all, only this solver or preset; repeatable."),
+    ] = None,
     report: Annotated[
         Path | None,
         typer.Option(metavar="PAGE", help="One HTML page: checks in rows, backends in columns, with all commands."),
@@ -297,6 +301,8 @@ def backend_check(
         return
     if not names and not every and not files:
         raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list or --all")
+    if configurations and not every:
+        raise ParameterError("--configuration chooses among those of --all: add --all")
     limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s
     if every or files or report is not None or out is not None:
         output = MatrixOutput(report=report, file=out, json_lines=json_lines, markdown=markdown)
@@ -304,6 +310,7 @@ def backend_check(
         check_matrix(
             names or [],
             every=every,
+            configurations=configurations or [],
             files=files or [],
             settings=parsed_settings(changes or []),
             only=patterns or (CANONICAL if every else []),

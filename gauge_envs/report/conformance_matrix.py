@@ -14,6 +14,15 @@ __all__ = ["cost_text", "error_text", "expected_text", "matrix_markdown", "measu
 LEAST_PERCENT = 1e-4
 """Relative errors below this are not written out [%]."""
 
+MANY = 99.5
+"""Numbers from here on are written as integers."""
+
+MOST_IN_MS_S = 0.0995
+"""CPU time from which on it is written in seconds [s]."""
+
+LEAST_COST_S = 1e-3
+"""Shorter CPU times are not written out [s]."""
+
 SIGNS = {Status.PASS: "✓", Status.FAIL: "✗ FAIL", Status.DECLINED: "- declined", Status.ERROR: "✗ error"}
 
 
@@ -41,12 +50,21 @@ def error_text(finding: CheckResult) -> str:
     if finding.expected:
         percent = 100.0 * difference / abs(finding.expected)
         return f"{percent:+.3g} %" if abs(percent) >= LEAST_PERCENT else f"below {LEAST_PERCENT:g} %"
-    return f"{abs(difference) / finding.width:.2g} tol." if finding.width else f"{difference:+.2g}"
+    if not finding.width:
+        return f"{difference:+.2g}" if difference else "exact"
+    return f"{_two_digits(abs(difference) / finding.width)} tol."
 
 
 def cost_text(finding: CheckResult) -> str:
-    """Return the CPU time of a check."""
-    return f"{finding.cpu_s:.2g} s"
+    """Return the CPU time of a check; a check that shares a simulation with an earlier one takes less than 1 ms."""
+    if finding.cpu_s < LEAST_COST_S:
+        return "<1 ms"
+    is_short = finding.cpu_s < MOST_IN_MS_S
+    return f"{_two_digits(1e3 * finding.cpu_s)} ms" if is_short else f"{_two_digits(finding.cpu_s)} s"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.2g}" if value < MANY else f"{value:.0f}"
 
 
 def tally(column: MatrixColumn) -> str:

@@ -129,7 +129,12 @@ class MatrixColumn:
 
 
 def matrix_columns(
-    names: Sequence[str], settings: Mapping[str, Any] | None = None, *, every: bool, worker: Worker | None = None
+    names: Sequence[str],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    every: bool,
+    configurations: Sequence[str] = (),
+    worker: Worker | None = None,
 ) -> list[MatrixColumn]:
     """Return the columns of a matrix, without running a check.
 
@@ -137,13 +142,14 @@ def matrix_columns(
         names: Engines; with none, all that are installed.
         settings: Settings for every column, beside those of its configuration.
         every: Whether each engine has a column for each configuration that it declares, beside its default.
+        configurations: Names of the configurations that are kept; all with none.
         worker: Another process that imports the engines; None for this one.
 
     Returns:
         The columns. An engine that cannot be imported has one column, with the reason.
 
     Raises:
-        UnknownNameError: An engine that was named is not known.
+        UnknownNameError: An engine that was named is not known, or no engine has a configuration of such a name.
     """
     known = backend_names()
     for name in names:
@@ -151,19 +157,23 @@ def matrix_columns(
             raise UnknownNameError("backend", name, known)
     columns = []
     for name in dict.fromkeys(names or known):
-        configurations: dict[str, dict[str, Any]] = {"default": {}}
+        every_settings: dict[str, dict[str, Any]] = {"default": {}}
         reason = ""
         if every:
             try:
                 declared = _declared(name) if worker is None else worker.call(_declared, name)
-                configurations |= declared
+                every_settings |= declared
             except GaugeError as error:
                 reason = str(error)
         columns += [
             MatrixColumn(backend=name, name=key, settings={**(settings or {}), **values}, reason=reason)
-            for key, values in configurations.items()
+            for key, values in every_settings.items()
         ]
-    return columns
+    existing = {column.name for column in columns}
+    for wanted in configurations:
+        if wanted not in existing:
+            raise UnknownNameError("configuration", wanted, existing)
+    return [column for column in columns if column.name in configurations or not configurations]
 
 
 def _declared(name: str) -> dict[str, dict[str, Any]]:

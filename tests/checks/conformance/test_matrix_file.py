@@ -93,7 +93,7 @@ def test_a_column_of_another_version_is_marked(edited: Callable[[Callable[[dict[
 
 def test_a_column_is_in_one_file_only(column: MatrixColumn, tmp_path: Path) -> None:
     file = write_columns([column], tmp_path / "column.json")
-    with pytest.raises(ParameterError, match="mujoco PGS.*leave one of them out"):
+    with pytest.raises(ParameterError, match=r"mujoco PGS.*leave one of them out"):
         with_columns([column], [file])
 
 
