@@ -2,11 +2,16 @@
 
     python scripts/build_engine_table.py --results DIR                  measures what DIR lacks, then writes both files
     python scripts/build_engine_table.py --results DIR --engine rapier  measures this engine only; ranks stay
+    python scripts/build_engine_table.py --results DIR --grades         runs what the ranks need; writes the ranks only
     python scripts/build_engine_table.py --docs                         writes the page from `scoring/engines.json`
     python scripts/build_engine_table.py --check                        fails if the page is not current
 
 DIR keeps the result files and the conformance checks, one folder for each configuration, so that the script can be
 stopped at any time. Wall times are ratios to MuJoCo's default preset, which runs right before each episode.
+
+Ranks compare all configurations, whose result files must be in DIR together. `--grades` measures no cost and no checks,
+so that a new engine joins the ranks without a second measurement of the others. An engine of another environment runs
+there, with `--engine` and the same DIR; ranks are written where all configurations are complete.
 """
 
 from __future__ import annotations
@@ -56,6 +61,9 @@ LAWS += ("Turntable-1-wood", "Turntable-1-plastic", "Turntable-1-metal")
 RECORDINGS = ("SlopeSlider-3-metal", "Turntable-3-metal")
 BALL, CRADLE, PENDULUM, WALL = "BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal", "WallBreaking-wood"
 VARIANTS = (*SLIDES, BALL, *LAWS, *RECORDINGS, "Turntable-2-wood", CRADLE, PENDULUM, WALL)
+GRADED = (*SLIDES, BALL, *LAWS, *RECORDINGS)
+"""Variants with a reference, which the ranks compare."""
+
 TIMED = ("SlopeSlider-2-wood", BALL, "Turntable-2-wood", CRADLE, PENDULUM, WALL)
 
 RATIOS = {
@@ -237,6 +245,34 @@ def gather(results: Path, configurations: Sequence[tuple[str, str]]) -> dict[str
     }
 
 
+def run_graded(engine: str, preset: str, folder: Path) -> None:
+    """Run the graded episodes of a configuration that its folder lacks."""
+    requests = [RunRequest(variant, backend=engine, settings=settings_of(engine, preset)) for variant in GRADED]
+    for result in run_many(requests, out=folder, resume=True):
+        print(
+            f"{name_of(engine, preset)}: {result.id} {result.outcome.value} {result.error or ''}".rstrip(), flush=True
+        )
+
+
+def ranked(results: Path, configurations: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+    """Return the ranks of all configurations, JSON-ready.
+
+    Raises:
+        SystemExit: A folder lacks an episode.
+    """
+    every: list[Result] = []
+    for engine, preset in configurations:
+        files = sorted(folder_of(results, engine, preset).glob("*-*.json"))
+        chosen = [one for one in map(load_result, files) if one.id.removeprefix("GAUGE/") in GRADED]
+        missing = set(GRADED) - {one.id.removeprefix("GAUGE/") for one in chosen}
+        if missing:
+            raise SystemExit(f"no ranks: {name_of(engine, preset)} lacks {', '.join(sorted(missing))}")
+        every += chosen
+    comparison = compare(every)
+    names = [name_of(one.backend or "", one.settings_given.get("preset", "")) for one in comparison.configurations]
+    return [grade_record(one, names) for one in comparison.grades]
+
+
 def merged(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
     """Return the known data with the measured configurations in place of older ones.
 
@@ -402,12 +438,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     mode.add_argument("--docs", action="store_true", help="write the page from the data file")
     mode.add_argument("--check", action="store_true", help="fail if the page is not current")
     parser.add_argument("--engine", action="append", help="measure this engine only; repeatable")
+    parser.add_argument("--grades", action="store_true", help="run what the ranks need, and write the ranks alone")
     options = parser.parse_args(arguments)
-    if options.results:
+    every = [(engine, preset) for engine in ENGINES for preset in presets_of(engine)]
+    if options.results and options.grades:
+        for engine, preset in every:
+            if engine in (options.engine or ENGINES):
+                run_graded(engine, preset, folder_of(options.results, engine, preset))
+        known = json.loads(DATA.read_text(encoding="utf-8"))
+        data = json_ready({**known, "grades": ranked(options.results, every)})
+        write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
+    elif options.results:
         for engine in options.engine or ENGINES:
             for preset in presets_of(engine):
                 measure(engine, preset, folder_of(options.results, engine, preset), VARIANTS)
-        every = [(engine, preset) for engine in ENGINES for preset in presets_of(engine)]
         present = [one for one in every if (folder_of(options.results, *one) / "conformance.jsonl").is_file()]
         known = json.loads(DATA.read_text(encoding="utf-8"))
         data = json_ready(merged(known, gather(options.results, present)))

@@ -6,10 +6,14 @@
     python scripts/build_pareto.py --docs                         writes the page from `scoring/pareto.json`
     python scripts/build_pareto.py --check                        fails if the page is not current
 
-DIR holds result files of `gauge run`. Repeats differ in their seed alone, which changes no start without jitter, and so
-are the same episode. They run in rounds: each round runs every setting once, so that other work on the machine does not
-fall on one setting alone. A run that is predicted to take longer than `--limit-s`, from the last coarser step, is left
-out. Runs of more than `REPEAT_BELOW_S` are not repeated. The script can be stopped at any time.
+DIR holds result files of `gauge run`, so the script can be stopped at any time, and goes on where it was. Engines that
+live in another environment run there, with `--engine` and the same DIR; `--no-runs` then takes all of them. Engines
+that are not installed are left out with a note.
+
+Repeats differ in their seed alone, which changes no start without jitter, and so are the same episode. They run in
+rounds: each round runs every setting once, so that other work on the machine does not fall on one setting alone. A run
+that is predicted to take longer than `--limit-s`, from the last coarser step, is left out; an engine's default settings
+are not. Runs of more than `REPEAT_BELOW_S` are not repeated.
 """
 
 from __future__ import annotations
@@ -25,9 +29,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from pareto_lessons import lessons
 from pydantic import TypeAdapter
 
 from gauge_envs.analysis.pareto import Tradeoff, tradeoff
+from gauge_envs.backends import backend
+from gauge_envs.errors import MissingExtraError
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.report.figures.pareto import save_pareto
 from gauge_envs.report.pareto import pareto_markdown
@@ -42,8 +49,12 @@ PAGE = ROOT / "docs" / "accuracy_and_cost.md"
 FIGURE = ROOT / "docs" / "images" / "accuracy_and_cost.png"
 BEGIN, END = "<!-- pareto, written by scripts/build_pareto.py -->", "<!-- end of pareto -->"
 
+LESSONS, END_OF_LESSONS = "<!-- lessons, written by scripts/build_pareto.py -->", "<!-- end of lessons -->"
+
 REPEATS = 3
-REPEAT_BELOW_S = 2.0
+"""Runs of each setting, whose least CPU time counts."""
+
+REPEAT_BELOW_S = 5.0
 """CPU time of an episode above which it runs once [s]: its timing is no longer dominated by short disturbances."""
 
 INTERVAL_S = 1 / 180
@@ -53,6 +64,12 @@ SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
 BALL, CRADLE, PENDULUM = "BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal"
 CARRIED, TURNED = "Turntable-1-wood", "Turntable-3-metal"
 VARIANTS = (*SLIDES, BALL, CARRIED, TURNED, PENDULUM, CRADLE)
+LONG = (PENDULUM, CRADLE)
+"""Variants of 100 s and 34 s, which take most of the time."""
+
+EVERY_OTHER = ("newton", "drake")
+"""Engines that run every other step of `LONG` only: all steps, three times each, would take six minutes of CPU time."""
+
 CONTACTS = (*SLIDES, BALL, TURNED)
 
 DEFAULT_STEPS = {
@@ -62,14 +79,22 @@ DEFAULT_STEPS = {
     "newton": (1, 2, 5, 10, 20, 40),
     "drake": (1, 2, 5, 10, 20, 40),
     "pybullet": (1, 2, 5, 10, 25, 50, 100),
+    "genesis": (1, 2, 5, 10, 20, 50),
 }
 """Steps in 1/180 s with the engine's own preset for the scene."""
 
-IMPACT_STEPS = {"drake": (25, 50, 100, 200, 400, 800)}
+IMPACT_STEPS = {"drake": (25, 50, 100, 200, 400, 800), "genesis": (20, 50, 100, 200)}
 """The same for impacts, where an engine's preset has other steps."""
 
-FEW = {"pybullet": (*SLIDES, BALL)}
-"""Variants of an engine that is slow."""
+FEW = {"genesis": (*SLIDES, BALL, TURNED), "pybullet": (*SLIDES, BALL, CARRIED, TURNED)}
+"""Variants of engines that are slow. Genesis builds the scene for each step, for 2 to 4 s, and takes 20 s of CPU time
+for the pendulum; PyBullet takes 2 s for the pendulum and the cradle already at the coarsest step."""
+
+KEEPS_MODEL = ("genesis",)
+"""Engines that start a repeat without building the scene again, so that repeats follow each other directly."""
+
+SPREAD = 1.5
+"""Ratio of the slowest repeat to the least above which settings are counted."""
 
 EXACT = ("settings_given", "effort", "step_s", "sufficient_step_s")
 """Fields of the data that are requests, and so are not rounded."""
@@ -99,6 +124,8 @@ def sweeps(engine: str) -> Iterator[Sweep]:
     for variant in FEW.get(engine, VARIANTS):
         impact = variant in (BALL, CRADLE)
         steps = IMPACT_STEPS.get(engine, DEFAULT_STEPS[engine]) if impact else DEFAULT_STEPS[engine]
+        if engine in EVERY_OTHER and variant in LONG:
+            steps = steps[::2]
         points = tuple({"timestep_s": INTERVAL_S / count} for count in steps)
         yield Sweep(engine=engine, variant=variant, points=({}, *points))
         if variant == BALL:
@@ -126,21 +153,34 @@ def request_of(sweep: Sweep, settings: Mapping[str, Any], seed: int) -> RunReque
 
 def measure(engine: str, folder: Path, limit_s: float) -> None:
     """Run what a folder lacks of one engine."""
+    try:
+        backend(engine)
+    except MissingExtraError as error:
+        print(f"note: {engine} is left out: {error}", file=sys.stderr)
+        return
+    rounds = [tuple(range(REPEATS))] if engine in KEEPS_MODEL else [(seed,) for seed in range(REPEATS)]
     chosen = list(sweeps(engine))
-    for seed in range(REPEATS):
+    for seeds in rounds:
         for sweep in chosen:
             before: Result | None = None
             for settings in sweep.points:
                 if settings in sweep.skipped or _predicted_s(before, settings) > limit_s:
                     sweep.skipped.append(settings)
                     continue
-                (result,) = run_many([request_of(sweep, settings, seed)], out=folder, resume=True)
-                spent_s = result.cpu_s or 0.0
-                print(f"{engine} {sweep.variant} {dict(settings)} {result.outcome.value} {spent_s:.2f} s", flush=True)
-                if result.error is not None or spent_s > REPEAT_BELOW_S:
+                results = [run(sweep, settings, seed, folder) for seed in seeds]
+                spent_s = results[0].cpu_s or 0.0
+                if any(one.error is not None for one in results) or spent_s > REPEAT_BELOW_S:
                     sweep.skipped.append(settings)
                 if settings.get("timestep_s"):
-                    before = result
+                    before = results[0]
+
+
+def run(sweep: Sweep, settings: Mapping[str, Any], seed: int, folder: Path) -> Result:
+    """Return one run, from a folder that has it or a new one."""
+    (result,) = run_many([request_of(sweep, settings, seed)], out=folder, resume=True)
+    outcome = f"{result.outcome.value} {result.cpu_s or 0.0:.2f} s {result.error or ''}".rstrip()
+    print(f"{sweep.engine} {sweep.variant} {dict(settings)} {outcome}", flush=True)
+    return result
 
 
 def _predicted_s(before: Result | None, settings: Mapping[str, Any]) -> float:
@@ -185,14 +225,19 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
         for phenomenon in found.phenomena
         for family in phenomenon.families
     }
-    counts = [p.repeats for one in found.phenomena for family in one.families for p in family.points]
+    points = [p for one in found.phenomena for family in one.families for p in family.points]
+    counts = [p.repeats for p in points]
+    once = sum(count < REPEATS for count in counts)
+    spreads = sorted(p.cost_most / p.cost for p in points if p.repeats > 1)
+    median, above = spreads[len(spreads) // 2], sum(one > SPREAD for one in spreads)
     return "\n".join(
         [
             "",
-            f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each the least CPU time of "
-            f"{min(counts)} to {max(counts)} runs; the data file states how many. A run of more than "
-            f"{REPEAT_BELOW_S:g} s of CPU time is not repeated. Costs in the tables are relative to MuJoCo's default "
-            "preset, which ran in the same session on the same experiments.",
+            f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each with the least CPU time of "
+            f"{REPEATS} runs or more, and {once} with that of one or two. A run of more than {REPEAT_BELOW_S:g} s is "
+            f"not repeated. The slowest run of a setting took {median:.2g} times the least in the median, and more than "
+            f"{SPREAD:g} times for {above} of {len(spreads)} settings. Costs in the tables are relative to MuJoCo's "
+            "default preset on the same experiments and the same machine.",
             "",
             f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}.",
             "",
@@ -202,10 +247,15 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
 
 
 def written(text: str, notes: Mapping[str, Any], found: Tradeoff) -> str:
-    """Return the page with its generated part replaced."""
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{page(notes, found)}{END}{after}"
+    """Return the page with its generated parts replaced."""
+    taught = _replaced(text, LESSONS, END_OF_LESSONS, lessons(found))
+    return _replaced(taught, BEGIN, END, page(notes, found))
+
+
+def _replaced(text: str, begin: str, end: str, part: str) -> str:
+    before, _, rest = text.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}\n{part}{end}{after}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -25,6 +25,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from gauge_envs.analysis.configuration import RunConfiguration
 from gauge_envs.analysis.pareto_runs import (
     EFFORT,
@@ -57,6 +59,7 @@ class Point:
         settings_given: Settings that a user gives to have it.
         step_s: Time step [s]; None for an engine without one.
         cost: CPU or wall seconds per simulated second, the least over repeats.
+        cost_most: The same, the most over repeats.
         cost_ratio: `cost` over that of the reference configuration; None without one.
         repeats: Least number of repeats of an experiment.
         diverged: Whether a run of it left the bounds of its scene, or did not end.
@@ -72,6 +75,7 @@ class Point:
     settings_given: Mapping[str, Any]
     step_s: float | None
     cost: float
+    cost_most: float
     cost_ratio: float | None
     repeats: int
     diverged: bool
@@ -262,13 +266,15 @@ def _reference_cost(groups: Iterable[Sequence[ExperimentFamily]], kind: str) -> 
             if any(one.backend == REFERENCE_ENGINE and not one.settings_given for one in run.results)
         ]
         if len(chosen) == len(group):
-            return _common_cost(chosen, kind)
+            return _common_costs(chosen, kind)[0]
     return None
 
 
-def _common_cost(runs: Sequence[SettingRun], kind: str) -> float:
-    spans_s = [run.results[0].sim_s for run in runs]
-    return sum(run.cost(kind) * span_s for run, span_s in zip(runs, spans_s, strict=True)) / max(sum(spans_s), 1e-9)
+def _common_costs(runs: Sequence[SettingRun], kind: str) -> tuple[float, float]:
+    """Return the least and the most cost of settings of several experiments, over their common time."""
+    spans_s = np.array([run.results[0].sim_s for run in runs])
+    least, most = spans_s @ np.array([run.costs(kind) for run in runs]) / max(spans_s.sum(), 1e-9)
+    return float(least), float(most)
 
 
 def _family(group: Sequence[ExperimentFamily], kind: str, unit_cost: float | None, *, over_scatter: bool) -> Family:
@@ -300,7 +306,7 @@ def _family(group: Sequence[ExperimentFamily], kind: str, unit_cost: float | Non
 
 
 def _point(runs: Sequence[SettingRun], units: Sequence[float], kind: str, unit_cost: float | None) -> Point:
-    cost = _common_cost(runs, kind)
+    cost, cost_most = _common_costs(runs, kind)
     # The shortest request for the setting is that of a user.
     given = min((one.settings_given for one in runs[0].results), key=len)
     return Point(
@@ -308,6 +314,7 @@ def _point(runs: Sequence[SettingRun], units: Sequence[float], kind: str, unit_c
         settings_given=given,
         step_s=runs[0].step_s,
         cost=cost,
+        cost_most=cost_most,
         cost_ratio=cost / unit_cost if unit_cost else None,
         repeats=min(len(run.results) for run in runs),
         diverged=any(run.frames is None for run in runs),

@@ -63,10 +63,11 @@ class SettingRun:
     is_reference: bool = False
     is_main: bool = True
 
-    def cost(self, kind: str) -> float:
-        """Return the least seconds of a repeat per simulated second; `kind` is `cpu` or `wall`."""
-        spent = [one.cpu_s if kind == "cpu" else one.wall_s for one in self.results]
-        return min(value or 0.0 for value in spent) / max(self.results[0].sim_s, 1e-9)
+    def costs(self, kind: str) -> tuple[float, float]:
+        """Return the least and the most seconds of a repeat per simulated second; `kind` is `cpu` or `wall`."""
+        spent = [(one.cpu_s if kind == "cpu" else one.wall_s) or 0.0 for one in self.results]
+        span_s = max(self.results[0].sim_s, 1e-9)
+        return min(spent) / span_s, max(spent) / span_s
 
     @property
     def step_s(self) -> float | None:

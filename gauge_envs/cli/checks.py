@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli.arguments import Json, Wide, check_one_format, parsed_settings
-from gauge_envs.cli.check_matrix import check_matrix
+from gauge_envs.cli.check_matrix import MatrixOutput, check_matrix
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
@@ -263,12 +263,23 @@ def backend_check(
         typer.Option(
             "--all",
             help="Every solver and preset that the backends declare, of all installed ones if none is named; one check "
-            "per phenomenon without --only. Needs --report or --json.",
+            "per phenomenon without --only. Needs --report, --out, --markdown or --json.",
         ),
     ] = False,
+    configurations: Annotated[
+        list[str] | None,
+        typer.Option("--configuration", metavar="NAME", help="With --all, only this solver or preset; repeatable."),
+    ] = None,
     report: Annotated[
         Path | None,
         typer.Option(metavar="PAGE", help="One HTML page: checks in rows, backends in columns, with all commands."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File for the columns of the page, which --from reads.")
+    ] = None,
+    files: Annotated[
+        list[Path] | None,
+        typer.Option("--from", metavar="FILE", help="Columns of another run, not run again; repeatable."),
     ] = None,
     json_lines: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
@@ -277,7 +288,7 @@ def backend_check(
     """Check backends against closed forms in small scenes, with a diagnosis of each failure.
 
     Exit code 1 when a check failed or raised an error. A declined check is no failure. An engine that crashes, exits or
-    hangs in another process costs one check. A limit implies --isolate, and so do --all and --report.
+    hangs in another process costs one check. A limit implies --isolate, and so do --all, --report and --out.
     """
     from gauge_envs.checks.conformance import checks
     from gauge_envs.checks.conformance.matrix import CANONICAL
@@ -288,20 +299,23 @@ def backend_check(
     if describe:
         print_table(checks_table(checks(patterns)), json_lines=json_lines, wide=wide)
         return
-    if not names and not every:
+    if not names and not every and not files:
         raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list or --all")
+    if configurations and not every:
+        raise ParameterError("--configuration chooses among those of --all: add --all")
     limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s
-    if every or report is not None:
-        if markdown or (report is None and not json_lines):
-            raise ParameterError("--all and --report write a page or JSON: give --report PAGE.html or --json alone")
+    if every or files or report is not None or out is not None:
+        output = MatrixOutput(report=report, file=out, json_lines=json_lines, markdown=markdown)
+        output.check()
         check_matrix(
             names or [],
             every=every,
+            configurations=configurations or [],
+            files=files or [],
             settings=parsed_settings(changes or []),
             only=patterns or (CANONICAL if every else []),
             limits=(limit_s, memory_limit_gb),
-            report=report,
-            json_lines=json_lines,
+            output=output,
         )
         return
     findings = _findings(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
@@ -12,6 +11,7 @@ from gauge_envs.checks.conformance.matrix import MatrixColumn
 from gauge_envs.checks.conformance.model import Check, CheckResult, Status
 from gauge_envs.errors import ResultFileError
 from gauge_envs.files import versions, write_whole
+from gauge_envs.report.conformance_matrix import cost_text, error_text, expected_text, measured_text, tally
 from gauge_envs.report.sanity_page import STYLE
 from gauge_envs.report.text import pairs_text
 
@@ -26,9 +26,6 @@ WORDS = {
     Status.DECLINED: "&ndash; declined",
     Status.ERROR: "&#10007; error",
 }
-
-LEAST_PERCENT = 1e-4
-"""Relative errors below this are not written out [%]."""
 
 MATRIX_STYLE = """
 .scroll { overflow-x: auto; max-width: 100%; } body { max-width: none; }
@@ -76,12 +73,14 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
     """
     ran = [column for column in columns if column.findings]
     title = "Conformance of physics engines"
-    spent_s = sum(finding.wall_s for column in ran for finding in column.findings.values())
+    spent_s = sum(finding.cpu_s for column in ran for finding in column.findings.values())
     parts = [
         f"<h1>{title}</h1>",
         '<p class="lead">One row per phenomenon: a small scene with a closed form. One column per engine and solver or '
-        "preset. A cell has the measured value and its relative error, or its error in tolerances where 0 is expected. "
-        "The tolerance is the same for every engine. A phenomenon that an engine declines is no failure.</p>",
+        "preset. A cell has the measured value, its relative error, or its error in tolerances where 0 is expected, "
+        "and the CPU time. The tolerance is the same for every engine. What an engine declines is no failure. "
+        "&#9888; marks a column of another version of gauge-envs, and a result of a check that was another one then; "
+        "such a result is not counted.</p>",
         _matrix(ran, checks),
         _left_out([column for column in columns if column.reason]),
         "<h2>Checks</h2>",
@@ -89,7 +88,7 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
         "<h2>Configurations</h2>",
         _configurations(ran),
         "<h2>Provenance</h2>",
-        f"<p>{escape(when.isoformat(timespec='minutes'))}, {spent_s:.0f} s of wall time in the checks, "
+        f"<p>{escape(when.isoformat(timespec='minutes'))}, {spent_s:.0f} s of CPU time in the checks, "
         f"{escape(pairs_text(versions()))}. Written by</p><p><code>{escape(command)}</code></p>",
     ]
     return (
@@ -109,15 +108,14 @@ def _matrix(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> str:
 
 
 def _tally(column: MatrixColumn) -> str:
-    """Return how many of the checks that were not declined passed."""
-    statuses = [finding.status for finding in column.findings.values()]
-    count = sum(status is not Status.DECLINED for status in statuses)
-    return f"<small>{statuses.count(Status.PASS)} of {count}</small>"
+    """Return how many of the checks that were not declined passed, and the version where it is another one."""
+    old = "" if column.is_of_this_version else f"<small>&#9888; gauge-envs {escape(column.gauge_envs)}</small>"
+    return f"<small>{tally(column)}</small>{old}"
 
 
 def _row(check: Check, columns: Sequence[MatrixColumn]) -> str:
-    findings = [column.findings.get(check.id) for column in columns]
-    name = f'<a href="#{escape(check.id)}">{escape(check.title)}</a><small>{escape(_expected(findings))}</small>'
+    findings = [column.current().get(check.id) for column in columns]
+    name = f'<a href="#{escape(check.id)}">{escape(check.title)}</a><small>{escape(expected_text(findings))}</small>'
     return f"<tr><td>{name}</td>{''.join(_cell(column, check.id) for column in columns)}</tr>"
 
 
@@ -127,40 +125,19 @@ def _cell(column: MatrixColumn, check: str) -> str:
         reason = column.refused.get(check, column.reason)
         word = "refused" if check in column.refused else "not run"
         return f'<td title="{escape(reason)}"><span class="badge declined">&ndash; {word}</span></td>'
+    if check in column.outdated:
+        reason = f"{column.outdated[check]}; its result was {finding.status.value} {measured_text(finding)}".rstrip()
+        return f'<td title="{escape(reason)}"><span class="badge declined">&#9888; other check</span></td>'
     hint = "; ".join(finding.missing) or finding.diagnosis
     title = f' title="{escape(hint)}"' if hint else ""
-    texts = [] if finding.measured is None else [_number(finding.measured), _error(finding)]
+    texts = [text for text in (measured_text(finding), error_text(finding)) if text]
+    if finding.status is not Status.DECLINED:
+        texts.append(cost_text(finding))
     return f"<td{title}>{_badge(finding.status)}{''.join(f'<small>{escape(text)}</small>' for text in texts)}</td>"
 
 
 def _badge(status: Status) -> str:
     return f'<span class="badge {CLASSES[status]}">{WORDS[status]}</span>'
-
-
-def _expected(findings: Sequence[CheckResult | None]) -> str:
-    """Return the expected value with tolerance and unit; empty if nothing was measured."""
-    for finding in findings:
-        if finding is not None and finding.expected is not None and finding.width is not None:
-            unit = "" if finding.unit == "1" else f" {finding.unit}"
-            return f"{_number(finding.expected)} +- {finding.width:.2g}{unit}"
-    return ""
-
-
-def _error(finding: CheckResult) -> str:
-    """Return the error relative to the expected value, or in tolerances where that is 0."""
-    if finding.measured is None or finding.expected is None or finding.width is None:
-        return ""
-    difference = finding.measured - finding.expected
-    if not math.isfinite(difference):
-        return "not finite"
-    if finding.expected:
-        percent = 100.0 * difference / abs(finding.expected)
-        return f"{percent:+.3g} %" if abs(percent) >= LEAST_PERCENT else f"below {LEAST_PERCENT:g} %"
-    return f"{abs(difference) / finding.width:.2g} tol." if finding.width else f"{difference:+.2g}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}"
 
 
 def _section(check: Check, columns: Sequence[MatrixColumn]) -> str:
@@ -185,11 +162,11 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> str:
 
 
 def _result(column: MatrixColumn, finding: CheckResult) -> str:
-    note = "; ".join(finding.missing) or finding.diagnosis
+    note = column.outdated.get(finding.check) or "; ".join(finding.missing) or finding.diagnosis
     texts = {
-        "measured": "" if finding.measured is None else _number(finding.measured),
-        "expected": _expected([finding]),
-        "error": _error(finding),
+        "measured": measured_text(finding),
+        "expected": expected_text([finding]),
+        "error": error_text(finding),
     }
     cells = "".join(f'<td data-label="{label}">{escape(text)}</td>' for label, text in texts.items())
     more = f'<tr class="more"><td colspan="6">{escape(note)}</td></tr>' if note else ""
@@ -206,12 +183,16 @@ def _configurations(columns: Sequence[MatrixColumn]) -> str:
     rows = "".join(
         f"<tr><td>{escape(column.title)}</td>"
         f'<td data-label="settings">{escape(pairs_text(column.settings) or "the presets of the engine")}</td>'
-        f'<td data-label="versions">{escape(pairs_text(_versions(column)))}</td></tr>'
+        f'<td data-label="versions">{escape(pairs_text(column.versions))}</td>'
+        f'<td data-label="run">{escape(_origin(column))}</td></tr>'
         for column in columns
     )
-    head = "<tr><th>engine</th><th>settings</th><th>versions</th></tr>"
+    head = "<tr><th>engine</th><th>settings</th><th>versions</th><th>run</th></tr>"
     return f'<table class="stack wide"><thead>{head}</thead><tbody>{rows}</tbody></table>'
 
 
-def _versions(column: MatrixColumn) -> Mapping[str, str]:
-    return next(iter(column.findings.values())).versions
+def _origin(column: MatrixColumn) -> str:
+    """Return when and with which version a column ran, and which of its results are not counted."""
+    text = f"{column.made}, gauge-envs {column.gauge_envs}"
+    reasons = [f"{name}: {reason}" for name, reason in column.outdated.items()]
+    return "; ".join([text, *reasons])

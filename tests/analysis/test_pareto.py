@@ -195,6 +195,7 @@ def test_the_cost_is_the_least_of_the_repeats_and_relative_to_mujoco() -> None:
     (phenomenon,) = tradeoff([*repeats, *slower]).phenomena
     costs = {family.name: family.points[0] for family in phenomenon.families}
     assert costs["mujoco"].cost == pytest.approx(0.1 / 0.6, rel=1e-6)
+    assert costs["mujoco"].cost_most == pytest.approx(0.3 / 0.6, rel=1e-6)
     assert (costs["mujoco"].repeats, costs["mujoco"].cost_ratio) == (3, 1.0)
     assert costs["rapier"].cost_ratio == pytest.approx(4.0)
 

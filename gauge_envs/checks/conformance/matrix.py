@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 from gauge_envs.backends import backend, backend_names
@@ -14,6 +15,7 @@ from gauge_envs.checks.conformance.model import CheckResult
 from gauge_envs.checks.conformance.registry import checks
 from gauge_envs.checks.conformance.run import run_checks
 from gauge_envs.errors import GaugeError, UnknownNameError
+from gauge_envs.files import versions
 from gauge_envs.runs.isolation import Worker
 
 __all__ = ["CANONICAL", "MatrixColumn", "matrix_columns", "run_column"]
@@ -71,6 +73,9 @@ class MatrixColumn:
         findings: Results of the checks, by id.
         refused: Why the engine refuses the settings in the scene of a check, by id.
         reason: Why no check ran; empty if one did.
+        fingerprints: Fingerprint that each check had when it ran, by id.
+        gauge_envs: Version of gauge-envs that ran it; empty before it ran.
+        made: Day of the run, as `2026-01-31`; empty before it ran.
     """
 
     backend: str
@@ -79,6 +84,36 @@ class MatrixColumn:
     findings: dict[str, CheckResult] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     reason: str = ""
+    fingerprints: dict[str, str] = field(default_factory=dict)
+    gauge_envs: str = ""
+    made: str = ""
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Versions of the engine's packages; empty if no check ran."""
+        return next((finding.versions for finding in self.findings.values()), {})
+
+    @property
+    def is_of_this_version(self) -> bool:
+        """Whether the installed gauge-envs ran it."""
+        return self.gauge_envs in ("", versions()["gauge-envs"])
+
+    @property
+    def outdated(self) -> dict[str, str]:
+        """Why a result does not answer the present check, by id; only a column from a file can have such results."""
+        known = {check.id: check.fingerprint for check in checks()}
+        reasons = {}
+        for name, fingerprint in self.fingerprints.items():
+            if name not in known:
+                reasons[name] = f"gauge-envs {versions()['gauge-envs']} has no check {name!r}"
+            elif fingerprint != known[name]:
+                reasons[name] = "the check had another scene, law or tolerance when this column ran"
+        return reasons
+
+    def current(self) -> dict[str, CheckResult]:
+        """Return the results that answer the present checks, by id."""
+        outdated = self.outdated
+        return {name: finding for name, finding in self.findings.items() if name not in outdated}
 
     @property
     def title(self) -> str:
@@ -94,7 +129,12 @@ class MatrixColumn:
 
 
 def matrix_columns(
-    names: Sequence[str], settings: Mapping[str, Any] | None = None, *, every: bool, worker: Worker | None = None
+    names: Sequence[str],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    every: bool,
+    configurations: Sequence[str] = (),
+    worker: Worker | None = None,
 ) -> list[MatrixColumn]:
     """Return the columns of a matrix, without running a check.
 
@@ -102,13 +142,14 @@ def matrix_columns(
         names: Engines; with none, all that are installed.
         settings: Settings for every column, beside those of its configuration.
         every: Whether each engine has a column for each configuration that it declares, beside its default.
+        configurations: Names of the configurations that are kept; all with none.
         worker: Another process that imports the engines; None for this one.
 
     Returns:
         The columns. An engine that cannot be imported has one column, with the reason.
 
     Raises:
-        UnknownNameError: An engine that was named is not known.
+        UnknownNameError: An engine that was named is not known, or no engine has a configuration of such a name.
     """
     known = backend_names()
     for name in names:
@@ -116,19 +157,23 @@ def matrix_columns(
             raise UnknownNameError("backend", name, known)
     columns = []
     for name in dict.fromkeys(names or known):
-        configurations: dict[str, dict[str, Any]] = {"default": {}}
+        every_settings: dict[str, dict[str, Any]] = {"default": {}}
         reason = ""
         if every:
             try:
                 declared = _declared(name) if worker is None else worker.call(_declared, name)
-                configurations |= declared
+                every_settings |= declared
             except GaugeError as error:
                 reason = str(error)
         columns += [
             MatrixColumn(backend=name, name=key, settings={**(settings or {}), **values}, reason=reason)
-            for key, values in configurations.items()
+            for key, values in every_settings.items()
         ]
-    return columns
+    existing = {column.name for column in columns}
+    for wanted in configurations:
+        if wanted not in existing:
+            raise UnknownNameError("configuration", wanted, existing)
+    return [column for column in columns if column.name in configurations or not configurations]
 
 
 def _declared(name: str) -> dict[str, dict[str, Any]]:
@@ -148,6 +193,7 @@ def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None)
         only: Ids or patterns of checks.
         worker: Another process for the checks, so that an engine that crashes costs one of them; None for this one.
     """
+    column.gauge_envs, column.made = versions()["gauge-envs"], datetime.now(UTC).date().isoformat()
     for one in () if column.reason else checks(only):
         try:
             # One by one, as a solver that refuses the scene of one check may take that of the next.
@@ -159,6 +205,7 @@ def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None)
             column.reason = str(error)
             return
         column.findings[finding.check] = finding
+        column.fingerprints[finding.check] = one.fingerprint
         yield finding
     if column.refused and not column.findings:
         column.reason = f"the settings are refused: {next(iter(column.refused.values()))}"

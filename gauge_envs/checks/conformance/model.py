@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
@@ -90,6 +92,13 @@ class Check:
     diagnosis: str
     measure: Callable[[Lab], Measurement]
 
+    @property
+    def fingerprint(self) -> str:
+        """Digest of what the number means: scene, measured quantity, law, unit and tolerance, and no code."""
+        width = [self.tolerance.absolute, self.tolerance.relative]
+        parts = json.dumps([self.id, self.scene, self.measures, self.law, self.unit, width])
+        return hashlib.sha256(parts.encode()).hexdigest()[:12]
+
 
 @dataclass(frozen=True, kw_only=True)
 class CheckResult:
@@ -112,6 +121,8 @@ class CheckResult:
         missing: Features that the backend lacks, when it declined.
         reported_by: Id of the check that reports the same fault first; empty for a fault of its own.
         wall_s: Time that the check took [s]; checks that share a rollout count it once.
+        cpu_s: CPU time of the process of the check, all its threads, over the same span [s]. It is 0 for a process that
+            died.
         settings: Numerical settings in force in the last scene of the check.
         versions: Versions of the engine's packages.
     """
@@ -132,6 +143,7 @@ class CheckResult:
     missing: tuple[str, ...] = ()
     reported_by: str = ""
     wall_s: float = 0.0
+    cpu_s: float = 0.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
 

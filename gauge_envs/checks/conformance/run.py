@@ -133,10 +133,12 @@ def _lab_of_task(task: bytes) -> Lab:
 
 def _outcome(lab: Lab, one: Check) -> _Outcome:
     """Return the outcome of a check."""
+    started_s = time.process_time()
     try:
         fields, is_finite = _measured(lab, one)
     except RefusedSettingsError as error:
         return _Outcome(fields={}, settings={}, refusal=str(error))
+    fields["cpu_s"] = time.process_time() - started_s
     return _Outcome(fields=fields, is_finite=is_finite, settings=lab.settings_in_force)
 
 

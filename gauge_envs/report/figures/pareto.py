@@ -118,8 +118,8 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
 
 
 def _name_line(axis: Axes, family: Family, end: tuple[float, float], colour: str) -> None:
-    """Write the name of an engine at the end of its line; other presets have their line style."""
-    if family.is_default:
+    """Write the name of an engine without a colour of its own at the end of its line; the legend names the others."""
+    if family.is_default and family.backend not in COLOURS:
         place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
         axis.annotate(family.backend, end, fontsize=7.5, color=colour, annotation_clip=False, **place)
 

@@ -28,6 +28,13 @@ def test_mujoco_has_a_column_for_each_solver() -> None:
     assert [column.name for column in matrix_columns(["mujoco"], every=False)] == ["default"]
 
 
+def test_a_configuration_is_chosen_by_its_name() -> None:
+    columns = matrix_columns(["mujoco"], every=True, configurations=["out_of_box", "PGS"])
+    assert [column.name for column in columns] == ["PGS", "out_of_box"]
+    with pytest.raises(UnknownNameError, match="out_of_bocks"):
+        matrix_columns(["mujoco"], every=True, configurations=["out_of_bocks"])
+
+
 def test_an_unknown_engine_is_an_error() -> None:
     with pytest.raises(UnknownNameError):
         matrix_columns(["mujokko"], every=True)
@@ -76,6 +83,15 @@ def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None],
     assert "SystemExit: 3" in text
 
 
-@pytest.mark.parametrize("options", [["--all"], ["mujoco", "--all", "--markdown"], []])
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--all"],
+        ["mujoco", "--all", "--markdown", "--json"],
+        ["--from", "x.json"],
+        ["mujoco", "--configuration", "PGS"],
+        [],
+    ],
+)
 def test_a_request_without_output_or_engine_is_refused(options: list[str]) -> None:
     assert CliRunner().invoke(app, ["backend", "check", *options]).exit_code == 2
