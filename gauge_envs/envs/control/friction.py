@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Scene
@@ -124,9 +124,13 @@ class FrictionLimit(ControlEnv):
         self._slip_m_per_s = 0.0
         self._corners_on_carrier = self._corners()
 
-    def _advance(self, command: NDArray[np.float64]) -> tuple[float, Ending | None]:
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
         acceleration = float(command[0]) * self.ACCELERATION_RAD_PER_S2
-        used = [self._advance_sample(acceleration) for _ in range(SAMPLES_PER_FRAME)]
+        used = []
+        for _ in range(SAMPLES_PER_FRAME):
+            self._turn(acceleration)
+            yield
+            used.append(self._friction_used(acceleration))
         self._used_now = sum(used) / len(used)
         self._slip_m_per_s = self._slip()
         if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
@@ -134,22 +138,20 @@ class FrictionLimit(ControlEnv):
         self._used.append(self._used_now)
         return self._used_now, None
 
-    def _advance_sample(self, acceleration: float) -> float:
-        """Turn the carrier for 1/180 s with a uniform acceleration, and return the friction used at the end."""
+    def _turn(self, acceleration: float) -> None:
+        """Turn the carrier in the next 1/180 s with a uniform acceleration."""
         step = SAMPLE_INTERVAL_S
         self._angle += (self._rate + 0.5 * acceleration * step) * step
         self._rate += acceleration * step
         pose, velocity = self._driver.state(self._start, 0.0, np.array([self._angle]), np.array([self._rate]))
         # A uniform acceleration that ends exactly at the pose.
         mean = mean_velocity(self._pose, pose, step)
-        self.simulation.drive(self._driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
-        self.simulation.advance(step)
+        self.world.drive(self._driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
         self._pose, self._velocity = pose, velocity
-        return self._friction_used(acceleration)
 
     def _friction_used(self, acceleration: float) -> float:
         """Return the friction used: tangential over normal part of the force that carries the cube."""
-        around = self._turning @ (self.simulation.body_states((CUBE,))[0, :3] - self._point_m)
+        around = self._turning @ (self.world.body_states((CUBE,))[0, :3] - self._point_m)
         force = acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
         normal = self._pose.rotation.apply((0.0, 0.0, 1.0))
         held = float(force @ normal)
@@ -157,7 +159,7 @@ class FrictionLimit(ControlEnv):
 
     def _corners(self) -> NDArray[np.float64]:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
-        state = self.simulation.body_states((CUBE,))[0]
+        state = self.world.body_states((CUBE,))[0]
         rotation = Rotation.from_quat(state[3:7], scalar_first=True)
         return self._pose.to_body(rotation.apply(self._corners_m) + state[:3])
 
@@ -180,5 +182,5 @@ class FrictionLimit(ControlEnv):
     @property
     def _cube_radius_m(self) -> float:
         """Distance of the cube from the axis [m]."""
-        arm = self.simulation.body_states((CUBE,))[0, :3] - self._point_m
+        arm = self.world.body_states((CUBE,))[0, :3] - self._point_m
         return float(np.linalg.norm(arm - self._axis * (self._axis @ arm)))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.envs.control.stage import Stage
 from gauge_envs.experiments.resolve import load_experiment
@@ -149,10 +149,11 @@ class LeastTimeLimit(ControlEnv):
         self._samples = 0
         self._to_go = self._time_to_go()
 
-    def _advance(self, command: FloatArray) -> tuple[float, Ending | None]:
+    def _advance(self, command: FloatArray) -> Frame:
         to_go, samples, ending = self._to_go, self._samples, None
         for _ in range(SAMPLES_PER_FRAME):
-            self._stage.advance(self.simulation, command * self.ACCELERATION_M_PER_S2)
+            self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
+            yield
             self._samples += 1
             self._look()
             if self._is_lost(self._cube_m):
@@ -178,7 +179,7 @@ class LeastTimeLimit(ControlEnv):
 
     def _look(self) -> None:
         """Read the cube's place, its yaw, and its mean velocity since the last look, 1/180 s ago."""
-        state, before = self.simulation.body_states((CUBE,))[0], self._cube_m
+        state, before = self.world.body_states((CUBE,))[0], self._cube_m
         self._cube_m = state[:3]
         self._cube_velocity = (self._cube_m - before)[:2] / SAMPLE_INTERVAL_S
         turned = Rotation.from_quat(state[3:7], scalar_first=True) * self._cube_rotation.inv()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.base import World
 from gauge_envs.scene import Pose
 from gauge_envs.scene.drivers import Driver, DriverMotion, mean_velocity
 from gauge_envs.scene.geometry import Vector
@@ -63,8 +63,8 @@ class Stage:
         self.rate_m_per_s = np.zeros(len(self.driver.motions))
         self._pose, self._velocity = self._start, np.zeros(6)
 
-    def advance(self, simulation: Simulation, acceleration_m_per_s2: FloatArray) -> None:
-        """Simulate 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
+    def drive(self, world: World, acceleration_m_per_s2: FloatArray) -> None:
+        """Drive the body for the next 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
         step = SAMPLE_INTERVAL_S
         fastest = self.largest_speed_m_per_s
         rate = np.clip(self.rate_m_per_s + acceleration_m_per_s2 * step, -fastest, fastest)
@@ -74,8 +74,7 @@ class Stage:
         pose, velocity = self.driver.state(self._start, 0.0, self.offset_m, self.rate_m_per_s)
         # A uniform acceleration that ends exactly at the pose.
         mean = mean_velocity(self._pose, pose, step)
-        simulation.drive(self.driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
-        simulation.advance(step)
+        world.drive(self.driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
         self._pose, self._velocity = pose, velocity
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.envs.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver
 from gauge_envs.references.sensitivities import input_uncertainties
@@ -183,15 +183,16 @@ class ThrowLimit(ControlEnv):
 
     def _look(self) -> None:
         """Read the ball's place and velocity."""
-        state = self.simulation.body_states((BALL,))[0]
+        state = self.world.body_states((BALL,))[0]
         self._ball_x_m, self._height_m = float(state[0]), float(state[2]) - self._zero_m
         self._ball_velocity = state[[7, 9]]
 
-    def _advance(self, command: NDArray[np.float64]) -> tuple[float, Ending | None]:
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
         before_m, ending = self._highest_m, None
         for _ in range(SAMPLES_PER_FRAME):
             fell = self._ball_velocity[1] < 0.0
-            self._stage.advance(self.simulation, command * self.ACCELERATION_M_PER_S2)
+            self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
+            yield
             self._look()
             self._highest_m = max(self._highest_m, self._height_m)
             self._impacts += bool(fell and self._ball_velocity[1] > 0.0)
