@@ -54,7 +54,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
-        is_world: Whether it is one of many worlds, which get `world` from `ControlWorlds` and no simulation of their own.
+        is_world: Whether it is one of many worlds, which get `world` from `ControlWorlds` and build no simulation.
 
     Attributes:
         FAMILY: Family of the experiment that states the scene.

@@ -14,7 +14,7 @@ from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Scene
-from gauge_envs.scene.drivers import mean_velocity
+from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 __all__ = ["HOLD_S", "SLIP_SPEED_M_PER_S", "FrictionLimit"]
@@ -36,6 +36,22 @@ MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too 
 0.3 s. Slower slips do not count, so a policy can use 20 mm/s / (g HOLD_S) = 0.002 more friction than the law allows,
 0.5 to 0.9 % of it.
 """
+
+
+class _Turned:
+    """A vector that turns about an axis."""
+
+    def __init__(self, axis: NDArray[np.float64], start: NDArray[np.float64]) -> None:
+        self._along = axis * (axis @ start)
+        self._across, self._aside = start - self._along, np.cross(axis, start)
+
+    def at(self, angle_rad: float) -> NDArray[np.float64]:
+        """Return the vector at an angle."""
+        return self._along + math.cos(angle_rad) * self._across + math.sin(angle_rad) * self._aside
+
+    def rate(self, angle_rad: float) -> NDArray[np.float64]:
+        """Return its derivative by the angle."""
+        return math.cos(angle_rad) * self._aside - math.sin(angle_rad) * self._across
 
 
 class FrictionLimit(ControlEnv):
@@ -83,10 +99,16 @@ class FrictionLimit(ControlEnv):
     def __init__(self, material: str, **options: Any) -> None:
         super().__init__(f"{self.FAMILY}-{self.SUBTASK}-{material}", **options)
         scene = self.experiment.scene
-        self._driver = scene.drivers[0]
-        motion, carrier = self._driver.motions[0], scene.body(self._driver.body)
-        self._start = carrier.pose
+        driver = scene.drivers[0]
+        motion, self._start = driver.motions[0], scene.body(driver.body).pose
+        self._carrier = driver.body
         self._axis, self._point_m = np.asarray(motion.axis), np.asarray(motion.point_m)
+        self._place = _Turned(self._axis, np.asarray(self._start.position_m) - self._point_m)
+        self._normal = _Turned(self._axis, self._start.rotation.apply((0.0, 0.0, 1.0)))
+        self._quaternion = np.array(self._start.quaternion)
+        # After half a turn: the product of the quaternion (0, axis) and that of the start.
+        real, imaginary = self._quaternion[0], self._quaternion[1:]
+        self._half_turned = np.array([-self._axis @ imaginary, *(real * self._axis + np.cross(self._axis, imaginary))])
         # The matrix of the cross product with the axis.
         self._turning = np.cross(np.eye(3), self._axis)
         self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2])
@@ -140,21 +162,28 @@ class FrictionLimit(ControlEnv):
 
     def _turn(self, acceleration: float) -> None:
         """Turn the carrier in the next 1/180 s with a uniform acceleration."""
-        step = SAMPLE_INTERVAL_S
+        step, before = SAMPLE_INTERVAL_S, self._angle
         self._angle += (self._rate + 0.5 * acceleration * step) * step
         self._rate += acceleration * step
-        pose, velocity = self._driver.state(self._start, 0.0, np.array([self._angle]), np.array([self._rate]))
+        pose = self._carrier_pose()
         # A uniform acceleration that ends exactly at the pose.
-        mean = mean_velocity(self._pose, pose, step)
-        self.world.drive(self._driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
-        self._pose, self._velocity = pose, velocity
+        moved_m = np.subtract(pose.position_m, self._pose.position_m)
+        mean = np.concatenate([moved_m, (self._angle - before) * self._axis]) / step
+        self.world.drive(self._carrier, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
+        self._pose = pose
+        self._velocity = self._rate * np.concatenate([self._place.rate(self._angle), self._axis])
+
+    def _carrier_pose(self) -> Pose:
+        """Return the pose of the carrier at its angle."""
+        half = 0.5 * self._angle
+        w, x, y, z = (math.cos(half) * self._quaternion + math.sin(half) * self._half_turned).tolist()
+        return Pose(position_m=vector(self._point_m + self._place.at(self._angle)), quaternion=(w, x, y, z))
 
     def _friction_used(self, acceleration: float) -> float:
         """Return the friction used: tangential over normal part of the force that carries the cube."""
         around = self._turning @ (self.world.body_states((CUBE,))[0, :3] - self._point_m)
         force = acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
-        normal = self._pose.rotation.apply((0.0, 0.0, 1.0))
-        held = float(force @ normal)
+        held = float(force @ self._normal.at(self._angle))
         return math.sqrt(max(float(force @ force) - held**2, 0.0)) / held
 
     def _corners(self) -> NDArray[np.float64]:

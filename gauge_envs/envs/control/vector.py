@@ -141,9 +141,7 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
             infos = self._add_info(infos, info, number)
         return infos
 
-    def step(
-        self, actions: Any
-    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Simulate one frame, 1/30 s, in every world; a world whose episode was over starts the next one instead.
 
         Args:
@@ -184,9 +182,7 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
             return None
         self._check_started("render", started=self._is_reset)
         scene = self.experiment.scene
-        return tuple(
-            self._pictures.draw(scene, {}, poses=env.moving_poses(), nodes_m={}) for env in self.worlds.envs
-        )
+        return tuple(self._pictures.draw(scene, {}, poses=env.moving_poses(), nodes_m={}) for env in self.worlds.envs)
 
     def close_extras(self, **_: Any) -> None:
         """Free the worlds and the renderer."""

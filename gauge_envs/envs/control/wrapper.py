@@ -59,7 +59,9 @@ def control_env(task: str, **arguments: Any) -> ReportLimit:
         GaugeError: See `ControlEnv`.
     """
     found = find_control_task(task)
-    return ReportLimit(load_env_creator(found.entry_point)(material=found.material, **arguments))
+    env = load_env_creator(found.entry_point)(material=found.material, **arguments)
+    assert isinstance(env, ControlEnv)
+    return ReportLimit(env)
 
 
 # `gymnasium.make` reads the render modes from here.

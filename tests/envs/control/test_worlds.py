@@ -20,15 +20,16 @@ EXTRAS = {"rapier": "rapier3d", "newton": "newton", "pybullet": "pybullet", "phy
 def singles(task: str, constants: list[dict[str, Any]], **options: Any) -> gymnasium.vector.SyncVectorEnv:
     """Return separate environments, as Gymnasium steps them."""
     return gymnasium.vector.SyncVectorEnv(
-        [lambda one=one: gymnasium.make(f"GAUGE/{task}", parameters=one or "calibrated", **options) for one in constants]
+        [
+            lambda one=one: gymnasium.make(f"GAUGE/{task}", parameters=one or "calibrated", **options)
+            for one in constants
+        ]
     )
 
 
 def check(task: str, constants: list[dict[str, Any]], *, steps: int, **options: Any) -> int:
     """Compare all that many worlds return with separate environments; return the number of episodes that ended."""
-    worlds = gymnasium.make_vec(
-        f"GAUGE/{task}", num_envs=len(constants), world_parameters=constants, **options
-    )
+    worlds = gymnasium.make_vec(f"GAUGE/{task}", num_envs=len(constants), world_parameters=constants, **options)
     others = singles(task, constants, **options)
     random = np.random.default_rng(0)
     found, expected = worlds.reset(seed=3), others.reset(seed=3)
