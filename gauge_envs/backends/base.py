@@ -218,6 +218,20 @@ class Worlds(ABC):
     def reset(self, seed: int) -> None:
         """Return all worlds to their starts at time 0. The same seed gives the same trajectories."""
 
+    def restart(self, number: int) -> None:
+        """Return one world to its start at time 0; the others go on.
+
+        Args:
+            number: Number of the world.
+
+        Raises:
+            BackendError: The engine can return only all worlds at once.
+        """
+        world = self.worlds[number]
+        if not isinstance(world, Simulation):
+            raise BackendError(f"{type(self).__name__} returns to the start only all worlds at once: call reset")
+        world.reset(0)
+
     @abstractmethod
     def advance(self, seconds: float) -> None:
         """Simulate an interval in all worlds, a multiple of 1/180 s."""
@@ -280,6 +294,8 @@ class Backend(ABC):
         joins_bodies: Whether `build` builds `Scene.body_hinges`. Scenes with them are declined for other engines.
         worlds_mix_constants: Whether `build_worlds` takes scenes that differ in masses and contact constants too. Such
             scenes are built one by one for other engines.
+        worlds_restart_alone: Whether `Worlds.restart` of what `build_worlds` returns starts one world anew while others
+            go on.
     """
 
     name: ClassVar[str]
@@ -288,6 +304,7 @@ class Backend(ABC):
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     joins_bodies: ClassVar[bool] = False
     worlds_mix_constants: ClassVar[bool] = False
+    worlds_restart_alone: ClassVar[bool] = False
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
@@ -366,7 +383,13 @@ class Backend(ABC):
         raise UnsupportedSceneError(f"backend {self.name!r} builds no model files: use a USD layer")
 
 
-def worlds_of(engine: Backend, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+def worlds_of(
+    engine: Backend,
+    scenes: Sequence[Scene],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    restart_alone: bool = False,
+) -> Worlds:
     """Build several instances of a scene that may differ in starts and constants.
 
     The engine builds them together where it can, and one by one otherwise. An engine whose `build_worlds` was written
@@ -376,10 +399,13 @@ def worlds_of(engine: Backend, scenes: Sequence[Scene], settings: Mapping[str, A
         engine: The engine.
         scenes: One or more scenes with the same bodies, shapes and drivers.
         settings: As in `Backend.build`.
+        restart_alone: Whether `Worlds.restart` is needed.
 
     Raises:
         ParameterError: A setting does not exist or has an invalid value.
     """
+    if restart_alone and not engine.worlds_restart_alone:
+        return Backend.build_worlds(engine, scenes, settings)
     first = scenes[0]
     alike = all(_soft_constants(scene) == _soft_constants(first) for scene in scenes)
     same = alike and all(_rigid_constants(scene) == _rigid_constants(first) for scene in scenes)

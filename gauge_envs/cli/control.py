@@ -130,7 +130,7 @@ def envelope(
     changes: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Setting of the engine; repeatable.")
     ] = None,
-    batch: Annotated[int, typer.Option(min=1, help="Worlds of an experiment in one vector environment.")] = 256,
+    batch: Annotated[int, typer.Option(min=1, help="Worlds that run at a time.")] = 256,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the points.")] = 0,
     figure: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (PNG) to write.")] = None,
     out: Annotated[
@@ -152,7 +152,7 @@ def envelope(
         new_figure(1.0, 1.0)
     stderr = stderr_console()
     settings = parsed_settings(changes or [])
-    common: dict[str, Any] = {"samples": samples, "backend": engine, "settings": settings, "seed": seed}
+    common: dict[str, Any] = {"samples": samples, "backend": engine, "settings": settings, "seed": seed, "batch": batch}
     with progress_bar(stderr) as bar:
         line = bar.add_task("samples", total=samples)
         common["notify"] = lambda done: bar.update(line, completed=done)
@@ -164,7 +164,7 @@ def envelope(
         else:
             from gauge_envs.runs.envelope import experiment_envelope
 
-            found = experiment_envelope(subject, batch=batch, **common)
+            found = experiment_envelope(subject, **common)
     report = envelope_report(found)
     if json_lines:
         print_json_lines([envelope_json(report)])
@@ -192,6 +192,7 @@ def _control(
     task: str, policy: str | None, normalization: Path | None, trust: bool, law: tuple[float, bool], **options: Any
 ) -> Envelope:
     from contextlib import closing
+    from dataclasses import replace
 
     from gauge_envs.runs.envelope import LawPolicy, control_envelope
     from gauge_envs.runs.policies.load import load_policy
@@ -201,7 +202,7 @@ def _control(
         return control_envelope(task, policy=LawPolicy(fraction=law[0], informed=law[1]), **options)
     with closing(make_control_env(task)) as env:
         loaded = load_policy(policy, env, normalization=normalization, trust=trust)
-    return control_envelope(task, policy=loaded, policy_name=policy, **options)
+    return replace(control_envelope(task, policy=loaded, **options), policy=policy)
 
 
 def _installed(names: tuple[str, ...]) -> list[tuple[str, dict[str, Any]]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.limit import LimitReport
 from gauge_envs.envs.control.play import Policy
+from gauge_envs.envs.control.worlds import ControlWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
-from gauge_envs.runs.policy_replays import make_control_env, play_paid
+from gauge_envs.runs.policy_replays import make_control_env
 from gauge_envs.runs.uncertain_task import task_uncertainties
 from gauge_envs.scene import Scene
 
@@ -199,60 +200,59 @@ def control_envelope(
     task: str,
     *,
     policy: Policy | LawPolicy | None = None,
-    policy_name: str = "given policy",
     samples: int = 256,
     backend: str = "mujoco",
     settings: Mapping[str, Any] | None = None,
     seed: int = 0,
+    batch: int = 256,
     notify: Callable[[int], None] = lambda _: None,
 ) -> Envelope:
-    """Run a control task at points of its uncertainty; the quantity is the reward of the episode.
+    """Run a control task at points of its uncertainty, many worlds at a time; the quantity is an episode's reward.
+
+    All episodes have the seed 0, and so the same goal.
 
     Args:
         task: Name or id of the task.
         policy: Policy, checked with the task, or the law's; None for `LawPolicy()`.
-        policy_name: Name of a policy that is not the law's, for reports.
         samples: Number of points, a power of 2.
         backend: Name of the engine.
         settings: Settings that replace those of the preset.
         seed: Seed of the points.
+        batch: Number of worlds at a time, which bounds the memory.
         notify: Function that gets the number of points that are done.
 
     Raises:
-        ParameterError: The number of points is out of range, or the task has no uncertain parameter.
+        ParameterError: The numbers are out of range, or the task has no uncertain parameter.
         GaugeError: See `ControlEnv`.
     """
     policy = policy or LawPolicy()
 
-    def world(overrides: Mapping[str, Any]) -> ControlEnv:
-        return make_control_env(task, backend=backend, settings=settings, parameters=overrides or "calibrated")
-
-    with closing(world({})) as env:
+    with closing(make_control_env(task, backend=backend, settings=settings)) as env:
         parameters, scene = task_uncertainties(env), env.experiment.scene
-        sigmas = _points(f"GAUGE/{task.removeprefix('GAUGE/')}", parameters, samples, seed)
-        recorded: list[NDArray[np.float32]] = []
-        calibrated, report = play_paid(env, _calibrated(env, policy, recorded))
-    values, ratios, endings = np.empty(samples), np.empty(samples), []
-    for number, row in enumerate(sigmas):
-        with closing(world(overrides_at(parameters, row.tolist()))) as env:
-            values[number], found = play_paid(env, _acting(env, policy, recorded))
-        ratios[number] = found.ratio
-        endings.append(found.ending.value)
-        notify(number + 1)
+    sigmas = _points(f"GAUGE/{task.removeprefix('GAUGE/')}", parameters, samples, seed)
+    actions: list[NDArray[np.float32]] = []
+    with closing(ControlWorlds(task, [{}], backend=backend, settings=settings)) as worlds:
+        ((calibrated, report),) = _episodes(worlds, _recorded(worlds, policy, actions))
+    found: list[tuple[float, LimitReport]] = []
+    for first in range(0, samples, _checked_batch(batch)):
+        constants = [overrides_at(parameters, row.tolist()) for row in sigmas[first : first + batch]]
+        with closing(ControlWorlds(task, constants, backend=backend, settings=settings)) as worlds:
+            found += _episodes(worlds, _acting(worlds, policy, actions))
+        notify(len(found))
     return Envelope(
         id=f"GAUGE/{task.removeprefix('GAUGE/')}",
         backend=backend,
         quantity="reward",
         unit="1",
-        policy=policy.title if isinstance(policy, LawPolicy) else policy_name,
+        policy=policy.title if isinstance(policy, LawPolicy) else "given policy",
         scene=scene,
         parameters=parameters,
         sigmas=sigmas,
-        values=values,
+        values=np.array([paid for paid, _ in found]),
         calibrated=calibrated,
-        endings=tuple(endings),
+        endings=tuple(one.ending.value for _, one in found),
         calibrated_ending=report.ending.value,
-        ratios=ratios,
+        ratios=np.array([one.ratio for _, one in found]),
     )
 
 
@@ -268,33 +268,41 @@ def _checked_batch(batch: int) -> int:
     return batch
 
 
-def _calibrated(env: ControlEnv, policy: Policy | LawPolicy, actions: list[NDArray[np.float32]]) -> Policy:
+Act = Callable[[int, int, FloatArray], NDArray[np.floating]]
+"""Action of a world, by its number, for the number of a frame and the observation."""
+
+
+def _episodes(worlds: ControlWorlds, act: Act) -> list[tuple[float, LimitReport]]:
+    """Run an episode in each world; return the sum of its rewards and its report."""
+    begun = worlds.begin(dict.fromkeys(range(len(worlds)), 0))
+    observations = {number: observation for number, (observation, _) in begun.items()}
+    paid, frame = [0.0] * len(worlds), 0
+    while observations:
+        steps = worlds.step({number: act(number, frame, one) for number, one in observations.items()})
+        for number, (_, reward, *_) in steps.items():
+            paid[number] += reward
+        observations = {number: step[0] for number, step in steps.items() if not (step[2] or step[3])}
+        frame += 1
+    return [(one, env.report()) for one, env in zip(paid, worlds.envs, strict=True)]
+
+
+def _recorded(worlds: ControlWorlds, policy: Policy | LawPolicy, actions: list[NDArray[np.float32]]) -> Act:
     """Return the policy in the calibrated world; the actions of the law's are recorded."""
-    return _recording(env, policy.fraction, actions) if isinstance(policy, LawPolicy) else policy
-
-
-def _acting(env: ControlEnv, policy: Policy | LawPolicy, actions: Sequence[NDArray[np.float32]]) -> Policy:
-    """Return the policy in another world."""
     if not isinstance(policy, LawPolicy):
-        return policy
-    return (lambda _: env.law_action(policy.fraction)) if policy.informed else _replayed(actions)
+        return lambda _, __, observation: policy(observation)
 
-
-def _recording(env: ControlEnv, fraction: float, actions: list[NDArray[np.float32]]) -> Policy:
-    def act(_: FloatArray) -> NDArray[np.float32]:
-        actions.append(env.law_action(fraction))
+    def act(number: int, _: int, __: FloatArray) -> NDArray[np.floating]:
+        actions.append(worlds.envs[number].law_action(policy.fraction))
         return actions[-1]
 
     return act
 
 
-def _replayed(actions: Sequence[NDArray[np.float32]]) -> Policy:
-    """Return a policy that takes recorded actions, and none after the last of them."""
-
-    def taken() -> Iterator[NDArray[np.float32]]:
-        yield from actions
-        while True:
-            yield np.zeros_like(actions[-1])
-
-    following = taken()
-    return lambda _: next(following)
+def _acting(worlds: ControlWorlds, policy: Policy | LawPolicy, actions: Sequence[NDArray[np.float32]]) -> Act:
+    """Return the policy in other worlds; a law's that is not informed takes the recorded actions, and then none."""
+    if not isinstance(policy, LawPolicy):
+        return lambda _, __, observation: policy(observation)
+    if policy.informed:
+        return lambda number, _, __: worlds.envs[number].law_action(policy.fraction)
+    none = np.zeros_like(actions[-1])
+    return lambda _, frame, __: actions[frame] if frame < len(actions) else none

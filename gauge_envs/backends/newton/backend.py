@@ -33,6 +33,7 @@ class BackendNewton(Backend):
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
     joins_bodies = True
     worlds_mix_constants = True
+    worlds_restart_alone = True
 
     def __init__(self) -> None:
         for module in MODULES:

@@ -115,6 +115,10 @@ class WorldsNewton(Worlds):
         """Return all worlds to their starts. Newton draws no random numbers here, so the seed has no effect."""
         self._stepper.reset()
 
+    def restart(self, number: int) -> None:
+        """Return one world to its start; see `Worlds.restart`."""
+        self._stepper.restart(number, len(self.worlds))
+
     def advance(self, seconds: float) -> None:
         """Step the model, which contains all worlds."""
         self._stepper.advance(seconds)

@@ -94,6 +94,23 @@ class Stepper(ABC):
         self._commands.clear()
         self._current = 0
 
+    def restart(self, world: int, world_count: int) -> None:
+        """Return one of several equal worlds to its start.
+
+        The arrays of a model hold the worlds one after another. Those of contacts mix them, and are written anew in
+        each step before they are read.
+
+        Args:
+            world: Number of the world.
+            world_count: Number of worlds in the model.
+        """
+        for array, first in zip(self._arrays(), self._first, strict=True):
+            size, rest = divmod(len(first), world_count)
+            if size and not rest:
+                values = array.numpy()
+                values[world * size : (world + 1) * size] = first[world * size : (world + 1) * size]
+                array.assign(values)
+
     def drive(self, body: int, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body from the next step on; see `World.drive`."""
         w, x, y, z = pose.quaternion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -11,21 +11,29 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from gauge_envs.backends.base import World
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.envs.divergence import speed_fault
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.scene import Scene
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = ["ControlEnv"]
+__all__ = ["ControlEnv", "Frame", "Step"]
 
 FloatArray = NDArray[np.float64]
+
+Frame = Generator[None, None, tuple[float, Ending | None]]
+"""A frame of a task, which yields where the world must advance by 1/180 s, and returns reward and ending."""
+
+Step = tuple[FloatArray, float, bool, bool, dict[str, Any]]
+"""What `step` returns."""
 
 
 class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
@@ -46,6 +54,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        is_world: Whether it is one of many worlds, which get `world` from `ControlWorlds` and build no simulation.
 
     Attributes:
         FAMILY: Family of the experiment that states the scene.
@@ -56,6 +65,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         OBSERVED: Names of the observation's entries, with units.
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
+        world: The simulation, or the world of it.
 
     Raises:
         UnknownNameError: No such variant or backend.
@@ -63,6 +73,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         UnsupportedSceneError: The backend cannot build the scene.
     """
 
+    REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "world")
     FAMILY: ClassVar[str]
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
@@ -80,6 +91,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        is_world: bool = False,
     ) -> None:
         pictures = Pictures(render_mode, width=width, height=height)
         self._variant = find_variant(variant)
@@ -87,8 +99,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         scene = replace(self._scene(stated.scene), duration_s=self.DURATION_S)
         experiment = replace(stated, scene=scene, frame_count=self.frame_count)
         super().__init__(experiment, pictures, backend=backend, settings=settings)
-        self._build(experiment)
-        check_drive_interval(self.simulation.settings)
+        if not is_world:
+            self._build(experiment)
+            check_drive_interval(self.simulation.settings)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         self._frame: int | None = None
         self._ending: Ending | None = None
@@ -101,6 +114,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     @property
     def _label(self) -> str:
         return type(self).__name__
+
+    def _build(self, experiment: Experiment) -> None:
+        super()._build(experiment)
+        self.world: World = self.simulation
 
     # --- what a task states ---
 
@@ -127,8 +144,11 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Record the start of an episode; the simulation is at it."""
 
     @abstractmethod
-    def _advance(self, command: FloatArray) -> tuple[float, Ending | None]:
-        """Simulate a frame with an action; return its reward and, if it ended the episode, the ending."""
+    def _advance(self, command: FloatArray) -> Frame:
+        """Drive a frame with an action; return its reward and, if it ended the episode, the ending.
+
+        It yields before each interval of 1/180 s, when the world is driven, and continues when the world has advanced.
+        """
 
     @abstractmethod
     def _observation(self) -> FloatArray:
@@ -173,25 +193,48 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             ParameterError: An option was given.
         """
         self._check_open("reset")
-        super().reset(seed=seed)
         if options:
             raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
         self.simulation.reset(0 if seed is None else seed)
+        return self.begin(seed)
+
+    def begin(self, seed: int | None) -> tuple[FloatArray, dict[str, Any]]:
+        """Start a new episode of a world that is at its start; `reset` brings it there."""
+        super().reset(seed=seed)
         self._frame, self._ending = 0, None
         self._begin()
         observation = self._observation()
         self._observations = [observation]
         return observation, self._info()
 
-    def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> Step:
         """Simulate one frame, 1/30 s.
 
         Raises:
             ActionError: The action has the wrong shape, is out of range or is not a number.
             EpisodeError: The environment was not reset, or the episode is over.
         """
+        frame = self.frame(action)
+        while True:
+            try:
+                next(frame)
+            except StopIteration as end:
+                step: Step = end.value
+                return step
+            self.simulation.advance(SAMPLE_INTERVAL_S)
+
+    def frame(self, action: Any) -> Generator[None, None, Step]:
+        """Drive one frame of a world that someone else advances; return what `step` returns.
+
+        It yields where the world must advance by 1/180 s: up to six times, less often if the episode ends within the
+        frame.
+
+        Raises:
+            ActionError: The action has the wrong shape, is out of range or is not a number.
+            EpisodeError: The environment was not reset, or the episode is over.
+        """
         self._check_running(started=self._frame is not None, is_over=self._ending is not None)
-        reward, ending = self._advance(self._checked(action))
+        reward, ending = yield from self._advance(self._checked(action))
         self._frame = (self._frame or 0) + 1
         info = self._info()
         fault = self._fault()
@@ -236,10 +279,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def _fault(self) -> str | None:
         """Return why the simulation counts as diverged, or None."""
-        engine_fault = self.simulation.fault()
+        engine_fault = self.world.fault()
         if engine_fault is not None:
             return engine_fault
-        velocities = self.simulation.body_states(self._dynamic)[:, 7:10]
+        velocities = self.world.body_states(self._dynamic)[:, 7:10]
         return speed_fault(self._dynamic, velocities, self.experiment.scene.speed_limit_m_per_s)
 
     # --- pictures ---
@@ -254,7 +297,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._frame is not None)
-        scene = self.experiment.scene
-        moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
-        poses = self.simulation.body_states(moving)[:, :7]
-        return self._pictures.draw(scene, {}, poses=dict(zip(moving, poses, strict=True)), nodes_m={})
+        return self._pictures.draw(self.experiment.scene, {}, poses=self.moving_poses(), nodes_m={})
+
+    def moving_poses(self) -> dict[str, FloatArray]:
+        """Return position [m] and quaternion of each body that moves, shape [7], by name."""
+        moving = (*self._dynamic, *(driver.body for driver in self.experiment.scene.drivers))
+        return dict(zip(moving, self.world.body_states(moving)[:, :7], strict=True))

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Scene
-from gauge_envs.scene.drivers import mean_velocity
+from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 __all__ = ["HOLD_S", "SLIP_SPEED_M_PER_S", "FrictionLimit"]
@@ -36,6 +36,22 @@ MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too 
 0.3 s. Slower slips do not count, so a policy can use 20 mm/s / (g HOLD_S) = 0.002 more friction than the law allows,
 0.5 to 0.9 % of it.
 """
+
+
+class _Turned:
+    """A vector that turns about an axis."""
+
+    def __init__(self, axis: NDArray[np.float64], start: NDArray[np.float64]) -> None:
+        self._along = axis * (axis @ start)
+        self._across, self._aside = start - self._along, np.cross(axis, start)
+
+    def at(self, angle_rad: float) -> NDArray[np.float64]:
+        """Return the vector at an angle."""
+        return self._along + math.cos(angle_rad) * self._across + math.sin(angle_rad) * self._aside
+
+    def rate(self, angle_rad: float) -> NDArray[np.float64]:
+        """Return its derivative by the angle."""
+        return math.cos(angle_rad) * self._aside - math.sin(angle_rad) * self._across
 
 
 class FrictionLimit(ControlEnv):
@@ -83,10 +99,16 @@ class FrictionLimit(ControlEnv):
     def __init__(self, material: str, **options: Any) -> None:
         super().__init__(f"{self.FAMILY}-{self.SUBTASK}-{material}", **options)
         scene = self.experiment.scene
-        self._driver = scene.drivers[0]
-        motion, carrier = self._driver.motions[0], scene.body(self._driver.body)
-        self._start = carrier.pose
+        driver = scene.drivers[0]
+        motion, self._start = driver.motions[0], scene.body(driver.body).pose
+        self._carrier = driver.body
         self._axis, self._point_m = np.asarray(motion.axis), np.asarray(motion.point_m)
+        self._place = _Turned(self._axis, np.asarray(self._start.position_m) - self._point_m)
+        self._normal = _Turned(self._axis, self._start.rotation.apply((0.0, 0.0, 1.0)))
+        self._quaternion = np.array(self._start.quaternion)
+        # After half a turn: the product of the quaternion (0, axis) and that of the start.
+        real, imaginary = self._quaternion[0], self._quaternion[1:]
+        self._half_turned = np.array([-self._axis @ imaginary, *(real * self._axis + np.cross(self._axis, imaginary))])
         # The matrix of the cross product with the axis.
         self._turning = np.cross(np.eye(3), self._axis)
         self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2])
@@ -124,9 +146,13 @@ class FrictionLimit(ControlEnv):
         self._slip_m_per_s = 0.0
         self._corners_on_carrier = self._corners()
 
-    def _advance(self, command: NDArray[np.float64]) -> tuple[float, Ending | None]:
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
         acceleration = float(command[0]) * self.ACCELERATION_RAD_PER_S2
-        used = [self._advance_sample(acceleration) for _ in range(SAMPLES_PER_FRAME)]
+        used = []
+        for _ in range(SAMPLES_PER_FRAME):
+            self._turn(acceleration)
+            yield
+            used.append(self._friction_used(acceleration))
         self._used_now = sum(used) / len(used)
         self._slip_m_per_s = self._slip()
         if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
@@ -134,30 +160,35 @@ class FrictionLimit(ControlEnv):
         self._used.append(self._used_now)
         return self._used_now, None
 
-    def _advance_sample(self, acceleration: float) -> float:
-        """Turn the carrier for 1/180 s with a uniform acceleration, and return the friction used at the end."""
-        step = SAMPLE_INTERVAL_S
+    def _turn(self, acceleration: float) -> None:
+        """Turn the carrier in the next 1/180 s with a uniform acceleration."""
+        step, before = SAMPLE_INTERVAL_S, self._angle
         self._angle += (self._rate + 0.5 * acceleration * step) * step
         self._rate += acceleration * step
-        pose, velocity = self._driver.state(self._start, 0.0, np.array([self._angle]), np.array([self._rate]))
+        pose = self._carrier_pose()
         # A uniform acceleration that ends exactly at the pose.
-        mean = mean_velocity(self._pose, pose, step)
-        self.simulation.drive(self._driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
-        self.simulation.advance(step)
-        self._pose, self._velocity = pose, velocity
-        return self._friction_used(acceleration)
+        moved_m = np.subtract(pose.position_m, self._pose.position_m)
+        mean = np.concatenate([moved_m, (self._angle - before) * self._axis]) / step
+        self.world.drive(self._carrier, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
+        self._pose = pose
+        self._velocity = self._rate * np.concatenate([self._place.rate(self._angle), self._axis])
+
+    def _carrier_pose(self) -> Pose:
+        """Return the pose of the carrier at its angle."""
+        half = 0.5 * self._angle
+        w, x, y, z = (math.cos(half) * self._quaternion + math.sin(half) * self._half_turned).tolist()
+        return Pose(position_m=vector(self._point_m + self._place.at(self._angle)), quaternion=(w, x, y, z))
 
     def _friction_used(self, acceleration: float) -> float:
         """Return the friction used: tangential over normal part of the force that carries the cube."""
-        around = self._turning @ (self.simulation.body_states((CUBE,))[0, :3] - self._point_m)
+        around = self._turning @ (self.world.body_states((CUBE,))[0, :3] - self._point_m)
         force = acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
-        normal = self._pose.rotation.apply((0.0, 0.0, 1.0))
-        held = float(force @ normal)
+        held = float(force @ self._normal.at(self._angle))
         return math.sqrt(max(float(force @ force) - held**2, 0.0)) / held
 
     def _corners(self) -> NDArray[np.float64]:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
-        state = self.simulation.body_states((CUBE,))[0]
+        state = self.world.body_states((CUBE,))[0]
         rotation = Rotation.from_quat(state[3:7], scalar_first=True)
         return self._pose.to_body(rotation.apply(self._corners_m) + state[:3])
 
@@ -180,5 +211,5 @@ class FrictionLimit(ControlEnv):
     @property
     def _cube_radius_m(self) -> float:
         """Distance of the cube from the axis [m]."""
-        arm = self.simulation.body_states((CUBE,))[0, :3] - self._point_m
+        arm = self.world.body_states((CUBE,))[0, :3] - self._point_m
         return float(np.linalg.norm(arm - self._axis * (self._axis @ arm)))

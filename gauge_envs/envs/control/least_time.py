@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.envs.control.stage import Stage
 from gauge_envs.experiments.resolve import load_experiment
@@ -96,8 +96,8 @@ class LeastTimeLimit(ControlEnv):
         self._stage = Stage(
             scene.drivers[0], scene.body(self.DRIVEN).pose, stroke_m=np.full(2, self.ACCELERATION_M_PER_S2)
         )
-        self._cube_start_m = np.array(scene.body(CUBE).pose.position_m)
-        self._cube_rotation = scene.body(CUBE).pose.rotation
+        self._cube_start = scene.body(CUBE).pose
+        self._cube_start_m = np.array(self._cube_start.position_m)
         self._driven_start_m = np.array(scene.body(self.DRIVEN).pose.position_m[:2])
         self.goal_m = np.array([self.DISTANCE_M, 0.0])
 
@@ -149,10 +149,11 @@ class LeastTimeLimit(ControlEnv):
         self._samples = 0
         self._to_go = self._time_to_go()
 
-    def _advance(self, command: FloatArray) -> tuple[float, Ending | None]:
+    def _advance(self, command: FloatArray) -> Frame:
         to_go, samples, ending = self._to_go, self._samples, None
         for _ in range(SAMPLES_PER_FRAME):
-            self._stage.advance(self.simulation, command * self.ACCELERATION_M_PER_S2)
+            self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
+            yield
             self._samples += 1
             self._look()
             if self._is_lost(self._cube_m):
@@ -178,11 +179,10 @@ class LeastTimeLimit(ControlEnv):
 
     def _look(self) -> None:
         """Read the cube's place, its yaw, and its mean velocity since the last look, 1/180 s ago."""
-        state, before = self.simulation.body_states((CUBE,))[0], self._cube_m
+        state, before = self.world.body_states((CUBE,))[0], self._cube_m
         self._cube_m = state[:3]
         self._cube_velocity = (self._cube_m - before)[:2] / SAMPLE_INTERVAL_S
-        turned = Rotation.from_quat(state[3:7], scalar_first=True) * self._cube_rotation.inv()
-        self._yaw_rad = float(turned.as_rotvec()[2])
+        self._yaw_rad = _turned_rad(state[3:7].tolist(), self._cube_start.quaternion)
 
     @property
     def _moved_m(self) -> FloatArray:
@@ -192,14 +192,14 @@ class LeastTimeLimit(ControlEnv):
     @property
     def _left_m(self) -> float:
         """Horizontal distance of the cube from the goal [m]."""
-        return float(np.linalg.norm(self.goal_m - self._moved_m))
+        return math.hypot(*(self.goal_m - self._moved_m).tolist())
 
     @property
     def _has_arrived(self) -> bool:
         return (
             self._left_m <= TOLERANCE_M
             and abs(self._yaw_rad) <= TOLERANCE_RAD
-            and float(np.linalg.norm(self._cube_velocity)) <= REST_M_PER_S
+            and math.hypot(*self._cube_velocity.tolist()) <= REST_M_PER_S
         )
 
     @property
@@ -225,3 +225,16 @@ class LeastTimeLimit(ControlEnv):
         distance_m, speed = float(np.linalg.norm(self._moved_m)), float(np.linalg.norm(self._cube_velocity))
         needed = self.least_deceleration_m_per_s2(distance_m, self._arrived_s, speed)
         return needed / self.experiment.scene.gravity_m_per_s2
+
+
+def _turned_rad(now: Sequence[float], start: Sequence[float]) -> float:
+    """Return the component along z of the rotation vector [rad] from one orientation w, x, y, z to another."""
+    w, x, y, z = now
+    # The start's inverse.
+    a, b, c, d = start[0], -start[1], -start[2], -start[3]
+    real = w * a - x * b - y * c - z * d
+    imaginary = (w * b + x * a + y * d - z * c, w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a)
+    size = math.hypot(*imaginary)
+    # The shorter way round; q and -q are the same orientation.
+    angle = 2.0 * math.atan2(size if real >= 0.0 else -size, abs(real))
+    return angle * imaginary[2] / size if size > 0.0 else 0.0

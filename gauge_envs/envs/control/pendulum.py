@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import Hinge, Scene, Sphere
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
 __all__ = ["PendulumLimit"]
 
@@ -127,17 +127,17 @@ class PendulumLimit(ControlEnv):
 
     def _swing(self) -> tuple[float, float]:
         """Return the angle from hanging [rad] and its rate [rad/s]."""
-        state = self.simulation.body_states((BALL,))[0]
+        state = self.world.body_states((BALL,))[0]
         arm = state[:3] - self._anchor_m
         angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
         return angle, float(self._axis @ state[10:])
 
-    def _advance(self, command: NDArray[np.float64]) -> tuple[float, Ending | None]:
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
         torque = float(command[0]) * self._largest_torque_n_m
-        self.simulation.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(torque * self._axis)]))
+        self.world.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(torque * self._axis)]))
         highest_m, work_j = self._highest_m, self._work_j
         for _ in range(SAMPLES_PER_FRAME):
-            self.simulation.advance(SAMPLE_INTERVAL_S)
+            yield
             before, (self._angle, self._rate) = self._angle, self._swing()
             self._work_j += max(torque * (self._angle - before), 0.0)
             self._highest_m = max(self._highest_m, self._length_m * (1.0 - math.cos(self._angle)))

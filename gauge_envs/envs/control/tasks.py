@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gymnasium.envs.registration import WrapperSpec, register, registry
+from gymnasium.envs.registration import register, registry
 
 from gauge_envs.errors import UnknownNameError
 
@@ -17,7 +17,7 @@ class ControlTask:
 
     Attributes:
         name: Name, as `Turntable-Limit-wood`.
-        entry_point: Module and class of the environment, as `gymnasium.register` takes them.
+        entry_point: Module and class of the environment, with a colon between.
         material: Material of the cube or the ball.
     """
 
@@ -69,7 +69,7 @@ def register_control_tasks() -> None:
         if task.id not in registry:
             register(
                 id=task.id,
-                entry_point=task.entry_point,
-                kwargs={"material": task.material},
-                additional_wrappers=(WrapperSpec("ReportLimit", "gauge_envs.envs.control.wrapper:ReportLimit", {}),),
+                entry_point="gauge_envs.envs.control.wrapper:control_env",
+                vector_entry_point="gauge_envs.envs.control.vector:ControlVectorEnv",
+                kwargs={"task": task.name},
             )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.envs.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver
 from gauge_envs.references.sensitivities import input_uncertainties
@@ -32,6 +32,12 @@ SPEED_M_PER_S = 1.0
 """Largest speed of the plate along each axis [m/s]."""
 STROKE_M = 0.1
 """Largest vertical displacement of the plate, up and down [m]."""
+EDGE_M = 0.01
+"""Width of the strip at the plate's edges along x where an impact does not count [m].
+
+An edge can face sideways, and then the plate's speed along x throws the ball too. Ball and plate move by less than this
+relative to each other in 1/180 s, so the ball is above the top when it is within the strips before and after.
+"""
 IMPACTS = 3
 """Number of impacts, after which the highest place counts."""
 
@@ -73,12 +79,14 @@ class ThrowLimit(ControlEnv):
     the plate, here 1 m/s at most. `highest_m` derives the largest height after three impacts: 0.67 m from 0.26 m.
 
     **Task.** The plate starts 0.15 m beside the ball's vertical and must move under it. An episode ends at the highest
-    place after the third time that the ball turns upwards, or when the ball falls past the plate.
+    place after the third time that the ball turns upwards. It also ends, as lost, when the ball falls past the plate or
+    turns upwards less than 1 cm inside the plate's edge, where the law does not hold: the speed of an edge that is hit
+    from the side has a part along x too.
 
     **Reward.** The gain of the largest height so far, over the law's largest gain. No policy earns more than 1.
 
     **Reached** is the largest height of the ball's lowest point above the middle of the plate's stroke, in m; 0 if
-    the ball fell past the plate.
+    the ball was lost.
 
     **Action.** Acceleration of the plate along x and z, in units of 30 m/s^2.
 
@@ -183,31 +191,43 @@ class ThrowLimit(ControlEnv):
 
     def _look(self) -> None:
         """Read the ball's place and velocity."""
-        state = self.simulation.body_states((BALL,))[0]
+        state = self.world.body_states((BALL,))[0]
         self._ball_x_m, self._height_m = float(state[0]), float(state[2]) - self._zero_m
         self._ball_velocity = state[[7, 9]]
 
-    def _advance(self, command: NDArray[np.float64]) -> tuple[float, Ending | None]:
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
         before_m, ending = self._highest_m, None
         for _ in range(SAMPLES_PER_FRAME):
-            fell = self._ball_velocity[1] < 0.0
-            self._stage.advance(self.simulation, command * self.ACCELERATION_M_PER_S2)
+            fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
+            self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
+            yield
             self._look()
-            self._highest_m = max(self._highest_m, self._height_m)
-            self._impacts += bool(fell and self._ball_velocity[1] > 0.0)
-            if self._height_m < -STROKE_M - PLATE_SIZE_M[2]:
+            turned = bool(fell and self._ball_velocity[1] > 0.0)
+            self._impacts += turned
+            if self._height_m < -STROKE_M - PLATE_SIZE_M[2] or (turned and not (was_inside and self._is_inside)):
                 ending = Ending.LOST
-            elif self._impacts >= IMPACTS and self._ball_velocity[1] < 0.0:
+                break
+            self._highest_m = max(self._highest_m, self._height_m)
+            if self._impacts >= IMPACTS and self._ball_velocity[1] < 0.0:
                 ending = Ending.REACHED
-            if ending is not None:
                 break
         return (self._highest_m - before_m) / (self.limit.value - self._drop_m), ending
+
+    @property
+    def _from_plate_m(self) -> float:
+        """Place of the ball along x relative to the plate's centre [m]."""
+        return float(self._ball_x_m - self._plate_x_m - self._stage.offset_m[0])
+
+    @property
+    def _is_inside(self) -> bool:
+        """Whether the ball is above the plate's top, and not near its edges."""
+        return abs(self._from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
 
     def _observation(self) -> NDArray[np.float64]:
         plate = self._stage
         return np.array(
             [
-                self._ball_x_m - self._plate_x_m - plate.offset_m[0],
+                self._from_plate_m,
                 self._height_m,
                 *self._ball_velocity,
                 plate.offset_m[1],

@@ -1,14 +1,16 @@
-"""The wrapper that reports control tasks. `gymnasium.make` applies it to each of them."""
+"""The wrapper that reports control tasks, and the entry point of their ids, which applies it."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import gymnasium
+from gymnasium.envs.registration import load_env_creator
 
 from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.tasks import find_control_task
 
-__all__ = ["ReportLimit"]
+__all__ = ["ReportLimit", "control_env"]
 
 
 class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
@@ -41,3 +43,26 @@ class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
             assert isinstance(env, ControlEnv)
             info["limit"] = env.report()
         return observation, reward, terminated, truncated, info
+
+
+def control_env(task: str, **arguments: Any) -> ReportLimit:
+    """Return a control task that is reported; `gymnasium.make` calls this for every id.
+
+    The wrapper is not part of the registration, because `make_vec` refuses an id that has both wrappers and a vector
+    environment of its own.
+
+    Args:
+        task: Name of the task, as `Carry-Limit-wood`.
+        **arguments: Keywords of `ControlEnv`.
+
+    Raises:
+        GaugeError: See `ControlEnv`.
+    """
+    found = find_control_task(task)
+    env = load_env_creator(found.entry_point)(material=found.material, **arguments)
+    assert isinstance(env, ControlEnv)
+    return ReportLimit(env)
+
+
+# `gymnasium.make` reads the render modes from here.
+control_env.metadata = ControlEnv.metadata  # type: ignore[attr-defined]

@@ -81,3 +81,39 @@ def test_a_plate_that_stays_beside_the_ball_loses_it() -> None:
     report = play(env, lambda _: np.zeros(2))
     assert report.ending is Ending.LOST
     assert report.reached == 0.0
+
+
+def edge_gain(offset: float, comes: float, restitution: float) -> float:
+    """Return the height over that of a flat impact after an impact on the plate's edge, an ideal one.
+
+    Args:
+        offset: Place of the ball beside the edge, over its radius: the sine of the normal's angle from the vertical.
+        comes: Speed at which the ball falls [m/s].
+        restitution: Coefficient of restitution.
+    """
+    normal = np.array([offset, math.sqrt(1.0 - offset**2)])
+    plate = np.array([SPEED_M_PER_S, SPEED_M_PER_S])
+    closing = (plate - np.array([0.0, -comes])) @ normal
+    leaves = -comes + (1.0 + restitution) * closing * normal[1]
+    return float((leaves / (restitution * comes + (1.0 + restitution) * SPEED_M_PER_S)) ** 2)
+
+
+def test_an_ideal_edge_throws_higher_than_the_law() -> None:
+    """Why an impact at an edge ends the episode: the plate's speed along x throws too."""
+    assert edge_gain(0.0, 2.0, 0.576733) == pytest.approx(1.0)
+    assert max(edge_gain(offset, 2.0, 0.576733) for offset in np.linspace(0.0, 0.4, 41)) > 1.09
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 0.08, 0.096, 0.103])
+def test_an_impact_at_an_edge_loses_the_ball(aside_m: float) -> None:
+    """The law's policy, with the ball beside the middle of the plate by a distance."""
+    env = ThrowLimit(settings={"timestep_s": 1 / 1800})
+
+    def aside(_: object) -> np.ndarray:
+        env._plate_x_m += aside_m
+        action = env.law_action(1.0)
+        env._plate_x_m -= aside_m
+        return action
+
+    report = play(env, aside)
+    assert (report.ending is Ending.LOST) is (aside_m > 0.09)
