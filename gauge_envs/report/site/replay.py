@@ -25,7 +25,8 @@ from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.report.ghost import reference_words
 from gauge_envs.runs.replay import Replay
 from gauge_envs.scene import (
     Box,
@@ -250,10 +251,8 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     if not ghosts:
         return ""
     ghost = ghosts[0]
-    what = {
-        "trials": f"the mean of {ghost['trials']} real trials" if ghost["trials"] else "the mean of the real trials",
-        "recording": "one recorded real trial",
-        "law": "the law that the score compares with, no recorded motion",
-    }[ghost["grade"]]
+    grade = BandGrade(ghost["grade"])
+    what = reference_words(grade, ghost["trials"])
+    what += ", no recorded motion" if grade is BandGrade.LAW else ""
     held = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
     return f"Ghost: {what}; not aligned in time.{held}"
