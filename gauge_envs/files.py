@@ -41,6 +41,7 @@ __all__ = [
     "outside_reason",
     "printable",
     "read_regular",
+    "replaced_whole",
     "toml_document",
     "versions",
     "write_whole",
@@ -331,12 +332,24 @@ def write_whole(file: Path, content: bytes) -> None:
     Raises:
         OSError: The file cannot be written; an older one is unchanged.
     """
+    with replaced_whole(file) as part, part.open("xb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+@contextmanager
+def replaced_whole(file: Path) -> Iterator[Path]:
+    """Yield a path beside a file for its new content, which takes the place of the file at the end.
+
+    After an error the new content is removed, and an older file is unchanged.
+
+    Raises:
+        OSError: The new content was not written, or cannot take its place.
+    """
     part = file.with_name(f".{file.name}.{token_hex(8)}.tmp")
     try:
-        with part.open("xb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
+        yield part
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)

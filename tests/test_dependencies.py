@@ -17,6 +17,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 
 DISTRIBUTION = {
     "cv2": "opencv-python-headless",
+    "PIL": "pillow",
     "genesis": "genesis-world",
     "pydrake": "drake",
     "pxr": "usd-core",

@@ -13,6 +13,7 @@ from gauge_envs.cli.control import envelope, transfer
 from gauge_envs.cli.data import assets_app, data_app
 from gauge_envs.cli.describe import list_, materials, show
 from gauge_envs.cli.export import export_app
+from gauge_envs.cli.film import film
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
     command_runs,
@@ -105,6 +106,7 @@ for command in (show, run, score, plot, compare, diagnose, report, sanity, mater
     app.command()(command)
 app.command()(sweep)
 app.command()(query)
+app.command()(film)
 app.command()(recipe)
 app.command()(transfer)
 app.command()(envelope)

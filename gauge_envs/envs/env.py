@@ -12,6 +12,7 @@ from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, 
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.envs.rendering.tracked import episode_picture
 from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
@@ -55,6 +56,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        render_overlay: Whether pictures also show the tracked points, their paths so far, and the places of the
+            reference, as far as g(t) is of positions. Off by default: a policy that learns from pictures must not see
+            the reference, and pictures of different references stay comparable.
         **arguments: Keywords of `gauge_envs.envs.arguments.EnvArguments`, with their defaults: `backend="mujoco"`,
             `parameters="calibrated"`, `settings=None`, `marker_proxy="material"`, `drivers="bundled"`,
             `reference="bundled"`, `use_withheld=False`, `asset=None`.
@@ -92,9 +96,10 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        render_overlay: bool = False,
         **arguments: Unpack[EnvKeywords],
     ) -> None:
-        pictures = Pictures(render_mode, width=width, height=height)
+        pictures = Pictures(render_mode, width=width, height=height, has_overlay=render_overlay)
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
         super().__init__(experiment, pictures, backend=self.arguments.backend, settings=self.arguments.settings)
@@ -205,6 +210,4 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             return None
         episode = self.episode
         self._check_started("render", started=episode.frame is not None)
-        return self._pictures.draw(
-            self.experiment.scene, episode.rest_nodes_m, poses=episode.poses(), nodes_m=episode.nodes_m()
-        )
+        return episode_picture(self._pictures, episode, drawn_as=episode)

@@ -21,6 +21,7 @@ from gauge_envs.envs.base import EngineEnvironment
 from gauge_envs.envs.episode import Episode, Observation, advance_together, run_on_together
 from gauge_envs.envs.no_reward import warn_without_reward
 from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.envs.rendering.tracked import episode_picture
 from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
@@ -59,6 +60,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        render_overlay: As for `GaugeEnv`.
         world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
             come on top of `parameters`. Engines that cannot mix constants in one batch build such worlds one by one.
         **arguments: Keywords of `GaugeEnv`: `backend`, `parameters`, `settings`, ...
@@ -102,11 +104,12 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        render_overlay: bool = False,
         world_parameters: Sequence[Mapping[str, Any]] | None = None,
         **arguments: Unpack[EnvKeywords],
     ) -> None:
         _check_world_count(num_envs)
-        pictures = Pictures(render_mode, width=width, height=height)
+        pictures = Pictures(render_mode, width=width, height=height, has_overlay=render_overlay)
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
         super().__init__(experiment, pictures, backend=self.arguments.backend, settings=self.arguments.settings)
@@ -331,13 +334,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._is_reset)
-        first = self.episodes[0]
-        return tuple(
-            self._pictures.draw(
-                first.experiment.scene, first.rest_nodes_m, poses=episode.poses(), nodes_m=episode.nodes_m()
-            )
-            for episode in self.episodes
-        )
+        return tuple(episode_picture(self._pictures, one, drawn_as=self.episodes[0]) for one in self.episodes)
 
     def close_extras(self, **_: Any) -> None:
         """Free the worlds and the renderer."""

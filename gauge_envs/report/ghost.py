@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.references.bands import Band
+from gauge_envs.references.bands import Band, BandGrade
 
-__all__ = ["ghost_trajectory"]
+__all__ = ["ghost_trajectory", "reference_words"]
 
 FloatArray = NDArray[np.float64]
 
@@ -34,3 +34,17 @@ def ghost_trajectory(band: Band, g: FloatArray) -> FloatArray:
     ghost = np.full_like(g, np.nan)
     ghost[:count] = g[:count] + missing @ np.linalg.pinv(band.projection).T
     return ghost
+
+
+def reference_words(grade: BandGrade, trial_count: int | None) -> str:
+    """Return what the mean of a band is, in words.
+
+    Args:
+        grade: Grade of the band.
+        trial_count: Number of its trials; None is unknown.
+    """
+    if grade is BandGrade.TRIALS:
+        if trial_count == 1:
+            return "one real trial"
+        return f"the mean of {trial_count} real trials" if trial_count else "the mean of the real trials"
+    return "one recorded real trial" if grade is BandGrade.RECORDING else "the law that the score compares with"

@@ -14,6 +14,7 @@ from gauge_envs.references.metrics import METRICS
 
 __all__ = [
     "ALIGNED_TITLE",
+    "BACKEND_TITLES",
     "COST_TITLE",
     "DEFORMATION_NOTE",
     "ENGINE_TITLES",
@@ -35,6 +36,17 @@ __all__ = [
     "value_text",
     "vector_text",
 ]
+
+BACKEND_TITLES = {
+    "drake": "Drake",
+    "genesis": "Genesis",
+    "mujoco": "MuJoCo",
+    "newton": "Newton",
+    "physx": "PhysX",
+    "pybullet": "PyBullet",
+    "rapier": "Rapier",
+}
+"""Names of the engines of this package as their authors write them."""
 
 ENGINE_TITLES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newton"}
 

@@ -23,7 +23,7 @@ from gauge_envs.backends.base import Simulation
 from gauge_envs.envs.arguments import check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
 from gauge_envs.envs.trial_start import TrialStart
-from gauge_envs.errors import GaugeError
+from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import MEGABYTE, npz_arrays, read_regular, write_whole
 from gauge_envs.observables.observer import checked_proxy
@@ -34,13 +34,25 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
-__all__ = ["Replay", "ReplayError", "load_or_replay", "replay", "replay_path", "replayed_experiment"]
+__all__ = [
+    "VIEWS_PER_FRAME",
+    "Replay",
+    "ReplayError",
+    "default_views_per_frame",
+    "load_or_replay",
+    "replay",
+    "replay_path",
+    "replayed_experiment",
+]
 
 FloatArray = NDArray[np.float64]
 PoseArray = NDArray[np.float32]
 
 RIGID_VIEWS_PER_FRAME = 2
 """Recorded views in each frame of a scene of rigid bodies, so 60 a second; deformable bodies are recorded 30 times."""
+
+VIEWS_PER_FRAME = (1, 2, 3, SAMPLES_PER_FRAME)
+"""Numbers of views in a frame that divide its samples."""
 
 MOST_REPLAY_BYTES = 512 * MEGABYTE
 
@@ -82,13 +94,21 @@ def replayed_experiment(result: Result) -> Experiment:
     return jittered_experiment(experiment, _start(result), seed=result.seed or 0, backend=result.backend or "")
 
 
-def replay(result: Result) -> Replay:
+def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
     """Run the episode of a result again and return where its bodies are.
 
+    Args:
+        result: The result.
+        views_per_frame: Recorded views in each frame: 1, 2, 3 or 6; None for the default, 2 of rigid bodies and 1 of
+            deformable ones.
+
     Raises:
+        ParameterError: There is no such number of views.
         ReplayError: The episode did not run, its engine is not installed, or the run differs from the result.
         GaugeError: See `replayed_experiment`.
     """
+    if views_per_frame is not None and views_per_frame not in VIEWS_PER_FRAME:
+        raise ParameterError(f"views_per_frame is {views_per_frame!r}: choose 1, 2, 3 or 6")
     if result.backend is None or result.trajectory is None:
         raise ReplayError("the result is of a trajectory file: no engine ran it")
     if result.error is not None:
@@ -105,14 +125,20 @@ def replay(result: Result) -> Replay:
         with engine_call(result.backend, "advance"):
             simulation.reset(result.seed or 0)
             episode = Episode(experiment, simulation, band=None, marker_proxy=checked_proxy(result.marker_proxy))
-            recorded = _recorded(episode, simulation, experiment.scene)
+            views = views_per_frame or default_views_per_frame(experiment.scene)
+            recorded = _recorded(episode, simulation, experiment.scene, views)
     finally:
         simulation.close()
     _check_same(result, episode, installed)
     return recorded
 
 
-def load_or_replay(result: Result, file: Path) -> Replay:
+def default_views_per_frame(scene: Scene) -> int:
+    """Return the number of recorded views in each frame of a scene if none is chosen."""
+    return 1 if scene.deformables else RIGID_VIEWS_PER_FRAME
+
+
+def load_or_replay(result: Result, file: Path, *, views_per_frame: int | None = None) -> Replay:
     """Return the replay of a result file from the file beside it, or run it and write that file.
 
     The replay file holds the hash of the result file, so that it counts for that content alone. A folder that cannot be
@@ -121,6 +147,8 @@ def load_or_replay(result: Result, file: Path) -> Replay:
     Args:
         result: Content of the result file.
         file: The result file.
+        views_per_frame: Recorded views in each frame: 1, 2, 3 or 6. A replay with another number than the default
+            is run, and neither read nor written.
 
     Raises:
         ReplayError: See `replay`.
@@ -131,14 +159,19 @@ def load_or_replay(result: Result, file: Path) -> Replay:
     except OSError as error:
         raise ReplayError(f"{file}: cannot be read: {error.strerror or error}") from error
     path = replay_path(file)
-    known = _stored(result, path, key)
+    is_default = views_per_frame is None or views_per_frame == default_views_per_frame(
+        recorded_experiment(result).scene
+    )
+    known = _stored(result, path, key) if is_default else None
     if known is not None:
         return known
     if result.backend is None or is_bundled(result.backend):
-        made = replay(result)
+        made = replay(result, views_per_frame=views_per_frame)
     else:
         with Worker() as worker:
-            made = worker.call(replay, result)
+            made = worker.call(replay, result, views_per_frame=views_per_frame)
+    if not is_default:
+        return made
     try:
         write_whole(path, _packed(made, key))
     except OSError:
@@ -160,9 +193,8 @@ def _start(result: Result) -> Jitter | TrialStart | None:
     return Jitter(**result.jitter)
 
 
-def _recorded(episode: Episode, simulation: Simulation, scene: Scene) -> Replay:
-    """Run an episode to its end with zero actions, and return its views."""
-    views = 1 if scene.deformables else RIGID_VIEWS_PER_FRAME
+def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int) -> Replay:
+    """Run an episode to its end with zero actions, and return its views, a number in each frame."""
     samples_per_view = SAMPLES_PER_FRAME // views
     zero = np.zeros(episode.action_space.shape or 0)
     names = tuple(episode.poses())

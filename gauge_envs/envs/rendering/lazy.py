@@ -12,6 +12,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Scene
 
 if TYPE_CHECKING:
+    from gauge_envs.envs.rendering.overlay import Overlay
     from gauge_envs.envs.rendering.renderer import SceneRenderer
 
 __all__ = ["RENDER_MODES", "Pictures"]
@@ -30,21 +31,26 @@ class Pictures:
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        has_overlay: Whether the environment puts an overlay on its pictures.
 
     Attributes:
         render_mode: None or `rgb_array`.
+        has_overlay: Whether the environment puts an overlay on its pictures.
 
     Raises:
-        ParameterError: There is no such mode, or width or height is impossible.
+        ParameterError: There is no such mode, or width, height or overlay is impossible.
     """
 
-    def __init__(self, render_mode: str | None, *, width: int, height: int) -> None:
+    def __init__(self, render_mode: str | None, *, width: int, height: int, has_overlay: bool = False) -> None:
         if render_mode not in (None, *RENDER_MODES):
             raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
         for name, value in (("width", width), ("height", height)):
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= SIZE_LIMIT:
                 raise ParameterError(f"{name} is {value!r}, expected a whole number of pixels from 1 to {SIZE_LIMIT}")
+        if not isinstance(has_overlay, bool | np.bool_):
+            raise ParameterError(f"render_overlay is {has_overlay!r}, expected True or False")
         self.render_mode = render_mode
+        self.has_overlay = bool(has_overlay)
         self._size = (width, height)
         self._renderer: SceneRenderer | None = None
 
@@ -55,6 +61,7 @@ class Pictures:
         *,
         poses: Mapping[str, NDArray[np.float64]],
         nodes_m: Mapping[str, NDArray[np.float64]],
+        overlay: Overlay | None = None,
     ) -> NDArray[np.uint8]:
         """Return a picture of a scene, shape [height, width, 3].
 
@@ -63,15 +70,17 @@ class Pictures:
             rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
+            overlay: What is drawn on top of the scene, or None.
 
         Raises:
             RenderError: The machine has no OpenGL library.
+            UnknownNameError: The overlay has a ghost of a body that the scene does not have.
         """
         if self._renderer is None:
             from gauge_envs.envs.rendering.renderer import SceneRenderer
 
             self._renderer = SceneRenderer(scene, rest_nodes_m, *self._size)
-        return self._renderer.picture(poses, nodes_m)
+        return self._renderer.picture(poses, nodes_m, overlay)
 
     def close(self) -> None:
         """Free the renderer; the next picture starts another one."""

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.model import add_geoms
+from gauge_envs.envs.rendering.decor import add_overlay, add_tube, overlay_geom_count
+from gauge_envs.envs.rendering.overlay import Overlay
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import RenderError
 from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Motion, Plane, Rod, Rope, Scene, SoftBody
@@ -138,25 +140,33 @@ class SceneRenderer:
         self._mocap_ids = {body.name: int(self._model.body(body.name).mocapid[0]) for body in scene.bodies}
         self._option = mujoco.MjvOption()
         segments = sum(len(rest_nodes_m[line.name]) for line in self._lines)
-        self._drawing = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + len(scene.joints) + segments + 100)
-        self._drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-        if view is not None:
-            self._drawing.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0
+        self._own_geoms = self._model.ngeom + len(scene.joints) + segments + 100
+        self._drawing = self._drawing_of(self._own_geoms)
         self._camera = scene_camera(scene)
+        # Height of a pixel in the middle of the scene.
+        half_height_m = self._camera.distance * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+        self._pixel_m = 2.0 * half_height_m / height if view is None else view.scale_m_per_px
         self._device = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
 
     def picture(
-        self, poses: Mapping[str, NDArray[np.float64]], nodes_m: Mapping[str, NDArray[np.float64]]
+        self,
+        poses: Mapping[str, NDArray[np.float64]],
+        nodes_m: Mapping[str, NDArray[np.float64]],
+        overlay: Overlay | None = None,
     ) -> NDArray[np.uint8]:
         """Return a picture of the scene with bodies at given poses.
 
         Args:
             poses: For each body that has moved, position [m] and quaternion w x y z, shape [7].
             nodes_m: For each deformable body its nodes [m], in the order of `rest_nodes_m`.
+            overlay: What is drawn on top of the scene, or None.
 
         Returns:
             Picture, shape [height, width, 3], top row first.
+
+        Raises:
+            UnknownNameError: The overlay has a ghost of a body that the scene does not have.
         """
         for name, pose in poses.items():
             index = self._mocap_ids[name]
@@ -164,6 +174,9 @@ class SceneRenderer:
             self._data.mocap_quat[index] = pose[3:]
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
+        extra = 0 if overlay is None else overlay_geom_count(self._model, overlay)
+        if self._own_geoms + extra > self._drawing.maxgeom:
+            self._drawing = self._drawing_of(self._own_geoms + 2 * extra)
         self._context.make_current()
         for skin in self._skins:
             skin.upload(self._model, self._device, nodes_m[skin.name])
@@ -172,16 +185,26 @@ class SceneRenderer:
         )
         for joint in self._scene.joints:
             end = self._data.mocap_pos[self._mocap_ids[joint.body]]
-            self._draw_segment(np.asarray(joint.anchor_m), end, STRING_RADIUS_M, STRING_COLOR)
+            add_tube(self._drawing, np.asarray(joint.anchor_m), end, radius_m=STRING_RADIUS_M, color=STRING_COLOR)
         for line in self._lines:
             for start, end in pairwise(nodes_m[line.name]):
-                self._draw_segment(start, end, line.radius_m, COLORS[Motion.DYNAMIC])
+                add_tube(self._drawing, start, end, radius_m=line.radius_m, color=COLORS[Motion.DYNAMIC])
+        if overlay is not None:
+            add_overlay(self._drawing, self._model, overlay, pixel_m=self._pixel_m)
         if self._view is not None:
             self._look_along(self._view)
         pixels = np.empty((self._viewport.height, self._viewport.width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._viewport, self._drawing, self._device)
         mujoco.mjr_readPixels(pixels, None, self._viewport, self._device)
         return np.ascontiguousarray(pixels[::-1])
+
+    def _drawing_of(self, geom_count: int) -> mujoco.MjvScene:
+        """Return an empty drawing with room for a number of shapes."""
+        drawing = mujoco.MjvScene(self._model, maxgeom=geom_count)
+        drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        if self._view is not None:
+            drawing.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0
+        return drawing
 
     def _look_along(self, view: FlatView) -> None:
         """Replace the camera of the drawing by a parallel projection."""
@@ -201,16 +224,6 @@ class SceneRenderer:
         """Free the OpenGL context."""
         self._device.free()
         self._context.free()
-
-    def _draw_segment(
-        self, start: NDArray[np.float64], end: NDArray[np.float64], radius_m: float, color: tuple[float, ...]
-    ) -> None:
-        geom = self._drawing.geoms[self._drawing.ngeom]
-        kind = mujoco.mjtGeom.mjGEOM_CAPSULE
-        rgba = np.array(color, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
-        mujoco.mjv_connector(geom, kind, radius_m, start, end)
-        self._drawing.ngeom += 1
 
 
 def _visual_model(

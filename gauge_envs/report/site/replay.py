@@ -22,9 +22,11 @@ from gauge_envs.envs.rendering.renderer import (
     scene_camera,
 )
 from gauge_envs.envs.rendering.skin import Skin
+from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.report.ghost import reference_words
 from gauge_envs.runs.replay import Replay
 from gauge_envs.scene import (
     Box,
@@ -219,38 +221,22 @@ def _soft(body: Cloth | SoftBody | Rope | Rod, nodes_m: NDArray[np.float32]) -> 
 
 
 def _ghost(experiment: Experiment, band: Band) -> dict[str, Any] | None:
-    """Return the real positions of bodies or markers at the frames; None if the band is of other quantities.
-
-    A band may hold some directions alone. The ghost then keeps the simulated start in the others: it is the point
-    nearest to the start at which the measured directions have their real values.
-    """
-    observable = experiment.score.observable
-    if observable is Observable.POSITION:
-        names = list(experiment.recorded)
-        start_m = np.array([experiment.scene.body(name).pose.position_m for name in names])
-        radii = [_radius(experiment.scene.body(name).shape) for name in names]
-    elif observable is Observable.MARKER_POSITION and experiment.scene.markers is not None:
-        start_m = np.array(experiment.scene.markers.positions_m)
-        names, radii = [f"marker-{index}" for index in range(len(start_m))], [None] * len(start_m)
-    else:
+    """Return the real positions of bodies or markers at the frames; None if the band is of other quantities."""
+    path = reference_path(experiment, band)
+    if path is None:
         return None
-    start_mm = 1e3 * start_m.ravel()
-    if len(start_mm) != band.projection.shape[1]:
-        return None
-    deviation = band.mean - band.projection @ start_mm
-    places = 1e-3 * (start_mm + deviation @ np.linalg.pinv(band.projection).T).reshape(len(band.mean), -1, 3)
-    touched = (np.abs(band.projection).sum(axis=0) > 0.0).reshape(-1, 3)
-    shown = np.flatnonzero(touched.any(axis=1)).tolist()
-    known = [bool(np.isfinite(row[shown]).all()) for row in places]
+    is_body = experiment.score.observable is Observable.POSITION
+    scene = experiment.scene
+    known = [bool(np.isfinite(row).all()) for row in path.places_m]
     return {
         "grade": band.grade.value,
         "trials": band.trial_count,
-        "full": bool(np.linalg.matrix_rank(band.projection) == len(start_mm)),
-        "names": [names[index] for index in shown],
-        "radii": [radii[index] for index in shown],
+        "full": path.is_full,
+        "names": list(path.names),
+        "radii": [_radius(scene.body(name).shape) if is_body else None for name in path.names],
         "places": [
-            np.round(row[shown], ROUND_M).tolist() if is_known else None
-            for row, is_known in zip(places, known, strict=True)
+            np.round(row, ROUND_M).tolist() if is_known else None
+            for row, is_known in zip(path.places_m, known, strict=True)
         ],
         "measured": band.measured.tolist(),
     }
@@ -265,10 +251,8 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     if not ghosts:
         return ""
     ghost = ghosts[0]
-    what = {
-        "trials": f"the mean of {ghost['trials']} real trials" if ghost["trials"] else "the mean of the real trials",
-        "recording": "one recorded real trial",
-        "law": "the law that the score compares with, no recorded motion",
-    }[ghost["grade"]]
+    grade = BandGrade(ghost["grade"])
+    what = reference_words(grade, ghost["trials"])
+    what += ", no recorded motion" if grade is BandGrade.LAW else ""
     held = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
     return f"Ghost: {what}; not aligned in time.{held}"

@@ -1,0 +1,66 @@
+"""Places of the reference in space, where it is of positions: what pictures and pages draw as reality."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band
+
+__all__ = ["ReferencePath", "reference_path"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReferencePath:
+    """Path of each point that the reference follows.
+
+    Attributes:
+        names: Names of the points: bodies, or `marker-3`.
+        places_m: Places at the 30 Hz frames [m], shape [frame_count, point_count, 3]; NaN where they are not known.
+        is_full: Whether all directions were measured. The others keep the start of the scene.
+    """
+
+    names: tuple[str, ...]
+    places_m: NDArray[np.float64]
+    is_full: bool
+
+
+def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath | None:
+    """Return the mean of a band as places in space; None without a band, or if the band is of other quantities.
+
+    A band may hold some directions alone. The places then keep the start of the scene in the others: each is the point
+    nearest to the start at which the measured directions have their real values. Points of which no direction was
+    measured are left out.
+
+    Args:
+        experiment: The experiment, with the start that applies.
+        band: Its band, or None.
+    """
+    if band is None:
+        return None
+    scene = experiment.scene
+    observable = experiment.score.observable
+    if observable is Observable.POSITION:
+        names = list(experiment.recorded)
+        start_m = np.array([scene.body(name).pose.position_m for name in names])
+    elif observable is Observable.MARKER_POSITION and scene.markers is not None:
+        start_m = np.array(scene.markers.positions_m)
+        names = [f"marker-{index}" for index in range(len(start_m))]
+    else:
+        return None
+    start_mm = 1e3 * start_m.ravel()
+    if len(start_mm) != band.projection.shape[1]:
+        return None
+    deviation = band.mean - band.projection @ start_mm
+    places_m = 1e-3 * (start_mm + deviation @ np.linalg.pinv(band.projection).T).reshape(len(band.mean), -1, 3)
+    touched = (np.abs(band.projection).sum(axis=0) > 0.0).reshape(-1, 3)
+    shown = np.flatnonzero(touched.any(axis=1)).tolist()
+    return ReferencePath(
+        names=tuple(names[index] for index in shown),
+        places_m=places_m[:, shown],
+        is_full=bool(np.linalg.matrix_rank(band.projection) == len(start_mm)),
+    )

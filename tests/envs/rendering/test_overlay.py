@@ -1,0 +1,158 @@
+"""Overlays of pictures: drawn where their points are, and only where they are asked for."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from opengl import needs_opengl
+
+from gauge_envs import GaugeEnv, load_experiment
+from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
+from gauge_envs.envs.rendering.renderer import SceneRenderer
+from gauge_envs.envs.rendering.tracked import tracked_overlay
+from gauge_envs.errors import ParameterError, ShapeError, UnknownNameError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.reference_path import reference_path
+
+SIZE = {"width": 240, "height": 180}
+
+
+def changed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return which pixels differ clearly, shape [height, width]."""
+    return np.abs(one.astype(int) - other).max(axis=2) > 40
+
+
+@needs_opengl
+def test_balls_and_tubes_are_drawn_in_their_colour_where_their_points_are() -> None:
+    scene = load_experiment("BouncingBall-rubber").scene
+    renderer = SceneRenderer(scene, {}, 240, 180)
+    plain = renderer.picture({}, {})
+    place = np.array(scene.body("ball").pose.position_m) - [0.0, 0.0, 0.15]
+    line = place + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.1]])
+    marked = renderer.picture({}, {}, Overlay(markers_m=place[None]))
+    with_path = renderer.picture({}, {}, Overlay(paths=(OverlayPath(points_m=line, color=RECORDED_COLOR),)))
+    again = renderer.picture({}, {})
+    renderer.close()
+    assert not changed(plain, again).any()
+    ball, tube = changed(plain, marked), changed(plain, with_path)
+    assert (marked[ball][:, 2].astype(int) - marked[ball][:, 0] > 60).mean() > 0.6
+    assert (with_path[tube][:, 0].astype(int) - with_path[tube][:, 1] > 60).mean() > 0.6
+    # The tube starts at the ball and goes down from there.
+    row, column = (np.flatnonzero(ball.any(axis=axis)).mean() for axis in (1, 0))
+    rows, columns = np.flatnonzero(tube.any(axis=1)), np.flatnonzero(tube.any(axis=0))
+    assert abs(rows.min() - row) <= 3
+    assert rows.max() > row + 10
+    assert abs(columns.mean() - column) <= 2
+
+
+@needs_opengl
+def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through() -> None:
+    scene = load_experiment("NonsmoothContact-1-wood").scene
+    renderer = SceneRenderer(scene, {}, 240, 180)
+    body = scene.dynamic_bodies[0]
+    pose = np.array([*body.pose.position_m, *body.pose.quaternion])
+    away = pose + np.array([0.0, 0.0, 0.08, 0.0, 0.0, 0.0, 0.0])
+    plain, moved = renderer.picture({}, {}), renderer.picture({body.name: away}, {})
+    ghost = renderer.picture({body.name: pose}, {}, Overlay(ghosts={body.name: away}))
+    with pytest.raises(UnknownNameError, match="no-body"):
+        renderer.picture({}, {}, Overlay(ghosts={"no-body": pose}))
+    renderer.close()
+    arrived = changed(plain, moved)
+    # Moving the body also uncovers its old place, where the ghost adds nothing.
+    new_place = arrived & changed(ghost, plain)
+    assert new_place.sum() > 0.4 * arrived.sum()
+    assert changed(ghost, plain).sum() < 1.1 * arrived.sum()
+
+
+@needs_opengl
+def test_paths_of_any_length_fit_into_a_picture() -> None:
+    scene = load_experiment("BouncingBall-rubber").scene
+    renderer = SceneRenderer(scene, {}, 64, 48)
+    points = np.array(scene.body("ball").pose.position_m) + np.linspace(0.0, 0.3, 3001)[:, None] * [0.0, 0.0, -1.0]
+    points[1500] = np.nan
+    with_path = renderer.picture({}, {}, Overlay(paths=(OverlayPath(points_m=points),)))
+    plain = renderer.picture({}, {})
+    renderer.close()
+    assert changed(plain, with_path).any()
+
+
+@needs_opengl
+def test_environments_draw_the_overlay_on_request_alone() -> None:
+    pictures = {}
+    for overlay in (False, True):
+        env = gymnasium.make("GAUGE/SlopeSlider-2-wood", render_mode="rgb_array", render_overlay=overlay, **SIZE)
+        env.reset(seed=0)
+        for _ in range(8):
+            env.step(0)
+        pictures[overlay] = env.render()
+        if overlay:
+            for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+                assert np.abs(other.render().astype(int) - pictures[True]).max() <= 2
+                other.close()
+        env.close()
+    assert changed(pictures[False], pictures[True]).sum() > 20
+    envs = gymnasium.make_vec(
+        "GAUGE/SlopeSlider-2-wood", num_envs=2, render_mode="rgb_array", render_overlay=True, **SIZE
+    )
+    envs.reset(seed=0)
+    for _ in range(8):
+        envs.step([0, 0])
+    for picture in envs.render():
+        assert np.abs(picture.astype(int) - pictures[True]).max() <= 2
+    envs.close()
+
+
+def test_the_overlay_of_an_episode_holds_what_its_score_compares() -> None:
+    env = GaugeEnv("SlopeSlider-2-wood")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(0)
+    overlay = tracked_overlay(env.episode)
+    assert 1e3 * overlay.markers_m.ravel() == pytest.approx(env.trajectory().frames[-1])
+    assert len(overlay.paths) == 2
+    # The band holds the place along the slope; the drawn reference has it, frame by frame.
+    path = reference_path(env.experiment, env.band)
+    assert env.band.project(1e3 * path.places_m.reshape(len(path.places_m), -1)) == pytest.approx(
+        env.band.mean, nan_ok=True
+    )
+    assert overlay.recorded_m == pytest.approx(path.places_m[5])
+    env.close()
+
+
+def test_an_episode_of_a_soft_body_shows_its_markers_alone() -> None:
+    env = GaugeEnv("FoamTwisting-soft")
+    env.reset(seed=0)
+    overlay = tracked_overlay(env.episode)
+    assert overlay.markers_m == pytest.approx(np.array(env.experiment.scene.markers.positions_m), abs=1e-6)
+    assert overlay.paths == () and not overlay.ghosts
+    env.close()
+
+
+def test_a_reference_of_other_quantities_has_no_path() -> None:
+    experiment = load_experiment("FoamTwisting-soft")
+    band = reference_band(experiment, use_withheld=True)
+    assert band is not None
+    assert band.unit == "mm^2"
+    assert reference_path(experiment, band) is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ({"markers_m": np.zeros(3)}, ShapeError),
+        ({"ghosts": {"cube": np.zeros(6)}}, ShapeError),
+        ({"ghost_color": (2.0, 0.0, 0.0, 1.0)}, ParameterError),
+    ],
+)
+def test_impossible_overlays_are_refused(arguments: dict, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        Overlay(**arguments)
+
+
+def test_render_overlay_is_true_or_false() -> None:
+    with pytest.raises(ParameterError, match="render_overlay"):
+        GaugeEnv("SlopeSlider-2-wood", render_overlay="yes")
