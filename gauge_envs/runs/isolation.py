@@ -33,6 +33,9 @@ TIME_LIMIT_S = 3600.0
 LOOK_S = 0.05
 """Time between two looks at the memory of a process [s]."""
 
+PARENT_LOOK_S = 1.0
+"""Time between two looks of a process at whether its parent lives [s]."""
+
 GRACE_S = 10.0
 """Time after its limit at which a process ends itself, if its parent is gone [s]."""
 
@@ -205,6 +208,7 @@ def serve() -> None:
     """Run the calls that stdin brings until it ends."""
     tasks, results = _reserved_streams()
     faulthandler.enable()
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     while True:
         try:
             limit_s, function, args, kwargs = pickle.load(tasks)
@@ -222,6 +226,17 @@ def serve() -> None:
         faulthandler.cancel_dump_traceback_later()
         results.write(_pickled(reply))
         results.flush()
+
+
+def _end_with_parent(parent: int) -> None:
+    """End this process and what it has started when its parent is gone: nobody takes the result of a call.
+
+    Where a process keeps the number of a parent that is gone, as on Windows, the call goes on; then stdin ends.
+    """
+    while os.getppid() == parent:
+        time.sleep(PARENT_LOOK_S)
+    if sys.platform != "win32":
+        os.killpg(0, signal.SIGKILL)
 
 
 def _pickled(reply: tuple[str | None, Any]) -> bytes:

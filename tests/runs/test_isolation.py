@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -125,6 +127,23 @@ def test_a_worker_goes_on_after_an_error_and_after_a_crash() -> None:
         with pytest.raises(CrashError, match="exit code 7"):
             worker.call(os._exit, 7)
         assert worker.call(os.getpid) != first
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_worker_in_a_call_ends_with_its_parent() -> None:
+    code = (
+        "import os, time; from gauge_envs.runs.isolation import Worker; worker = Worker(); "
+        "print(worker.call(os.getpid), flush=True); worker.call(time.sleep, 60.0)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        state = Path(f"/proc/{int(parent.stdout.readline())}/stat")
+        parent.kill()
+    end_s = time.monotonic() + 20.0
+    # A process that has ended and that nobody waits for is a zombie.
+    while state.exists() and state.read_text().rpartition(")")[2].split()[0] != "Z":
+        assert time.monotonic() < end_s
+        time.sleep(0.1)
 
 
 def test_the_time_limit_also_ends_what_a_worker_started() -> None:

@@ -333,14 +333,19 @@
     canvas.style.touchAction = "pan-y"; // A vertical swipe scrolls the page.
     orbit.enableZoom = false; // Until the picture has the focus, the wheel scrolls the page.
     let shown = [], time = 0, end = 0, playing = false, before = 0, home = null, looked = false, pending = false;
+    let drawnSize = "";
 
     function layout() {
       const width = stage.clientWidth, count = Math.max(shown.length, 1);
       const columns = Math.min(count, width < 700 ? 2 : count === 4 ? 2 : 3);
       const cell = Math.floor(width / columns), rows = Math.ceil(count / columns);
       const height = Math.round(Math.min(cell * (count === 1 ? 0.56 : 0.75), 520));
-      renderer.setSize(width, rows * height, false);
-      canvas.style.height = rows * height + "px";
+      // A new size, even an equal one, makes the browser allocate the picture anew.
+      if (drawnSize !== `${width} ${rows * height}`) {
+        drawnSize = `${width} ${rows * height}`;
+        renderer.setSize(width, rows * height, false);
+        canvas.style.height = rows * height + "px";
+      }
       return { columns, cell, height, rows };
     }
 
