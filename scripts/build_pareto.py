@@ -54,7 +54,7 @@ LESSONS, END_OF_LESSONS = "<!-- lessons, written by scripts/build_pareto.py -->"
 REPEATS = 3
 """Runs of each setting, whose least CPU time counts."""
 
-REPEAT_BELOW_S = 5.0
+REPEAT_BELOW_S = 3.0
 """CPU time of an episode above which it runs once [s]: its timing is no longer dominated by short disturbances."""
 
 INTERVAL_S = 1 / 180
@@ -235,7 +235,7 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
             "",
             f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each with the least CPU time of "
             f"{REPEATS} runs or more, and {once} with that of one or two. A run of more than {REPEAT_BELOW_S:g} s is "
-            f"not repeated. The slowest run of a setting took {median:.2g} times the least in the median, and more than "
+            f"not repeated. The slowest run of a setting took {median:.2g} times the least in the median, and over "
             f"{SPREAD:g} times for {above} of {len(spreads)} settings. Costs in the tables are relative to MuJoCo's "
             "default preset on the same experiments and the same machine.",
             "",

@@ -57,6 +57,8 @@ def error_text(finding: CheckResult) -> str:
 
 def cost_text(finding: CheckResult) -> str:
     """Return the CPU time of a check; a check that shares a simulation with an earlier one takes less than 1 ms."""
+    if finding.cpu_s is None:
+        return ""
     if finding.cpu_s < LEAST_COST_S:
         return "<1 ms"
     is_short = finding.cpu_s < MOST_IN_MS_S
@@ -79,9 +81,10 @@ def matrix_markdown(columns: Sequence[MatrixColumn], checks: Sequence[Check]) ->
     A cell has the outcome, the measured value, its error and the CPU time.
     """
     ran = [column for column in columns if column.findings]
-    named = dict.fromkeys(column.name for column in ran)
-    # Presets that several engines have are tables of their own; the others share one.
-    shared = [name for name in named if sum(column.name == name for column in ran) > 1 or name == "default"]
+    names = [column.name for column in ran]
+    engines = {column.backend for column in ran}
+    # Configurations that most engines have are tables of their own; the others share one.
+    shared = [name for name in dict.fromkeys(names) if name == "default" or 2 * names.count(name) > len(engines) > 1]
     groups = {f"Configuration `{name}`": [column for column in ran if column.name == name] for name in shared}
     groups["Other configurations"] = [column for column in ran if column.name not in shared]
     lines = ["### Columns", "", *_columns(columns), ""]
@@ -95,14 +98,13 @@ def _columns(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     yield "| engine | configuration | settings | passed | CPU time | run | versions |"
     yield "|---|---|---|---:|---:|---|---|"
     for column in columns:
-        spent_s = sum(finding.cpu_s for finding in column.findings.values())
         made = f"{column.made}, gauge-envs {column.gauge_envs}"
         cells = [
             markdown_text(column.backend),
             markdown_text(column.name),
             markdown_text(pairs_text(column.settings) or "its presets"),
             tally(column) if column.findings else "not run",
-            f"{spent_s:.3g} s",
+            "" if column.cpu_s is None else f"{column.cpu_s:.3g} s",
             markdown_text(made if column.is_of_this_version else f"⚠ {made}"),
             markdown_text(pairs_text(column.versions) or column.reason),
         ]
@@ -113,7 +115,7 @@ def _table(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> Iterator
     # A name that all columns share is that of the table.
     is_one = len({column.name for column in columns}) == 1
     titles = [column.backend if is_one else column.title for column in columns]
-    yield f"| phenomenon | law | {' | '.join(map(markdown_text, titles))} |"
+    yield f"| phenomenon | expected | {' | '.join(map(markdown_text, titles))} |"
     yield f"|---|---|{'---|' * len(columns)}"
     outdated = [column.outdated for column in columns]
     for check in checks:

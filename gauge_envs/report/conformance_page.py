@@ -73,7 +73,7 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
     """
     ran = [column for column in columns if column.findings]
     title = "Conformance of physics engines"
-    spent_s = sum(finding.cpu_s for column in ran for finding in column.findings.values())
+    spent_s = sum(column.cpu_s or 0.0 for column in ran)
     parts = [
         f"<h1>{title}</h1>",
         '<p class="lead">One row per phenomenon: a small scene with a closed form. One column per engine and solver or '
@@ -130,10 +130,10 @@ def _cell(column: MatrixColumn, check: str) -> str:
         return f'<td title="{escape(reason)}"><span class="badge declined">&#9888; other check</span></td>'
     hint = "; ".join(finding.missing) or finding.diagnosis
     title = f' title="{escape(hint)}"' if hint else ""
-    texts = [text for text in (measured_text(finding), error_text(finding)) if text]
-    if finding.status is not Status.DECLINED:
-        texts.append(cost_text(finding))
-    return f"<td{title}>{_badge(finding.status)}{''.join(f'<small>{escape(text)}</small>' for text in texts)}</td>"
+    cost = "" if finding.status is Status.DECLINED else cost_text(finding)
+    texts = (measured_text(finding), error_text(finding), cost)
+    small = "".join(f"<small>{escape(text)}</small>" for text in texts if text)
+    return f"<td{title}>{_badge(finding.status)}{small}</td>"
 
 
 def _badge(status: Status) -> str:

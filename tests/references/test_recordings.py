@@ -109,6 +109,11 @@ def test_the_page_of_engines_is_current_and_no_default_preset_fails_a_check() ->
         assert slides == pytest.approx([1.0] * 4, abs=0.01)
 
 
+def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"no ranks: rapier lacks BouncingBall-rubber, .*Turntable-3-metal"):
+        build_engine_table.ranked(tmp_path, [("rapier", "")])
+
+
 # From pictures to frames
 
 

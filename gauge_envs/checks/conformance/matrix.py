@@ -94,6 +94,12 @@ class MatrixColumn:
         return next((finding.versions for finding in self.findings.values()), {})
 
     @property
+    def cpu_s(self) -> float | None:
+        """CPU time of all checks [s]; None if that of a check that ran is not known."""
+        spent = [finding.cpu_s for finding in self.findings.values()]
+        return None if None in spent else sum(value for value in spent if value is not None)
+
+    @property
     def is_of_this_version(self) -> bool:
         """Whether the installed gauge-envs ran it."""
         return self.gauge_envs in ("", versions()["gauge-envs"])

@@ -46,7 +46,7 @@ class _Finding(_Strict):
     missing: tuple[str, ...] = ()
     reported_by: str = ""
     wall_s: Finite = 0.0
-    cpu_s: Finite = 0.0
+    cpu_s: Finite | None = None
 
 
 class _Column(_Strict):

@@ -53,7 +53,7 @@ def test_a_column_comes_back_whole(column: MatrixColumn, tmp_path: Path) -> None
         assert (again.status, again.law, again.unit) == (finding.status, finding.law, finding.unit)
         assert again.measured == pytest.approx(finding.measured, rel=1e-8)
         assert again.cpu_s == pytest.approx(finding.cpu_s, rel=1e-8)
-        assert again.cpu_s > 0.0
+        assert again.cpu_s
 
 
 def test_a_number_that_is_not_finite_comes_back_as_none(
