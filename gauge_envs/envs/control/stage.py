@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
 from gauge_envs.scene import Pose
-from gauge_envs.scene.drivers import Driver, DriverMotion, mean_velocity
+from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
@@ -39,7 +39,7 @@ class Stage:
     """A body that is accelerated along the axes of its driver, up to a speed, within a stroke.
 
     Args:
-        driver: Driver of `stage_driver`.
+        driver: Driver of `stage_driver`, which translates.
         start: Pose of the body at the start.
         stroke_m: Largest displacement along each axis, to both sides [m], shape [axis_count]. At its end the body
             stops at once.
@@ -55,13 +55,14 @@ class Stage:
         self.driver = driver
         self.largest_speed_m_per_s = np.array([motion.residual_rate for motion in driver.motions])
         self._start, self._stroke_m = start, stroke_m
+        self._axes = np.array([motion.axis for motion in driver.motions])
         self.begin()
 
     def begin(self) -> None:
         """Bring the body back to its start, at rest."""
         self.offset_m = np.zeros(len(self.driver.motions))
         self.rate_m_per_s = np.zeros(len(self.driver.motions))
-        self._pose, self._velocity = self._start, np.zeros(6)
+        self._pose, self._moved_m, self._velocity = self._start, np.zeros(3), np.zeros(6)
 
     def advance(self, simulation: Simulation, acceleration_m_per_s2: FloatArray) -> None:
         """Simulate 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
@@ -71,12 +72,15 @@ class Stage:
         wanted = self.offset_m + 0.5 * (self.rate_m_per_s + rate) * step
         self.offset_m = np.clip(wanted, -self._stroke_m, self._stroke_m)
         self.rate_m_per_s = np.where(self.offset_m == wanted, rate, 0.0)
-        pose, velocity = self.driver.state(self._start, 0.0, self.offset_m, self.rate_m_per_s)
+        moved_m = self.offset_m @ self._axes
         # A uniform acceleration that ends exactly at the pose.
-        mean = mean_velocity(self._pose, pose, step)
-        simulation.drive(self.driver.body, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
+        acceleration = -2.0 / step * self._velocity
+        acceleration[:3] += 2.0 / step**2 * (moved_m - self._moved_m)
+        simulation.drive(self.driver.body, self._pose, self._velocity, acceleration)
         simulation.advance(step)
-        self._pose, self._velocity = pose, velocity
+        self._moved_m, self._velocity = moved_m, np.concatenate([self.rate_m_per_s @ self._axes, np.zeros(3)])
+        x, y, z = (np.asarray(self._start.position_m) + moved_m).tolist()
+        self._pose = Pose(position_m=(x, y, z), quaternion=self._start.quaternion)
 
 
 def acceleration_to_rest(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> float:
