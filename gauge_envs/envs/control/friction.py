@@ -140,6 +140,11 @@ class FrictionLimit(ControlEnv):
             sigma_source=self.SIGMA_SOURCE,
         )
 
+    @property
+    def largest_reward(self) -> float:
+        """The friction used in each step, at most mu; what a slip's speed adds is left out."""
+        return self.limit.value * (self.frame_count - 1)
+
     # --- rollout ---
 
     def _begin(self) -> None:
