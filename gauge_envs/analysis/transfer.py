@@ -50,9 +50,10 @@ class WorldTransfer:
         largest_ratio: Largest such ratio of an episode.
         z: Mean distance from the law's limit, in standard uncertainties of the limit.
         endings: Number of episodes by their ending.
-        allowed: The law's limit here over that in the training.
+        allowed: The largest reward that the law allows here, over that in the training. It is 1 for a task whose reward
+            is a share of the limit.
         falls: Whether less than `FALL_SHARE` of the promise is kept, with the whole interval. The promise is first
-            reduced to the law's limit where that is lower.
+            reduced to what the law allows where that is less.
     """
 
     world: ReplayWorld
@@ -117,7 +118,7 @@ def transfer_report(replays: Replays, *, seed: int = 0) -> TransferReport:
         )
     drawn = _drawn_means(rewards, seed)
     shares = None if drawn is None else drawn[:, 1:] / drawn[:, :1]
-    limits = [_limit(replays, world.name) for world in replays.worlds]
+    largest = [_largest_reward(replays, world.name) for world in replays.worlds]
     rows = [
         _world(
             world,
@@ -126,7 +127,7 @@ def transfer_report(replays: Replays, *, seed: int = 0) -> TransferReport:
             kept=Estimate(value=1.0)
             if number == 0
             else _share(rewards[number], promised, None if shares is None else shares[:, number - 1]),
-            allowed=limits[number] / limits[0],
+            allowed=largest[number] / largest[0],
         )
         for number, world in enumerate(replays.worlds)
     ]
@@ -181,8 +182,8 @@ def _share(rewards: NDArray[np.float64], promised: float, drawn: NDArray[np.floa
     return _with_ends(float(rewards.mean()) / promised, drawn)
 
 
-def _limit(replays: Replays, world: str) -> float:
-    return next(one.report.limit.value for one in replays.episodes if one.world == world)
+def _largest_reward(replays: Replays, world: str) -> float:
+    return next(one.largest_reward for one in replays.episodes if one.world == world)
 
 
 def _world(

@@ -80,6 +80,7 @@ class Replay:
         world: Name of the world.
         start: Number of the start; 0 is the calibrated one.
         reward: Sum of the rewards.
+        largest_reward: Largest sum of rewards that the law allows there.
         report: What the policy reached, and what the law allows there.
     """
 
@@ -87,6 +88,7 @@ class Replay:
     world: str
     start: int
     reward: float
+    largest_reward: float
     report: LimitReport
 
 
@@ -223,14 +225,15 @@ def start_overrides(env: ControlEnv, count: int, *, seed: int = 0) -> list[dict[
     return [{}, *(overrides_at(movable, random.standard_normal(len(movable)).tolist()) for _ in range(count - 1))]
 
 
-def play_paid(env: ControlEnv, policy: Policy) -> tuple[float, LimitReport]:
+def play_paid(env: ControlEnv, policy: Policy, *, seed: int = 0) -> tuple[float, LimitReport]:
     """Run one episode and return the sum of its rewards and its report.
 
     Args:
         env: The task, without wrappers.
         policy: The policy.
+        seed: Seed of the reset, which draws the goal of a task that has one.
     """
-    observation, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=seed)
     paid, over = 0.0, False
     while not over:
         observation, reward, terminated, truncated, _ = env.step(policy(observation))
@@ -301,8 +304,17 @@ def _episodes(
     for number, start in enumerate(starts):
         with closing(_built(task, world, start)) as env:
             for name, policy in policies.items():
-                paid, report = play_paid(env, policy)
-                found.append(Replay(policy=name, world=world.name, start=number, reward=paid, report=report))
+                paid, report = play_paid(env, policy, seed=number)
+                found.append(
+                    Replay(
+                        policy=name,
+                        world=world.name,
+                        start=number,
+                        reward=paid,
+                        largest_reward=env.largest_reward,
+                        report=report,
+                    )
+                )
     return found
 
 

@@ -24,6 +24,7 @@ from gauge_envs.runs.policy_replays import (
     Replays,
     ReplayWorld,
     WorldKind,
+    make_control_env,
     other_worlds,
     replay,
     training_world,
@@ -149,7 +150,10 @@ def test_a_planted_fault_of_an_engine_is_named_first() -> None:
 # --- numbers, with rewards that are known ---
 
 
-def known(rewards: dict[str, list[list[float]]], limits: dict[str, float] | None = None) -> Replays:
+def known(
+    rewards: dict[str, list[list[float]]], largest: dict[str, float] | None = None, limit: float = 1.0
+) -> Replays:
+    """Return episodes with given rewards, the law's largest reward in each world, and a limit in all but the first."""
     kinds = [WorldKind.TRAINING, *[WorldKind.CONSTANT] * (len(rewards) - 1)]
     worlds = tuple(
         ReplayWorld(name=name, kind=kind, backend="mujoco", sigmas=float(number))
@@ -157,12 +161,21 @@ def known(rewards: dict[str, list[list[float]]], limits: dict[str, float] | None
     )
     episodes = []
     for name, table in rewards.items():
-        value = (limits or {}).get(name, 1.0)
-        limit = Limit(quantity="q", unit="1", value=value, sigma=0.1, law="", sigma_source="")
-        report = LimitReport(limit=limit, reached=0.5, ending=Ending.HELD, time_s=1.0)
+        value = limit if episodes else 1.0
+        law = Limit(quantity="q", unit="1", value=value, sigma=0.1, law="", sigma_source="")
+        report = LimitReport(limit=law, reached=0.5, ending=Ending.HELD, time_s=1.0)
         for policy, row in enumerate(table):
             for start, reward in enumerate(row):
-                episodes.append(Replay(policy=str(policy), world=name, start=start, reward=reward, report=report))
+                episodes.append(
+                    Replay(
+                        policy=str(policy),
+                        world=name,
+                        start=start,
+                        reward=reward,
+                        largest_reward=(largest or {}).get(name, 1.0),
+                        report=report,
+                    )
+                )
     first = next(iter(rewards.values()))
     return Replays(
         task="GAUGE/X",
@@ -191,11 +204,23 @@ def test_an_error_that_training_shares_cancels() -> None:
     assert (report.kept.low, report.kept.value, report.kept.high) == pytest.approx((0.5, 0.5, 0.5))
 
 
-def test_a_lower_limit_of_the_law_is_no_fall() -> None:
+def test_a_smaller_reward_that_the_law_allows_is_no_fall() -> None:
     rewards = {"train": [[10.0]], "weak": [[8.5]], "worse": [[7.0]]}
     report = transfer_report(known(rewards, {"weak": 0.9, "worse": 0.9}))
     assert [row.falls for row in report.others] == [False, True]
     assert report.first_fall.world.name == "worse"
+
+
+def test_a_lower_limit_alone_excuses_no_fall() -> None:
+    """A reward that is a share of the limit can be earned in full where the limit is lower."""
+    report = transfer_report(known({"train": [[1.0]], "weak": [[0.85]]}, limit=0.9))
+    assert (report.others[0].allowed, report.others[0].falls) == (1.0, True)
+
+
+@pytest.mark.parametrize(("task", "share"), [("Turntable-Limit-wood", 0.5), ("Carry-Limit-wood", 1.0)])
+def test_the_largest_reward_follows_the_law_of_the_task(task: str, share: float) -> None:
+    whole, weak = (make_control_env(task, parameters={"cube.friction": value}).largest_reward for value in (0.4, 0.2))
+    assert weak / whole == pytest.approx(share)
 
 
 def test_without_a_promise_there_is_no_share() -> None:

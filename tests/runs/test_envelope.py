@@ -96,6 +96,22 @@ def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses() -> None:
     assert report.largest_ratio == pytest.approx(0.98 / relative[relative > 0.98].min(), abs=0.03)
 
 
+def test_carry_pays_over_friction_as_the_law_says() -> None:
+    """The same actions take the same time T, and T_law grows as mu^-1/2: the reward is 2 - (2 - r_0) sqrt(mu / mu_0)."""
+    found = control_envelope("Carry-Limit-wood", policy=LawPolicy(fraction=0.8), samples=8, settings=FAST, batch=5)
+    column = [one.key for one in found.parameters].index("cube.friction")
+    friction = found.parameters[column]
+    relative = 1.0 + found.sigmas[:, column] * friction.std / friction.value
+    assert relative.min() > 0.82  # the cube holds in all worlds
+    assert set(found.endings) == {"reached"}
+    law = 2.0 - (2.0 - found.calibrated) * np.sqrt(relative)
+    # Arrival is seen each 1/180 s, which is 0.0076 of the law's time; where no world shifts by a sample, far less is left.
+    assert found.values == pytest.approx(law, abs=0.0076)
+    assert np.polyfit(found.sigmas[:, column], found.values, 1)[0] == pytest.approx(
+        -0.5 * (2.0 - found.calibrated) * friction.std / friction.value, rel=0.05
+    )
+
+
 def test_a_policy_that_knows_the_constants_succeeds_everywhere() -> None:
     found = control_envelope(TASK, policy=LawPolicy(informed=True), samples=2, settings=FAST)
     assert set(found.endings) == {"held"}

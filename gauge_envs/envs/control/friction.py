@@ -33,8 +33,9 @@ SLIP_SPEED_M_PER_S = 0.02
 The value lies between the creep of a cube that holds and the slip of one that does not. A carried cube creeps because
 contacts are not rigid. On the turntable at mu g the speed is half the contact's time constant times mu g: 3.7 mm/s in
 MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too much friction reaches 20 mm/s after
-0.3 s. Slower slips do not count, so a policy can use 20 mm/s / (g HOLD_S) = 0.002 more friction than the law allows,
-0.5 to 0.9 % of it.
+0.3 s. Slower slips do not count. Where the mean over a frame is 20 mm/s, the speed at its end is up to 30 mm/s, if the
+actuator raises the friction used as fast as it can. So a policy can use 30 mm/s / (g HOLD_S) = 0.003 more friction than
+the law allows, 0.8 to 1.2 % of it.
 """
 
 
@@ -72,6 +73,10 @@ class FrictionLimit(ControlEnv):
     soon as the actuator allows and held to the end.
 
     **Reached** is the largest mean of the friction used over `HOLD_S` without slip: at most mu + v_s / (g HOLD_S).
+
+    This holds for a force of one direction on the carrier, as on the slope. On the turntable it can turn: a plate that
+    accelerates to and fro uses sqrt(mu^2 + (alpha r / g)^2) on average where friction holds the mean force, 1.0 to
+    1.4 % more. A slip outward is also carried by the Coriolis force, 0.3 % at 20 mm/s.
 
     **Action.** Angular acceleration of the carrier, in units of `ACCELERATION_RAD_PER_S2`.
 
@@ -134,6 +139,11 @@ class FrictionLimit(ControlEnv):
             law=self.LAW,
             sigma_source=self.SIGMA_SOURCE,
         )
+
+    @property
+    def largest_reward(self) -> float:
+        """The friction used in each step, at most mu; what a slip's speed adds is left out."""
+        return self.limit.value * (self.frame_count - 1)
 
     # --- rollout ---
 

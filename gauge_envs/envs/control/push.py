@@ -40,6 +40,10 @@ class PushLimit(LeastTimeLimit):
     episode ends where the law would not hold: the pusher's front passes the cube's rear face by 5 mm, so that it could
     brake the cube, or the cube's centre leaves its height by 3 mm. See `LeastTimeLimit`.
 
+    Two ways are left to pass the limit by a little, in an ideal engine too. The pusher's friction can brake the motion
+    across x, where the cube ends up to 12 degrees off: 1 / cos 12 = 1.023. And friction that a lifted cube lacks comes
+    later, at its fall, which lengthens the way by 0.8 mm. So `ratio` is at most 1.03; without an impact it is 0.88.
+
     Friction and restitution between pusher and cube are those of board and cube, as none were measured.
     """
 

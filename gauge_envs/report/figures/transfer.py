@@ -46,7 +46,7 @@ def draw_transfer(report: TransferReport) -> Figure:
     lowest = min([0.0, *(row.kept.value if row.kept.low is None else row.kept.low for row in rows)])
     axis.set_xlim(100 * lowest - 5, None)
     axis.set_xlabel("reward kept [% of the promise]", loc="left", fontsize=9)
-    note = f"bar: the law's limit there; orange: below {100 * FALL_SHARE:.0f} % of it"
+    note = f"bar: what the law allows there; orange: below {100 * FALL_SHARE:.0f} % of it"
     figure.suptitle(f"{report.task}   {note}", x=0.01, ha="left", fontsize=9)
     tidy_axis(axis)
     return figure

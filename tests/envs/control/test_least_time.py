@@ -96,11 +96,7 @@ def test_carry_at_the_law(material: str) -> None:
         assert report.ending is Ending.REACHED
         # Arrival is seen each 1/180 s and the change of the acceleration takes a frame.
         assert 0.95 < report.ratio <= 1.0
-        assert 0.93 < paid <= 1.0
-        # The time to go cancels: 2 - T / T_law is left, to the nearest place that counts as arrived.
-        most = env.limit.value * GRAVITY_M_PER_S2
-        law_s = CarryLimit.least_time_s(env.DISTANCE_M - TOLERANCE_M, most, REST_M_PER_S)
-        assert paid == pytest.approx(2.0 - env.trajectory()[-1, -1] / law_s)
+        assert 0.96 < paid <= 1.0
     for more in (1.05, 1.2):
         report, paid = by_law(env, more)  # it slips, and arrives later
         assert report.ratio <= 1.0
@@ -175,6 +171,35 @@ def test_a_pusher_that_passes_the_cube_ends_the_episode() -> None:
 
 
 # --- both ---
+
+
+@pytest.mark.parametrize("task", [CarryLimit, PushLimit])
+@pytest.mark.parametrize("share", [0.6, 0.8, 1.0])
+def test_the_time_to_go_cancels_over_an_arrival(task: type[LeastTimeLimit], share: float) -> None:
+    """Its decreases pay 1/3 whatever the way, and the rest is two thirds of the ratio."""
+    report, paid = by_law(task("wood", settings=SETTINGS[task]), share, seed=3)
+    assert report.ending is Ending.REACHED
+    assert paid == pytest.approx((1.0 + 2.0 * report.ratio) / 3.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("task", [CarryLimit, PushLimit])
+def test_without_an_arrival_the_place_at_the_end_is_paid(task: type[LeastTimeLimit]) -> None:
+    env = task("wood", settings=FAST)
+    for action, ending in (((0.0, 0.0), Ending.MISSED), ((0.1, 0.0), None), ((1.0, 1.0), Ending.LOST)):
+        env.reset(seed=0)
+        paid, over = 0.0, False
+        while not over:
+            _, reward, terminated, truncated, _ = env.step(np.array(action))
+            paid, over = paid + reward, terminated or truncated
+        assert ending in (None, env.report().ending)
+        way, velocity = np.split(env.trajectory()[-1, :4], 2)
+        left_m = float(np.linalg.norm(way))
+        ahead = float(velocity @ way) / left_m
+        across = math.sqrt(max(float(velocity @ velocity) - ahead**2, 0.0))
+        most = env.limit.value * GRAVITY_M_PER_S2
+        to_go_s = task.time_to_go_s(left_m, ahead, most) + across / most
+        assert paid == pytest.approx((1.0 - to_go_s / task.time_to_go_s(env.DISTANCE_M, 0.0, most)) / 3.0, abs=1e-9)
+        assert paid < 1.0 / 3.0
 
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
