@@ -28,8 +28,11 @@ __all__ = ["Panel", "SimulatedPanel", "Take", "score_line", "take_of"]
 
 FloatArray = NDArray[np.float64]
 
-MOST_PATH_POINTS = 240
-"""Largest number of points of a path in a picture."""
+PATH_STEP = 3
+"""Samples between the points of a path, which are 60 a second."""
+
+PATH_POINTS = 240
+"""Points of a path; it shows the last four seconds."""
 
 SHOWN_SCORES = 2
 """Number of scores below a panel."""
@@ -175,9 +178,8 @@ class SimulatedPanel:
         markers_m = now.reshape(-1, 3)
         if len(markers_m) > MOST_PATHS:
             return markers_m, []
-        # A step that does not depend on the time keeps the points of a path where they are.
-        step = -(-len(places_m) // MOST_PATH_POINTS)
-        past = places_m[: np.searchsorted(times_s, time_s)][::step]
+        # Steps from the start, and not from the present, keep the points of a path where they are.
+        past = places_m[: np.searchsorted(times_s, time_s)][::PATH_STEP][-PATH_POINTS:]
         return markers_m, [OverlayPath(points_m=line) for line in _lines(np.concatenate([past, markers_m[None]]))]
 
     def _ghosts(
