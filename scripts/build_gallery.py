@@ -9,9 +9,10 @@ Results and poses stay in a folder, so that a second run draws alone. The films 
 from __future__ import annotations
 
 import argparse
+import pickle
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,14 +23,17 @@ from numpy.typing import NDArray
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends import versions_of
 from gauge_envs.envs.no_reward import unreported
-from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.envs.rendering.overlay import Overlay
+from gauge_envs.envs.rendering.tracked import tracked_overlay
+from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.variants import beyond_variants, find_variant, variants
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.report.film.film import FilmOptions, save_film, save_strip
 from gauge_envs.report.film.layout import Caption, PanelText, strip_picture
 from gauge_envs.report.film.panel import score_line
 from gauge_envs.report.film.writer import save_still
-from gauge_envs.report.ghost import reference_words
+from gauge_envs.report.ghost import reference_text
 from gauge_envs.report.text import BACKEND_TITLES
 from gauge_envs.runs.batch import planned_results, run_many
 from gauge_envs.runs.replay import replayed_experiment
@@ -101,6 +105,24 @@ FILMS = (
     FilmEntry("WallBreaking-wood", ("mujoco", "rapier", "physx"), 0.5, 1.5),
 )
 
+
+@dataclass(frozen=True)
+class View:
+    """What a picture of an episode shows.
+
+    Attributes:
+        time_s: Time [s].
+        poses: Pose of each rigid body that moves.
+        nodes_m: Nodes of each deformable body [m].
+        overlay: What is drawn on top of them.
+    """
+
+    time_s: float
+    poses: Mapping[str, NDArray[np.float64]]
+    nodes_m: Mapping[str, NDArray[np.float64]]
+    overlay: Overlay
+
+
 GROUPS: dict[str, tuple[Entry, ...]] = {
     "Rigid bodies": (
         Entry("SlopeSlider-2-wood"),
@@ -119,16 +141,16 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("TextileFlinging-satin", 1.8, is_scored=False),
         Entry("Funnel-satin", 3.0, is_scored=False),
         Entry("RotatingBall-uniform", 3.0, is_scored=False),
-        Entry("TableclothPulling-metal", 3.0, use_withheld=True),
+        Entry("TableclothPulling-metal", 3.0, use_withheld=True, is_scored=False),
     ),
     "Foam": (
-        Entry("FoamStretching-soft", use_withheld=True),
-        Entry("FoamCompressing-soft", use_withheld=True),
-        Entry("FoamShearing-soft", use_withheld=True),
-        Entry("FoamTwisting-soft", use_withheld=True),
-        Entry("FoamBending-soft", use_withheld=True),
+        Entry("FoamStretching-soft", 0.9, use_withheld=True, is_scored=False),
+        Entry("FoamCompressing-soft", 0.9, use_withheld=True, is_scored=False),
+        Entry("FoamShearing-soft", 1.2, use_withheld=True, is_scored=False),
+        Entry("FoamTwisting-soft", 2.1, use_withheld=True, is_scored=False),
+        Entry("FoamBending-soft", 1.1, use_withheld=True, is_scored=False),
         Entry("StickStack-soft", 4.0, is_scored=False),
-        Entry("CantileverBeam-soft", 0.5, use_withheld=True),
+        Entry("CantileverBeam-soft", 0.5, use_withheld=True, is_scored=False),
     ),
     "Beyond the benchmark": (
         Entry("CubeToss-acrylic"),
@@ -162,22 +184,36 @@ def result_of(name: str, backend: str, folder: Path) -> tuple[Path, Result]:
     return file, load_result(file)
 
 
-def unscored(entry: Entry) -> tuple[list[NDArray[np.uint8]], list[float]]:
-    """Return the first, middle and last picture of an experiment without a score, and their times [s]."""
-    with unreported():
-        env = gymnasium.make(f"GAUGE/{entry.name}", render_mode="rgb_array", render_overlay=True, **STRIP_SIZE)
-    env.reset(seed=0)
+def stepped(entry: Entry, folder: Path) -> list[View]:
+    """Return the first, middle and last view of an experiment without a score; an earlier call may have stored them."""
     assert entry.to_s is not None
+    experiment = load_experiment(entry.name)
     last = round(FRAME_RATE_HZ * entry.to_s)
-    chosen = (0, last // 2, last)
-    pictures = [env.render()]
+    key = repr((experiment.file_sha256, versions_of("mujoco"), last, entry.use_withheld))
+    file = folder / f"{entry.name}.views.pickle"
+    if file.is_file():
+        known, views = pickle.loads(file.read_bytes())
+        if known == key:
+            return views
+    views = list(_views(entry, last))
+    folder.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(pickle.dumps((key, views)))
+    return views
+
+
+def _views(entry: Entry, last: int) -> Iterator[View]:
+    """Run an episode to a frame with zero actions, and yield its first, middle and last view."""
+    with unreported():
+        env = gymnasium.make(f"GAUGE/{entry.name}", use_withheld=entry.use_withheld)
+    env.reset(seed=0)
+    episode = env.unwrapped.episode
     zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
-    for frame in range(1, last + 1):
-        env.step(zero)
-        if frame in chosen:
-            pictures.append(env.render())
+    for frame in range(last + 1):
+        if frame:
+            env.step(zero)
+        if frame in (0, last // 2, last):
+            yield View(frame / FRAME_RATE_HZ, episode.poses(), episode.nodes_m(), tracked_overlay(episode))
     env.close()
-    return pictures, [frame / FRAME_RATE_HZ for frame in chosen]
 
 
 def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
@@ -201,22 +237,17 @@ def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
 
 
 def entry_text(entry: Entry, result: Result | None) -> str:
-    """Return the sentences of an experiment: what happens, what is observed, and its score, if it has a result."""
-    experiment = load_experiment(entry.name)
-    assert isinstance(experiment, TaskExperiment)
-    spec = experiment.spec
-    observed = OBSERVED[experiment.score.observable]
-    parts = [f"{spec.summary} Observed: {observed}, for {', '.join(spec.evaluates)}."]
-    if result is None:
-        return f"{parts[0]} Not scored: the package has no real reference."
-    band = reference_band(replayed_experiment(result), use_withheld=entry.use_withheld)
-    score = score_line(result, band)
-    version = result.versions.get("mujoco", "")
-    parts.append(f"MuJoCo {version}: {score}.")
-    if band is not None:
-        withheld = "" if band.withheld is None else ", withheld from scores"
-        parts.append(f"Reference: {reference_words(band.grade, band.trial_count)}{withheld}.")
-    return " ".join(parts)
+    """Return the sentences of an experiment: what happens, what is observed, its score if it has one, its reference."""
+    experiment = load_experiment(entry.name) if result is None else replayed_experiment(result)
+    spec = load_experiment(entry.name).spec
+    band = reference_band(experiment, use_withheld=entry.use_withheld)
+    observed = f"Observed: {OBSERVED[experiment.score.observable]}, for {', '.join(spec.evaluates)}."
+    if result is not None:
+        score = f"MuJoCo {result.versions['mujoco']}: {score_line(result, band)}."
+    else:
+        score = f"Not scored: {'the package has no real reference' if band is None else 'the reference is withheld'}."
+    reference = reference_text(band, reference_path(experiment, band), trial=experiment.trial)
+    return " ".join([spec.summary, observed, score, *([f"Red: {reference}."] if reference else [])])
 
 
 def picture_name(name: str) -> str:
@@ -293,7 +324,9 @@ def draw(results: Path, folder: Path) -> dict[str, str]:
     texts = {}
     for entry in (entry for entries in GROUPS.values() for entry in entries):
         file = folder / picture_name(entry.name)
-        texts[entry.name] = draw_scored(entry, results, file) if entry.is_scored else draw_unscored(entry, file)
+        texts[entry.name] = (
+            draw_scored(entry, results, file) if entry.is_scored else draw_unscored(entry, results, file)
+        )
         report(file)
     for name in CONTROLS:
         texts[name] = draw_control(name, folder / picture_name(name))
@@ -312,15 +345,25 @@ def draw_scored(entry: Entry, results: Path, out: Path) -> str:
     return entry_text(entry, result)
 
 
-def draw_unscored(entry: Entry, out: Path) -> str:
+def draw_unscored(entry: Entry, results: Path, out: Path) -> str:
     """Draw the strip of an experiment without a score, and return its sentences."""
-    pictures, times_s = unscored(entry)
     experiment = load_experiment(entry.name)
-    if reference_band(experiment, use_withheld=True) is not None:
-        raise SystemExit(f"{entry.name}: it has a reference: give it is_scored=True")
-    text = PanelText(title="MuJoCo", detail=f"mujoco {versions_of('mujoco')['mujoco']}", note="not scored")
-    caption = Caption(title=entry.name, subtitle=experiment.title, reference="")
-    save_still(strip_picture([pictures], [text], caption, [f"{time_s:.2f} s" for time_s in times_s]), out)
+    band = reference_band(experiment, use_withheld=True)
+    if band is not None and band.withheld is None:
+        raise SystemExit(f"{entry.name}: it has a reference: leave out is_scored=False")
+    shown = band if entry.use_withheld else None
+    views = stepped(entry, results)
+    canvas = Pictures("rgb_array", **STRIP_SIZE)
+    pictures = [
+        canvas.draw(experiment.scene, views[0].nodes_m, poses=view.poses, nodes_m=view.nodes_m, overlay=view.overlay)
+        for view in views
+    ]
+    canvas.close()
+    note = "not scored" if band is None else "not scored: the reference is withheld"
+    text = PanelText(title="MuJoCo", detail=f"mujoco {versions_of('mujoco')['mujoco']}", note=note)
+    reference = reference_text(shown, reference_path(experiment, shown))
+    caption = Caption(title=entry.name, subtitle=experiment.title, reference=reference)
+    save_still(strip_picture([pictures], [text], caption, [f"{view.time_s:.2f} s" for view in views]), out)
     return entry_text(entry, None)
 
 
