@@ -257,4 +257,4 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         scene = self.experiment.scene
         moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
         poses = self.simulation.body_states(moving)[:, :7]
-        return self._pictures.draw(scene, {}, poses=dict(zip(moving, poses, strict=True)), nodes_m={})
+        return self._pictures.draw(self.experiment, {}, poses=dict(zip(moving, poses, strict=True)), nodes_m={})
