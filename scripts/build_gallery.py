@@ -355,7 +355,9 @@ def draw_unscored(entry: Entry, results: Path, out: Path) -> str:
     views = stepped(entry, results)
     canvas = Pictures("rgb_array", **STRIP_SIZE)
     pictures = [
-        canvas.draw(experiment.scene, views[0].nodes_m, poses=view.poses, nodes_m=view.nodes_m, overlay=view.overlay)
+        canvas.draw(
+            experiment, views[0].nodes_m, band=shown, poses=view.poses, nodes_m=view.nodes_m, overlay=view.overlay
+        )
         for view in views
     ]
     canvas.close()

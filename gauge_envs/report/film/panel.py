@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.analysis.scores import COMPARED_METRICS
+from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
-from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.envs.rendering.tracked import MOST_PATHS
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
@@ -118,9 +118,6 @@ class SimulatedPanel:
         detail: Versions.
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
-
-    Raises:
-        RenderError: The machine has no OpenGL library.
     """
 
     def __init__(self, take: Take, *, title: str, detail: str, width: int, height: int) -> None:
@@ -129,16 +126,27 @@ class SimulatedPanel:
         self._take = take
         self._scene = take.experiment.scene
         self._is_place = take.experiment.score.observable in (Observable.POSITION, Observable.MARKER_POSITION)
-        rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
-        self._renderer = SceneRenderer(self._scene, rest_nodes_m, width, height)
+        self._rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
+        self._canvas = Pictures("rgb_array", width=width, height=height)
 
     def picture(self, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture at a time [s], shape [height, width, 3]; after its last view the episode stands still."""
+        """Return the picture at a time [s], shape [height, width, 3]; after its last view the episode stands still.
+
+        Raises:
+            RenderError: The machine has no OpenGL library.
+        """
         replay = self._take.replay
         at = min(time_s, self.last_s) * replay.rate_hz
         poses = dict(zip(replay.bodies, _poses_at(replay.poses, at), strict=True))
         nodes_m = {name: _between(points, at) for name, points in replay.nodes_m.items()}
-        return self._renderer.picture(poses, nodes_m, self.overlay(time_s, poses))
+        return self._canvas.draw(
+            self._take.experiment,
+            self._rest_nodes_m,
+            band=self._take.band,
+            poses=poses,
+            nodes_m=nodes_m,
+            overlay=self.overlay(time_s, poses),
+        )
 
     def overlay(self, time_s: float, poses: dict[str, FloatArray]) -> Overlay:
         """Return what is drawn on top of the scene at a time.
@@ -163,7 +171,7 @@ class SimulatedPanel:
 
     def close(self) -> None:
         """Free the OpenGL context."""
-        self._renderer.close()
+        self._canvas.close()
 
     def _simulated(self, time_s: float) -> tuple[FloatArray, list[OverlayPath]]:
         """Return the tracked points at a time [m], shape [n, 3], and their paths so far."""
