@@ -44,6 +44,8 @@ SURROUNDINGS = (0.4, 0.12)
 """Share of the size of the action within which a still body is shown whole, and within which a part of it is shown."""
 BEYOND = 1.1
 """How much further than the reference a simulated body may go, at the end of its way."""
+ACTION_REACH_M, ACTION_REACH_RAD = 0.3, 0.6
+"""Longest way of a body that actions alone move which is looked at."""
 FLIGHT_LIMIT_S = 2.0
 """Longest flight that is looked at [s]."""
 
@@ -141,9 +143,21 @@ def _way_of(
 
 
 def _driven_poses(scene: Scene, name: str) -> list[Pose]:
+    """Return the poses of a driven body over the episode; of one that actions alone move, the ends of a short way."""
     driver = next(driver for driver in scene.drivers if driver.body == name)
-    times = np.linspace(0.0, scene.duration_s, 4 * STEPS)
-    return [driver.pose(scene.body(name).pose, float(time)) for time in times]
+    start = scene.body(name).pose
+    if any(motion.profiles for motion in driver.motions):
+        times = np.linspace(0.0, scene.duration_s, 4 * STEPS)
+        return [driver.pose(start, float(time)) for time in times]
+    poses = [start]
+    for index, motion in enumerate(driver.motions):
+        most = ACTION_REACH_M if motion.kind == "translate" else ACTION_REACH_RAD
+        reach = min(motion.residual_rate * scene.duration_s, most)
+        for side in (-reach, reach):
+            offsets = np.zeros(len(driver.motions))
+            offsets[index] = side
+            poses.append(driver.pose(start, 0.0, offsets))
+    return poses
 
 
 def _carried(body: RigidBody, carrier: RigidBody, poses: list[Pose]) -> list[FloatArray]:

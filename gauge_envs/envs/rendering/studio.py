@@ -83,8 +83,8 @@ class Studio:
         for body in self.scene.bodies:
             self._add_body(spec, body)
         for skin in self.skins:
-            body = next(one for one in self.scene.deformables if one.name == skin.name)
-            look = look_of(body, self.materials.get(body.name))
+            soft = next(one for one in self.scene.deformables if one.name == skin.name)
+            look = look_of(soft, self.materials.get(soft.name))
             skin.add(spec, look, _material(spec, look))
         for attachment in self.scene.attachments:
             self._add_gripped(spec, attachment)
@@ -100,7 +100,8 @@ class Studio:
             # The grain of a mesh radiates from its middle, which looks like no wood.
             look = replace(look, has_grain=False)
         if body.motion is not Motion.DYNAMIC:
-            look = replace(look, color=(*(STILL * part for part in look.color[:3]), look.color[3]))
+            red, green, blue, opacity = look.color
+            look = replace(look, color=(STILL * red, STILL * green, STILL * blue, opacity))
         material = "ground" if isinstance(body.shape, Plane) else _material(spec, look)
         for geom in add_geoms(spec, frame, body.name, body.shape):
             geom.material = material
