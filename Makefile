@@ -19,7 +19,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 # Those of rigid scenes, which also pass with the oldest MuJoCo.
 RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/checks/sanity/test_sanity_probe.py
 
-.PHONY: demo test check lint slow test-engines test-genesis test-matrix bench docs clean
+.PHONY: demo test check lint slow test-engines test-genesis test-matrix bench gallery docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -65,6 +65,10 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/import_time.py
 	$(BIN)/python benchmarks/step.py
 	$(BIN)/python benchmarks/dtw.py
+
+# Pictures and films of docs/gallery.md. The results stay, so that a second time draws alone.
+gallery: $(VENV)/.installed
+	$(BIN)/python scripts/build_gallery.py
 
 docs: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[docs]"

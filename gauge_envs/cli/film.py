@@ -20,29 +20,32 @@ def film(
         list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
     ] = None,
     out: Annotated[
-        Path, typer.Option(help="Film to write, MP4, WebP or GIF; with --strip a still picture, PNG or WebP.")
-    ] = Path("film.mp4"),
+        Path | None,
+        typer.Option(
+            help="Film, MP4, WebP or GIF; with --strip a picture, PNG or WebP. By default film.mp4 or strip.png."
+        ),
+    ] = None,
     name: Annotated[str | None, typer.Option("--id", help="Experiment, where the results are of several.")] = None,
     strip: Annotated[
         int | None, typer.Option(metavar="COUNT", help="Write a still picture instead: so many times in a row.")
     ] = None,
     speed: Annotated[float, typer.Option(help="Seconds of the experiment in a second of the film.")] = 1.0,
     fps: Annotated[float, typer.Option(help="Frames per second of the film.")] = 30.0,
-    from_s: Annotated[float, typer.Option(help="Time of the first picture [s].")] = 0.0,
-    to_s: Annotated[float | None, typer.Option(help="Time of the last picture [s]; the end by default.")] = None,
-    hold_s: Annotated[float, typer.Option(help="Time for which the last frame stays [s].")] = 1.0,
-    width: Annotated[int, typer.Option(help="Width of the picture of a result [px].")] = 480,
-    height: Annotated[int, typer.Option(help="Height of the picture of a result [px].")] = 360,
+    from_s: Annotated[float, typer.Option(help="Time of the first picture in seconds.")] = 0.0,
+    to_s: Annotated[float | None, typer.Option(help="Time of the last picture in seconds; the end by default.")] = None,
+    hold_s: Annotated[float, typer.Option(help="Time for which the last frame stays in seconds.")] = 1.0,
+    width: Annotated[int, typer.Option(help="Width of the picture of a result in pixels.")] = 480,
+    height: Annotated[int, typer.Option(help="Height of the picture of a result in pixels.")] = 360,
     columns: Annotated[int | None, typer.Option(help="Results in a row of the film; at most four by default.")] = None,
     recording: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Video of the real experiment, as the first picture.")
     ] = None,
     recording_start_s: Annotated[
-        float, typer.Option(help="Time in that video at which the experiment starts [s].")
+        float, typer.Option(help="Time in that video at which the experiment starts in seconds.")
     ] = 0.0,
     recording_rate_hz: Annotated[
         float | None,
-        typer.Option(help="Pictures that its camera took in a second, where the video is in slow motion [Hz]."),
+        typer.Option(help="Pictures that its camera took in a second, where the video is in slow motion."),
     ] = None,
     use_withheld: WithheldOption = False,
 ) -> None:
@@ -69,6 +72,7 @@ def film(
         if recording is None
         else Recording(file=recording, start_s=recording_start_s, rate_hz=recording_rate_hz),
     )
+    file = out or Path("film.mp4" if strip is None else "strip.png")
     loaded, skipped = loaded_files(sources, with_scene=True)
     results = results_of_one_experiment(loaded, name)
     stderr = stderr_console()
@@ -79,11 +83,11 @@ def film(
             bar.update(task, completed=done, total=total, description="pictures")
 
         if strip is None:
-            left_out = save_film(results, out, options, progress=show)
+            left_out = save_film(results, file, options, progress=show)
         else:
-            left_out = save_strip(results, out, options, count=strip, progress=show)
+            left_out = save_strip(results, file, options, count=strip, progress=show)
     for one in left_out:
         stderr.print(f"[yellow]left out:[/] {plain_text(f'{one.file.name}: {one.reason}')}", soft_wrap=True)
-    echo(out)
+    echo(file)
     if skipped or left_out:
         raise typer.Exit(EXIT_FAILED)

@@ -116,6 +116,14 @@ class Experiment:
         return coordinate_names(self.score.observable, recorded=self.recorded, markers=self.scene.markers)
 
     @property
+    def materials(self) -> Mapping[str, str]:
+        """Material of bodies by name, as `wood`, for pictures; empty where no task file states the scene.
+
+        A scene has no materials: an engine sees their constants alone.
+        """
+        return {}
+
+    @property
     def edited(self) -> bool:
         """Whether the scene is that of an asset which differs from the calibrated scene."""
         return self.asset is not None and self.asset.edited
@@ -137,6 +145,20 @@ class TaskExperiment(Experiment):
 
     variant: Variant
     spec: TaskSpec
+
+    @property
+    def materials(self) -> Mapping[str, str]:
+        """Material of bodies by name, as `wood`: that of the body in the task file, else that of the variant."""
+        found = {}
+        for body in (*self.scene.bodies, *self.scene.deformables):
+            name, _, number = body.name.rpartition("-")
+            for owner in (body.name, name if number.isdecimal() else ""):
+                try:
+                    found[body.name] = self.spec.owner(owner).material or self.variant.material
+                    break
+                except KeyError:
+                    continue
+        return found
 
 
 def driver_provenance(scene: Scene) -> str | None:

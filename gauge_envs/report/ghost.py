@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.references.bands import Band, BandGrade
 
-__all__ = ["ghost_trajectory", "reference_words"]
+__all__ = ["ghost_trajectory", "reference_text", "reference_words"]
 
 FloatArray = NDArray[np.float64]
 
@@ -48,3 +49,19 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
             return "one real trial"
         return f"the mean of {trial_count} real trials" if trial_count else "the mean of the real trials"
     return "one recorded real trial" if grade is BandGrade.RECORDING else "the law that the score compares with"
+
+
+def reference_text(band: Band | None, path: ReferencePath | None, *, trial: int | None = None) -> str:
+    """Return what is drawn of a reference, in words; empty if nothing is.
+
+    Args:
+        band: The band, or None.
+        path: Its places in space, or None.
+        trial: Number of the single trial that it is; None for others.
+    """
+    if band is None or path is None:
+        return ""
+    text = reference_words(band.grade, band.trial_count) if trial is None else f"real trial {trial}"
+    if band.withheld is not None:
+        text += ", withheld from scores"
+    return text if path.is_full else f"{text}, in the measured directions"

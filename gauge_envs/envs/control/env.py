@@ -302,7 +302,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._frame is not None)
-        return self._pictures.draw(self.experiment.scene, {}, poses=self.moving_poses(), nodes_m={})
+        return self._pictures.draw(self.experiment, {}, poses=self.moving_poses(), nodes_m={})
 
     def moving_poses(self) -> dict[str, FloatArray]:
         """Return position [m] and quaternion of each body that moves, shape [7], by name."""

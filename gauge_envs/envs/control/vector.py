@@ -181,8 +181,9 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._is_reset)
-        scene = self.experiment.scene
-        return tuple(self._pictures.draw(scene, {}, poses=env.moving_poses(), nodes_m={}) for env in self.worlds.envs)
+        return tuple(
+            self._pictures.draw(self.experiment, {}, poses=env.moving_poses(), nodes_m={}) for env in self.worlds.envs
+        )
 
     def close_extras(self, **_: Any) -> None:
         """Free the worlds and the renderer."""

@@ -65,7 +65,7 @@ def add_overlay(drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overla
         for point in points[np.isfinite(points).all(axis=1)]:
             add_ball(drawing, point, radius_m=MARKER_PX * pixel_m, color=color)
     for path in overlay.paths:
-        known: NDArray[np.bool_] = np.isfinite(path.points_m).all(axis=1)
+        known = np.asarray(np.isfinite(path.points_m).all(axis=1))
         radius_m = pixel_m * (RECORDED_PATH_PX if path.color == RECORDED_COLOR else PATH_PX)
         for (start, end), both_known in zip(pairwise(path.points_m), known[1:] & known[:-1], strict=True):
             if both_known:

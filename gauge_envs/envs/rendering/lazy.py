@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Scene
+from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.bands import Band
 
 if TYPE_CHECKING:
     from gauge_envs.envs.rendering.overlay import Overlay
@@ -56,9 +58,10 @@ class Pictures:
 
     def draw(
         self,
-        scene: Scene,
+        experiment: Experiment,
         rest_nodes_m: Mapping[str, NDArray[np.float64]],
         *,
+        band: Band | None = None,
         poses: Mapping[str, NDArray[np.float64]],
         nodes_m: Mapping[str, NDArray[np.float64]],
         overlay: Overlay | None = None,
@@ -66,8 +69,9 @@ class Pictures:
         """Return a picture of a scene, shape [height, width, 3].
 
         Args:
-            scene: The scene; the same in each call until `close`.
+            experiment: The experiment; scene, materials and camera stay those of the first call until `close`.
             rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
+            band: Its band, whose places the camera frames too, or None.
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
             overlay: What is drawn on top of the scene, or None.
@@ -77,9 +81,14 @@ class Pictures:
             UnknownNameError: The overlay has a ghost of a body that the scene does not have.
         """
         if self._renderer is None:
+            from gauge_envs.envs.rendering.camera import scene_view
             from gauge_envs.envs.rendering.renderer import SceneRenderer
 
-            self._renderer = SceneRenderer(scene, rest_nodes_m, *self._size)
+            width, height = self._size
+            view = scene_view(experiment.scene, aspect=width / height, reference=reference_path(experiment, band))
+            self._renderer = SceneRenderer(
+                experiment.scene, rest_nodes_m, width, height, view=view, materials=experiment.materials
+            )
         return self._renderer.picture(poses, nodes_m, overlay)
 
     def close(self) -> None:

@@ -34,8 +34,9 @@ def episode_picture(pictures: Pictures, episode: Episode, *, drawn_as: Episode) 
         RenderError: The machine has no OpenGL library.
     """
     return pictures.draw(
-        drawn_as.experiment.scene,
+        drawn_as.experiment,
         drawn_as.rest_nodes_m,
+        band=drawn_as.band,
         poses=episode.poses(),
         nodes_m=episode.nodes_m(),
         overlay=tracked_overlay(episode) if pictures.has_overlay else None,

@@ -17,8 +17,8 @@ from gauge_envs.report.film.layout import Caption, FilmLayout, PanelText, strip_
 from gauge_envs.report.film.panel import Panel, SimulatedPanel, Take, take_of
 from gauge_envs.report.film.recording import RecordedPanel
 from gauge_envs.report.film.writer import STRIP_SUFFIXES, check_film_format, check_suffix, film_writer, save_still
-from gauge_envs.report.ghost import reference_words
-from gauge_envs.report.results import configuration_labels, versions_text
+from gauge_envs.report.ghost import reference_text
+from gauge_envs.report.results import PLAIN, configuration_labels, configuration_parts, versions_text
 from gauge_envs.report.text import BACKEND_TITLES, short_id
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
 from gauge_envs.runs.result import Result
@@ -267,12 +267,20 @@ def _panels(
         stack.callback(panels[-1].close)
     takes, left_out = _takes(results, options)
     configurations = [RunConfiguration.of(take.result) for take in takes]
-    for take, configuration, label in zip(takes, configurations, configuration_labels(configurations), strict=True):
-        engine, comma, rest = label.partition(", ")
-        title = f"{BACKEND_TITLES.get(engine, engine)}{comma}{rest}"
+    for take, configuration, title in zip(takes, configurations, _titles(configurations), strict=True):
         panels.append(SimulatedPanel(take, title=title, detail=versions_text(configuration), **size))
         stack.callback(panels[-1].close)
     return panels, takes, left_out
+
+
+def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
+    """Return the engine of each configuration, and what they do not all share; the legend names the trial."""
+    labels = configuration_labels(configurations)
+    if len(configurations) == 1:
+        parts = configuration_parts(configurations[0])
+        labels = [", ".join(text for kind, text in parts if (kind, text) != PLAIN and kind != "jitter")]
+    split = [label.partition(", ") for label in labels]
+    return [f"{BACKEND_TITLES.get(engine, engine)}{comma}{rest}" for engine, comma, rest in split]
 
 
 def _takes(results: Mapping[Path, Result], options: FilmOptions) -> tuple[list[Take], list[LeftOut]]:
@@ -301,20 +309,15 @@ def _text(panel: Panel) -> PanelText:
 
 def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:
     experiment = takes[0].experiment
-    words = dict.fromkeys(_reference_text(take) for take in takes if take.reference is not None)
+    texts = [reference_text(take.band, take.reference, trial=take.experiment.trial) for take in takes]
     remarks = []
     if options.speed != 1.0:
         remarks.append(f"speed x {options.speed:.3g}")
     if any(take.result.score.rmse_normalized is not None for take in takes):
         remarks.append("score 1: mean distance of single real trials")
     return Caption(
-        title=experiment.name, subtitle=experiment.title, reference="; ".join(words), remark=", ".join(remarks)
+        title=experiment.name,
+        subtitle=experiment.title,
+        reference="; ".join(filter(None, dict.fromkeys(texts))),
+        remark=", ".join(remarks),
     )
-
-
-def _reference_text(take: Take) -> str:
-    assert take.band is not None and take.reference is not None
-    text = reference_words(take.band.grade, take.band.trial_count)
-    if take.band.withheld is not None:
-        text += ", withheld from scores"
-    return text if take.reference.is_full else f"{text}, in the measured directions"

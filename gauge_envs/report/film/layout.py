@@ -49,12 +49,14 @@ class Caption:
         subtitle: What happens in it.
         reference: What is drawn in the colour of the reference; empty if nothing is.
         remark: Further words below the pictures.
+        simulated: What is drawn in the colour of the simulation; empty if nothing is.
     """
 
     title: str
     subtitle: str
     reference: str
     remark: str = ""
+    simulated: str = "simulated"
 
 
 @dataclass(frozen=True)
@@ -276,12 +278,9 @@ Entry = tuple[Color | None, str]
 
 def _legend_lines(caption: Caption, width: float, scale: _Scale) -> list[list[Entry]]:
     """Return the entries of the legend in lines that fit."""
-    entries: list[Entry] = [(SIMULATED_COLOR, "simulated")]
-    if caption.reference:
-        entries.append((RECORDED_COLOR, caption.reference))
-    if caption.remark:
-        entries.append((None, caption.remark))
-    lines: list[list[Entry]] = [[]]
+    entries: list[Entry] = [(SIMULATED_COLOR, caption.simulated), (RECORDED_COLOR, caption.reference)]
+    entries = [entry for entry in (*entries, (None, caption.remark)) if entry[1]]
+    lines: list[list[Entry]] = [[]] if entries else []
     left = 0.0
     for color, text in entries:
         taken = _entry_width(color, text, scale)

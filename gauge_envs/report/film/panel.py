@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.analysis.scores import COMPARED_METRICS
+from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
-from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.envs.rendering.tracked import MOST_PATHS
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
@@ -28,8 +28,11 @@ __all__ = ["Panel", "SimulatedPanel", "Take", "score_line", "take_of"]
 
 FloatArray = NDArray[np.float64]
 
-MOST_PATH_POINTS = 240
-"""Largest number of points of a path in a picture."""
+PATH_STEP = 3
+"""Samples between the points of a path, which are 60 a second."""
+
+PATH_POINTS = 240
+"""Points of a path; it shows the last four seconds."""
 
 SHOWN_SCORES = 2
 """Number of scores below a panel."""
@@ -115,9 +118,6 @@ class SimulatedPanel:
         detail: Versions.
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
-
-    Raises:
-        RenderError: The machine has no OpenGL library.
     """
 
     def __init__(self, take: Take, *, title: str, detail: str, width: int, height: int) -> None:
@@ -126,16 +126,27 @@ class SimulatedPanel:
         self._take = take
         self._scene = take.experiment.scene
         self._is_place = take.experiment.score.observable in (Observable.POSITION, Observable.MARKER_POSITION)
-        rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
-        self._renderer = SceneRenderer(self._scene, rest_nodes_m, width, height)
+        self._rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
+        self._canvas = Pictures("rgb_array", width=width, height=height)
 
     def picture(self, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture at a time [s], shape [height, width, 3]; after its last view the episode stands still."""
+        """Return the picture at a time [s], shape [height, width, 3]; after its last view the episode stands still.
+
+        Raises:
+            RenderError: The machine has no OpenGL library.
+        """
         replay = self._take.replay
         at = min(time_s, self.last_s) * replay.rate_hz
         poses = dict(zip(replay.bodies, _poses_at(replay.poses, at), strict=True))
         nodes_m = {name: _between(points, at) for name, points in replay.nodes_m.items()}
-        return self._renderer.picture(poses, nodes_m, self.overlay(time_s, poses))
+        return self._canvas.draw(
+            self._take.experiment,
+            self._rest_nodes_m,
+            band=self._take.band,
+            poses=poses,
+            nodes_m=nodes_m,
+            overlay=self.overlay(time_s, poses),
+        )
 
     def overlay(self, time_s: float, poses: dict[str, FloatArray]) -> Overlay:
         """Return what is drawn on top of the scene at a time.
@@ -160,7 +171,7 @@ class SimulatedPanel:
 
     def close(self) -> None:
         """Free the OpenGL context."""
-        self._renderer.close()
+        self._canvas.close()
 
     def _simulated(self, time_s: float) -> tuple[FloatArray, list[OverlayPath]]:
         """Return the tracked points at a time [m], shape [n, 3], and their paths so far."""
@@ -175,9 +186,8 @@ class SimulatedPanel:
         markers_m = now.reshape(-1, 3)
         if len(markers_m) > MOST_PATHS:
             return markers_m, []
-        # A step that does not depend on the time keeps the points of a path where they are.
-        step = -(-len(places_m) // MOST_PATH_POINTS)
-        past = places_m[: np.searchsorted(times_s, time_s)][::step]
+        # Steps from the start, and not from the present, keep the points of a path where they are.
+        past = places_m[: np.searchsorted(times_s, time_s)][::PATH_STEP][-PATH_POINTS:]
         return markers_m, [OverlayPath(points_m=line) for line in _lines(np.concatenate([past, markers_m[None]]))]
 
     def _ghosts(

@@ -15,12 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from gauge_envs.envs.rendering.renderer import (
-    COLORS,
-    FIELD_OF_VIEW_DEG,
-    STRING_RADIUS_M,
-    scene_camera,
-)
+from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.envs.rendering.materials import USUAL
+from gauge_envs.envs.rendering.renderer import STRING_RADIUS_M
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.experiment import Experiment
@@ -112,21 +109,21 @@ def scene_data(scene: Scene) -> dict[str, Any]:
             {
                 "name": body.name,
                 "shape": known[body.shape],
-                "color": _color(COLORS[body.motion]),
+                "color": _color(USUAL[body.motion].color),
                 "pose": _pose(body.pose),
             }
         )
-    camera = scene_camera(scene)
+    view = scene_view(scene)
     return {
         "shapes": shapes,
         "bodies": bodies,
         "strings": [{"body": joint.body, "anchor": list(joint.anchor_m)} for joint in scene.joints],
         "string": {"radius": STRING_RADIUS_M},
         "camera": {
-            "target": [round(float(x), ROUND_M) for x in camera.lookat],
-            "distance": float(camera.distance),
-            "azimuth": float(camera.azimuth),
-            "elevation": float(camera.elevation),
+            "target": [round(float(x), ROUND_M) for x in view.target_m],
+            "distance": view.distance_m,
+            "azimuth": view.azimuth_deg,
+            "elevation": view.elevation_deg,
             "fov": FIELD_OF_VIEW_DEG,
         },
     }
@@ -211,12 +208,12 @@ def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, la
 def _soft(body: Cloth | SoftBody | Rope | Rod, nodes_m: NDArray[np.float32]) -> dict[str, Any]:
     data: dict[str, Any] = {"count": nodes_m.shape[1], "nodes": quantized(nodes_m).to_dict()}
     if isinstance(body, Rope | Rod):
-        return data | {"kind": "line", "radius": body.radius_m, "color": _color(COLORS[Motion.DYNAMIC])}
+        return data | {"kind": "line", "radius": body.radius_m, "color": _color(USUAL[Motion.DYNAMIC].color)}
     faces = Skin(body, nodes_m[0].astype(np.float64)).faces
     return data | {
         "kind": "surface",
         "faces": _packed(faces.astype(np.uint16)),
-        "color": _color(COLORS[Motion.DYNAMIC]),
+        "color": _color(USUAL[Motion.DYNAMIC].color),
     }
 
 

@@ -55,17 +55,24 @@ def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through() -> None:
     renderer = SceneRenderer(scene, {}, 240, 180)
     body = scene.dynamic_bodies[0]
     pose = np.array([*body.pose.position_m, *body.pose.quaternion])
-    away = pose + np.array([0.0, 0.0, 0.08, 0.0, 0.0, 0.0, 0.0])
+    # To the right of the picture, clear of the body.
+    away = pose + np.array([*(0.1 * renderer.camera.axes[0]), 0.0, 0.0, 0.0, 0.0])
     plain, moved = renderer.picture({}, {}), renderer.picture({body.name: away}, {})
     ghost = renderer.picture({body.name: pose}, {}, Overlay(ghosts={body.name: away}))
     with pytest.raises(UnknownNameError, match="no-body"):
         renderer.picture({}, {}, Overlay(ghosts={"no-body": pose}))
     renderer.close()
-    arrived = changed(plain, moved)
-    # Moving the body also uncovers its old place, where the ghost adds nothing.
-    new_place = arrived & changed(ghost, plain)
-    assert new_place.sum() > 0.4 * arrived.sum()
-    assert changed(ghost, plain).sum() < 1.1 * arrived.sum()
+    # Moving the body also uncovers its old place and moves its shadow, where the ghost adds nothing.
+    shown = np.abs(ghost.astype(int) - plain).max(axis=2) > 10
+    arrived = np.abs(moved.astype(int) - plain).max(axis=2) > 10
+    right_of_it = renderer.camera.pixels((pose[:3] + 0.5 * (away - pose)[:3])[None], width=240, height=180)[0, 0]
+    assert shown.sum() > 200
+    assert (shown & arrived).sum() > 0.95 * shown.sum()
+    assert np.flatnonzero(shown.any(axis=0)).min() > right_of_it - 30
+    ground = np.median(plain.reshape(-1, 3), axis=0)
+    inside = np.median(ghost[shown], axis=0)
+    # The ground shines through: the colour is between that of the ground and the green of ghosts.
+    assert 255.0 * RECORDED_COLOR[1] + 60.0 < inside[1] < ground[1] - 30.0
 
 
 @needs_opengl

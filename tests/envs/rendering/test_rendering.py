@@ -27,9 +27,10 @@ def test_picture_shows_the_moving_body(name: str) -> None:
     first = env.render()
     assert first.shape == (120, 160, 3)
     assert first.dtype == np.uint8
-    # Dynamic bodies are the only thing drawn in saturated orange.
-    red, blue = first[..., 0].astype(int), first[..., 2].astype(int)
-    assert (red - blue > 80).sum() > 5
+    episode = env.unwrapped.episode
+    far = {body: np.array([0.0, 0.0, -50.0, 1.0, 0.0, 0.0, 0.0]) for body in episode.poses()}
+    without = env.unwrapped._pictures.draw(episode.experiment, {}, poses=far, nodes_m={})
+    assert (np.abs(first.astype(int) - without).max(axis=2) > 25).sum() > 40
     env.close()
 
 
@@ -87,13 +88,13 @@ def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
     edge = np.linspace(-0.5, 0.5, 11)
     grid = np.stack(np.meshgrid(edge * cloth.size_m[0], edge * cloth.size_m[1], [0.0], indexing="ij"), -1)
     rest = cloth.pose.to_world(grid.reshape(-1, 3))
-    renderer = SceneRenderer(scene, {cloth.name: rest}, 160, 120)
+    renderer = SceneRenderer(scene, {cloth.name: rest}, 160, 120, materials={cloth.name: "satin"})
 
-    def orange(nodes: np.ndarray) -> np.ndarray:
+    def terracotta(nodes: np.ndarray) -> np.ndarray:
         picture = renderer.picture({}, {cloth.name: nodes}).astype(int)
         return picture[..., 0] - picture[..., 2] > 60
 
-    here, lowered = orange(rest), orange(rest - [0.0, 0.0, 0.1])
+    here, lowered = terracotta(rest), terracotta(rest - [0.0, 0.0, 0.1])
     renderer.close()
     assert here.sum() > 500
     rows = [np.flatnonzero(mask.any(axis=1)).mean() for mask in (here, lowered)]
@@ -110,3 +111,22 @@ def test_surface_of_a_solid_is_closed_and_turned_outward() -> None:
     # Divergence theorem: the volume inside a closed surface that is turned outward.
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
     assert volume == pytest.approx(foam.shape.volume_m3, rel=1e-6)
+
+
+def test_sides_of_a_block_are_flat_patches_with_sharp_edges() -> None:
+    foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
+    axes = [
+        np.linspace(-0.5 * edge, 0.5 * edge, count) for edge, count in zip(foam.shape.size_m, (3, 4, 7), strict=True)
+    ]
+    nodes = foam.pose.to_world(np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3))
+    _, normals = Skin(foam, nodes)._surface(nodes)
+    local = foam.pose.rotation.apply(normals, inverse=True)
+    assert np.abs(local).max(axis=1) == pytest.approx(1.0)
+
+
+def test_an_irregular_cloud_has_a_closed_surface_too() -> None:
+    foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
+    cloud = np.random.default_rng(0).uniform(-0.5, 0.5, size=(400, 3)) * foam.shape.size_m
+    faces = Skin(foam, foam.pose.to_world(cloud)).faces
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [0, 2]]]), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()

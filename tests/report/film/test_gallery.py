@@ -1,0 +1,55 @@
+"""The gallery shows every family, and says so where it does not."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import build_gallery
+import pytest
+from places import ROOT
+
+PAGE = ROOT / "docs" / "gallery.md"
+PICTURES = ROOT / "docs" / "images" / "gallery"
+
+
+def test_every_family_has_its_picture() -> None:
+    assert build_gallery.main(["--check"]) == 0
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A page with its pictures."""
+    folder = tmp_path / "images" / "gallery"
+    shutil.copytree(PICTURES, folder)
+    shutil.copy(PAGE, tmp_path / "gallery.md")
+    return tmp_path / "gallery.md"
+
+
+def test_what_is_missing_is_named(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = copied.parent / "images" / "gallery"
+    (folder / "Funnel-satin.webp").unlink()
+    (folder / "StickStack-soft.webp").write_bytes(b"")
+    (folder / "stray.webp").touch()
+    text = copied.read_text(encoding="utf-8").replace("(images/gallery/Pendulum-metal.webp)", "(elsewhere.webp)")
+    copied.write_text(text, encoding="utf-8")
+    assert build_gallery.main(["--check", "--page", str(copied)]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        "StickStack-soft.webp: there is no such picture",
+        "Funnel-satin.webp: there is no such picture",
+        "Pendulum-metal.webp: the page does not show it",
+        "stray.webp: it is in the folder, and no entry names it",
+    ]
+
+
+def test_a_family_without_an_entry_is_named(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rigid = [entry for entry in build_gallery.GROUPS["Rigid bodies"] if not entry.name.startswith("Pendulum")]
+    monkeypatch.setitem(build_gallery.GROUPS, "Rigid bodies", tuple(rigid))
+    found = build_gallery.faults(copied.read_text(encoding="utf-8"), copied.parent / "images" / "gallery")
+    assert "Pendulum: no picture of this family: add an entry" in found
+
+
+def test_a_film_that_is_too_large_is_named(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build_gallery, "MOST_FILM_BYTES", 1000)
+    found = build_gallery.faults(copied.read_text(encoding="utf-8"), copied.parent / "images" / "gallery")
+    assert len([fault for fault in found if "larger than 1000 bytes" in fault]) == len(build_gallery.FILMS)
