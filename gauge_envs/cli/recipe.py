@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from gauge_envs.cli.arguments import Json
 from gauge_envs.cli.output import EXIT_FAILED, echo, print_json_lines, print_table, stdout_console
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError
+
+if TYPE_CHECKING:
+    from gauge_envs.scene.fabrics import Fabric
 
 __all__ = ["recipe"]
 
@@ -18,7 +22,7 @@ T = TypeVar("T")
 def recipe(
     engine: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="mujoco, mujoco_warp, newton, physx, pybullet, rapier or drake."),
+        typer.Option(metavar="NAME", help="mujoco, mujoco_warp, newton, physx, pybullet, rapier, drake or genesis."),
     ] = None,
     friction: Annotated[float | None, typer.Option(help="Coefficient of friction, 0.01 to 2.")] = None,
     restitution: Annotated[float | None, typer.Option(help="Rebound over impact speed, 0 to 1.")] = None,
@@ -31,26 +35,27 @@ def recipe(
         str | None,
         typer.Option(metavar="TEXT", help="Contact settings of the engine, as 'solref=0.02 1': report what they give."),
     ] = None,
-    material: Annotated[str | None, typer.Option(metavar="NAME", help="Measured pair, as wood-on-wood.")] = None,
-    list_materials: Annotated[bool, typer.Option("--list-materials", help="List the measured pairs.")] = False,
-    fabric: Annotated[str | None, typer.Option(metavar="NAME", help="Measured fabric, as satin.")] = None,
+    material: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Measured pair or fabric, as wood-on-wood or satin.")
+    ] = None,
+    list_materials: Annotated[bool, typer.Option("--list-materials", help="List the pairs and fabrics.")] = False,
     json_lines: Json = False,
 ) -> None:
     """Give contact settings of an engine for a measured behaviour, with what they reach in simulation.
 
-    With --explain the other way round. The settings are simulated in a slide, a drop, at rest and on a slope. Exit code
-    1 when the simulation diverges. A value that the engine cannot reach is no failure: the nearest one is given, with
+    With --explain the other way round. The settings are simulated in a slide, a drop, at rest and on a slope; those of
+    a fabric in a strip that hangs and one that droops. Exit code 1 when the simulation diverges. A value that the engine cannot reach is no failure: the nearest one is given, with
     the reason.
     """
     behaviour = (friction, restitution, penetration, stiffness, damping)
     if list_materials:
         _list_materials(json_lines)
-    elif fabric is not None:
-        _refuse("--fabric goes with --engine and --json alone", *behaviour, mass, timestep, explain, material)
-        _print_fabric(fabric, _given(engine, "engine", "newton"), json_lines)
     elif explain is not None:
         _refuse("--explain states the contact itself and goes with --mass and --timestep", *behaviour, material)
         _explain(_given(engine, "engine", "mujoco"), explain, mass, timestep, json_lines)
+    elif material is not None and material in _fabrics():
+        _refuse("a fabric goes with --engine, --timestep and --json", *behaviour, mass)
+        _print_fabric(material, _given(engine, "engine", "newton"), timestep, json_lines)
     else:
         _print_recipe(_given(engine, "engine", "mujoco"), behaviour, mass, timestep, material, json_lines)
 
@@ -74,22 +79,23 @@ def _print_recipe(
     material: str | None,
     json_lines: bool,
 ) -> None:
-    from gauge_envs.checks.recipes import Aim, engine_settings, find_recipe
+    from gauge_envs.checks.recipes import FREE_FRICTION, Aim, engine_settings, find_recipe
     from gauge_envs.checks.recipes.materials import find_material
     from gauge_envs.report.recipes import material_table, recipe_view
 
     settings = engine_settings(engine)
     friction, restitution, penetration, stiffness, damping = behaviour
-    pair = None if material is None else find_material(material)
+    pair = None if material is None else find_material(material, also=_fabrics())
     if pair is not None:
         mass = pair.mass_kg if mass is None else mass
         friction = pair.friction if friction is None else friction
-        if friction is None:
-            raise ParameterError(f"material {material!r}: its friction was not measured: add --friction")
         if restitution is None and damping is None:
             restitution = pair.restitution
+    if all(value is None for value in (friction, restitution, penetration, stiffness)):
+        raise ParameterError("nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness")
     aim = Aim(
-        friction=_given(friction, "friction", "0.4"),
+        friction=FREE_FRICTION if friction is None else friction,
+        is_friction_asked=friction is not None,
         restitution=restitution,
         penetration_m=penetration,
         stiffness_n_per_m=stiffness,
@@ -129,24 +135,30 @@ def _explain(engine: str, text: str, mass: float | None, timestep: float | None,
 
 def _list_materials(json_lines: bool) -> None:
     from gauge_envs.checks.recipes.materials import material_pairs
-    from gauge_envs.report.recipes import material_table
+    from gauge_envs.report.recipes import fabric_table, material_table
 
     print_table(material_table(material_pairs()), json_lines=json_lines)
+    print_table(fabric_table(_fabrics()), json_lines=json_lines)
 
 
-def _print_fabric(name: str, engine: str, json_lines: bool) -> None:
+def _fabrics() -> Mapping[str, Fabric]:
     from gauge_envs.experiments.fabrics import fabrics
-    from gauge_envs.report.recipes import fabric_recipe, fabric_view
 
-    known = fabrics()
-    if name not in known:
-        raise UnknownNameError("fabric", name, known)
-    values = fabric_recipe(name, known[name], engine)
+    return fabrics()
+
+
+def _print_fabric(name: str, engine: str, timestep: float | None, json_lines: bool) -> None:
+    from gauge_envs.checks.recipes.fabrics import fabric_recipe, fabric_snippet
+    from gauge_envs.report.recipes import fabric_view
+
+    found = fabric_recipe(name, _fabrics()[name], engine, timestep)
     if json_lines:
-        print_json_lines([values])
+        print_json_lines([found.json()])
     else:
-        stdout_console().print(fabric_view(values))
-        _print_snippet(str(values["snippet"]))
+        stdout_console().print(fabric_view(found))
+        _print_snippet(fabric_snippet(found.mapped))
+    if found.faults and found.versions:
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _given(value: T | None, name: str, example: str) -> T:

@@ -7,12 +7,12 @@ from typing import Any
 
 from gauge_envs.checks.recipes import Recipe
 from gauge_envs.checks.recipes.explain import Meaning
+from gauge_envs.checks.recipes.fabrics import FabricRecipe
 from gauge_envs.checks.recipes.materials import MaterialPair
-from gauge_envs.errors import ParameterError
 from gauge_envs.report.table import Column, Place, Table, TerminalTable, as_rich
-from gauge_envs.scene.fabrics import MAPPINGS, EngineConstants, Fabric, shear_stiffness, uniaxial_stiffness
+from gauge_envs.scene.fabrics import Fabric, bending_length_m
 
-__all__ = ["fabric_recipe", "fabric_view", "material_table", "meaning_view", "recipe_view"]
+__all__ = ["fabric_table", "fabric_view", "material_table", "meaning_view", "recipe_view"]
 
 TITLES = {
     "penetration_m": "penetration [m]",
@@ -28,7 +28,8 @@ def _number(value: float) -> str:
 
 def recipe_view(recipe: Recipe) -> TerminalTable:
     """Return what was asked and reached, and the reason of a miss."""
-    asked = {"friction": recipe.aim.friction, "restitution": recipe.aim.rebound, "penetration_m": recipe.aim.depth_m}
+    friction = recipe.aim.friction if recipe.aim.is_friction_asked else None
+    asked = {"friction": friction, "restitution": recipe.aim.rebound, "penetration_m": recipe.aim.depth_m}
     rows = [
         {"name": TITLES.get(name, name), "asked": asked.get(name), "reached": value, "error": recipe.error.get(name)}
         for name, value in recipe.reached.items()
@@ -39,7 +40,7 @@ def recipe_view(recipe: Recipe) -> TerminalTable:
         Column("reached", "reached", _number, is_number=True),
         Column("error", "error", lambda value: f"{value:+.2g}", is_number=True),
     )
-    return as_rich(Table(columns=columns, rows=rows, notes=("", recipe.explanation)))
+    return as_rich(Table(columns=columns, rows=rows, notes=("", recipe.explanation, f"{recipe.wall_s:.1f} s")))
 
 
 def meaning_view(meaning: Meaning) -> TerminalTable:
@@ -80,73 +81,57 @@ def material_table(pairs: tuple[MaterialPair, ...]) -> Table:
 
 # --- fabrics ---------------------------------------------------------------------------------------------------------
 
-
-def fabric_recipe(name: str, fabric: Fabric, engine: str) -> dict[str, Any]:
-    """Return a fabric in an engine's constants, the stiffness that they give, and what is lost.
-
-    Args:
-        name: Name of the fabric.
-        fabric: Its measured constants.
-        engine: Key of `gauge_envs.scene.fabrics.MAPPINGS`.
-
-    Raises:
-        ParameterError: The engine has no mapping of cloth.
-    """
-    mapped = _mapped(engine, fabric)
-    asked = {"stretch_n_per_m": fabric.stretch_stiffness_n_per_m, "shear_n_per_m": fabric.shear_stiffness_n_per_m}
-    reached = {"stretch_n_per_m": uniaxial_stiffness(mapped), "shear_n_per_m": shear_stiffness(mapped)}
-    losses = [*mapped.fallbacks, *mapped.lost]
-    return {
-        "engine": engine,
-        "fabric": name,
-        "asked": asked | {"bend_n_m_per_rad": fabric.bend_stiffness_n_m_per_rad},
-        "settings": mapped.constants,
-        "snippet": fabric_snippet(mapped),
-        "reached": reached,
-        "error": {key: reached[key] - asked[key] for key in reached},
-        "explanation": "; ".join(losses) or "Stretch and shear stiffness are reached.",
-    }
+FABRIC_TITLES = {
+    "stretch_n_per_m": "stretch [N/m]",
+    "shear_n_per_m": "shear [N/m]",
+    "bend_n_m": "bend [N m]",
+    "bending_length_m": "bending length [m]",
+}
+"""Titles of the stiffness of a fabric."""
 
 
-def _mapped(engine: str, fabric: Fabric) -> EngineConstants:
-    key = "isaac" if engine == "isaac_sim" else engine
-    if key not in MAPPINGS:
-        raise ParameterError(f"engine {engine!r} has no mapping of fabrics: choose one of {', '.join(MAPPINGS)}")
-    return MAPPINGS[key](fabric)
-
-
-def fabric_snippet(mapped: EngineConstants) -> str:
-    """Return the constants of a fabric in the engine's own language."""
-    given = {name: f"{value:.6g}" for name, value in mapped.constants.items()}
-    if mapped.engine == "newton":
-        bend = given["edge_ke_times_mean_edge_length"]
-        return (
-            "builder.add_cloth_mesh(\n"
-            f"    ...,\n    tri_ke={given['tri_ke']},\n    tri_ka={given['tri_ka']},\n"
-            f"    edge_ke={bend} / mean_edge_length,  # mean length of the edges of your mesh [m]\n)\n"
-        )
-    if mapped.engine == "mujoco":
-        return (
-            f'<elasticity young="{given["young"]}" poisson="{given["poisson"]}" thickness="{given["thickness"]}" '
-            'elastic2d="both"/>\n'
-            "<!-- MJCF states no shear stiffness: this flex has half of the stretch stiffness. -->\n"
-        )
-    if mapped.engine == "genesis":
-        names = ", ".join(f"{name}={value}" for name, value in given.items())
-        return f"material = gs.materials.PBD.Cloth({names})\n"
-    return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())
-
-
-def fabric_view(values: Mapping[str, Any]) -> TerminalTable:
-    """Return what a fabric's constants give, and what is lost."""
-    names = {"stretch_n_per_m": "stretch [N/m]", "shear_n_per_m": "shear [N/m]", "bend_n_m_per_rad": "bend [N m/rad]"}
+def fabric_view(recipe: FabricRecipe) -> TerminalTable:
+    """Return what a fabric's constants give by the engine's law and in simulation, and what is lost."""
+    gives = recipe.mapping_gives
     rows = [
-        {"name": title, "asked": values["asked"][key], "reached": values["reached"].get(key)}
-        for key, title in names.items()
+        {
+            "name": title,
+            "asked": recipe.asked[key],
+            "law": gives.get(key),
+            "reached": recipe.reached[key],
+            "error": recipe.error[key],
+        }
+        for key, title in FABRIC_TITLES.items()
     ]
     columns = (
-        Column("name", f"{values['fabric']} in {values['engine']}"),
-        Column("asked", "measured", _number, is_number=True),
-        Column("reached", "mapping gives", _number, is_number=True),
+        Column("name", f"{recipe.name} in {recipe.engine}"),
+        Column("asked", "asked", _number, is_number=True),
+        Column("law", "law of the engine", _number, is_number=True),
+        Column("reached", "reached", _number, is_number=True),
+        Column("error", "error", lambda value: f"{value:+.2g}", is_number=True),
     )
-    return as_rich(Table(columns=columns, rows=rows, notes=("", str(values["explanation"]))))
+    return as_rich(Table(columns=columns, rows=rows, notes=("", recipe.explanation, f"{recipe.wall_s:.1f} s")))
+
+
+def fabric_table(known: Mapping[str, Fabric]) -> Table:
+    """Return the measured fabrics with what was measured."""
+    rows = [
+        {
+            "name": name,
+            "stretch": fabric.stretch_stiffness_n_per_m,
+            "shear": fabric.shear_stiffness_n_per_m,
+            "bend": fabric.bend_stiffness_n_m_per_rad,
+            "density": fabric.areal_density_kg_per_m2,
+            "length": bending_length_m(fabric),
+        }
+        for name, fabric in known.items()
+    ]
+    columns = (
+        Column("name", "fabric"),
+        Column("stretch", "stretch", _number, unit="N/m", is_number=True),
+        Column("shear", "shear", _number, unit="N/m", is_number=True),
+        Column("bend", "bend", _number, unit="N m/rad", is_number=True),
+        Column("density", "areal density", _number, unit="kg/m^2", is_number=True),
+        Column("length", "bending length", _number, unit="m", is_number=True),
+    )
+    return Table(columns=columns, rows=rows)

@@ -14,10 +14,20 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from gauge_envs.checks.conformance.cloth_strips import (
+    BENT_FABRIC,
+    HUNG_FABRIC,
+    bending_stiffness,
+    cantilever_strip,
+    equilibrium,
+    hanging_strip,
+    local_nodes,
+    node_shares,
+    stretch_stiffness,
+)
 from gauge_envs.checks.conformance.lab import Lab
-from gauge_envs.checks.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, hann_mean
+from gauge_envs.checks.conformance.laws import PLACE_TOLERANCE_M
 from gauge_envs.checks.conformance.measurements import (
     SLIDE_SLOPE_DEG,
     acceleration_m_per_s2,
@@ -37,22 +47,11 @@ from gauge_envs.checks.conformance.scene_parts import (
     vector,
 )
 from gauge_envs.checks.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Pose, Region, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Contact, Pose, Region, Scene
 
 __all__: list[str] = []
 
 G = GRAVITY_M_PER_S2
-
-
-def _local(rollout: Rollout) -> NDArray[np.float64]:
-    """Return nodes in the cloth's frame [m], shape [sample_count, node_count, 3]."""
-    return np.array([rollout.scene.deformables[0].pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
-
-
-def _equilibrium(rollout: Rollout, settled_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes at the start and in equilibrium, in the cloth's frame [m], each of shape [node_count, 3]."""
-    local = _local(rollout)
-    return local[0], hann_mean(local[rollout.between(settled_s, float(rollout.times_s[-1]))])
 
 
 def _coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> float:
@@ -62,16 +61,11 @@ def _coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> 
 
 # --- start ------------------------------------------------------------------------------------------------------------
 
-HANG_M, HANG_WIDTH_M = 0.3, 0.075
-HANG_DENSITY, HANG_STRETCH = 0.2, 110.0
-HANG_S, HANG_SETTLED_S = 0.8, 0.2
-
 
 def _hanging(lab: Lab) -> Rollout:
-    """Record a strip that hangs from its upper edge: sag 0.8 mm, largest strain 0.5 %, period 51 ms."""
-    pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
-    cloth = sheet(pose, (HANG_M, HANG_WIDTH_M), areal_density=HANG_DENSITY, stretch_n_per_m=HANG_STRETCH, bend_n_m=1e-4)
-    return lab.rollout(clamped(cloth, Region(axis="x", side="high"), duration_s=HANG_S), HANG_S)
+    """Record a strip that hangs from its upper edge."""
+    scene = hanging_strip(HUNG_FABRIC)
+    return lab.rollout(scene, scene.duration_s)
 
 
 @check(
@@ -87,8 +81,10 @@ def _hanging(lab: Lab) -> Rollout:
 )
 def _cloth_start(lab: Lab) -> Measurement:
     rollout = lab.once(_hanging)
-    rest = _local(rollout)[0]
-    half = 0.5 * np.array([HANG_M, HANG_WIDTH_M, 0.0])
+    rest = local_nodes(rollout)[0]
+    cloth = rollout.scene.deformables[0]
+    assert isinstance(cloth, Cloth), "the scene is that of `hanging_strip`"
+    half = 0.5 * np.array([*cloth.size_m, 0.0])
     error = float(np.abs(np.concatenate([rest.min(axis=0) + half, rest.max(axis=0) - half])).max())
     return Measurement(measured=1e3 * error, expected=0.0, hint="positions are in mm" if error > 10.0 else "")
 
@@ -132,11 +128,7 @@ def _cloth_pinned_edge(lab: Lab) -> Measurement:
     "2 mu)), the mass of the nodes, and the solver's convergence: without it the strip hangs too low",
 )
 def _cloth_stretch(lab: Lab) -> Measurement:
-    rest, now = _equilibrium(lab.once(_hanging), HANG_SETTLED_S)
-    s = 0.5 * HANG_M - rest[:, 0]
-    free = s > HANG_WIDTH_M - PLACE_TOLERANCE_M
-    slope = _coefficient((rest - now)[free, 0], (HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum()))
-    return stiffness(HANG_DENSITY * G, slope, HANG_STRETCH, "stretches")
+    return stretch_stiffness(lab.once(_hanging))
 
 
 # --- shear -----------------------------------------------------------------------------------------------------------
@@ -173,7 +165,7 @@ def _sheared(lab: Lab) -> Rollout:
     "K_s / 2 or less",
 )
 def _cloth_shear(lab: Lab) -> Measurement:
-    rest, now = _equilibrium(lab.once(_sheared), SHEAR_SETTLED_S)
+    rest, now = equilibrium(lab.once(_sheared), SHEAR_SETTLED_S)
     s = 0.5 * SPAN_M + rest[:, 0]
     middle = np.abs(rest[:, 1]) < 0.5 * HEIGHT_M - SPAN_M + PLACE_TOLERANCE_M
     free = middle & (s > PLACE_TOLERANCE_M) & (s < SPAN_M - PLACE_TOLERANCE_M)
@@ -185,27 +177,11 @@ def _cloth_shear(lab: Lab) -> Measurement:
 
 # --- bending ---------------------------------------------------------------------------------------------------------
 
-CLAMP_M, FREE_M, STRIP_WIDTH_M = 0.05, 0.15, 0.1
-BEND_DENSITY, BEND_STIFFNESS = 0.2, 6.2e-3
-BEND_GRAVITY = 0.2 * G
-BEND_S, BEND_SETTLED_S = 1.3, 0.35
-
 
 def _cantilever(lab: Lab) -> Rollout:
-    """Record a horizontal strip clamped at one end, at a fifth of gravity: sag 4 mm on 150 mm, period 0.23 s.
-
-    At full gravity its slope would reach 0.5, and the moment of its weight near the tip would be a fifth too small.
-    """
-    pose = Pose(position_m=(0.0, 0.0, 1.0))
-    cloth = sheet(
-        pose,
-        (CLAMP_M + FREE_M, STRIP_WIDTH_M),
-        areal_density=BEND_DENSITY,
-        stretch_n_per_m=110.0,
-        bend_n_m=BEND_STIFFNESS,
-    )
-    clamp = Region(axis="x", side="low", depth_m=CLAMP_M)
-    return lab.rollout(clamped(cloth, clamp, duration_s=BEND_S, gravity_m_per_s2=BEND_GRAVITY), BEND_S)
+    """Record a horizontal strip that is clamped at one end, at a fifth of gravity."""
+    scene = cantilever_strip(BENT_FABRIC)
+    return lab.rollout(scene, scene.duration_s)
 
 
 @check(
@@ -225,23 +201,10 @@ def _cantilever(lab: Lab) -> Rollout:
     "that a clamp of 50 mm holds the slope: it must hold two lines of nodes",
 )
 def _cloth_bending(lab: Lab) -> Measurement:
-    rest, now = _equilibrium(lab.once(_cantilever), BEND_SETTLED_S)
-    s = rest[:, 0] + 0.5 * (CLAMP_M + FREE_M) - CLAMP_M
-    # Nodes are weighted by area, like the load, since a mesh's diagonals make its lines of nodes wavy.
-    shares = _node_shares(rest, (CLAMP_M + FREE_M, STRIP_WIDTH_M))
-    slope = cantilever_load_over_stiffness(s, (rest - now)[:, 2], length_m=FREE_M, weights=shares)
-    return stiffness(BEND_DENSITY * BEND_GRAVITY, slope, BEND_STIFFNESS, "bends")
+    return bending_stiffness(lab.once(_cantilever))
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
-
-
-def _node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the share of the sheet's area that is nearest to each node, for any mesh, shape [node_count]."""
-    x, y = ((np.arange(400) + 0.5) / 400 * size - 0.5 * size for size in size_m)
-    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    nearest = cKDTree(rest_m[:, :2]).query(points)[1]
-    return np.bincount(nearest, minlength=len(rest_m)) / len(points)
 
 
 @check(
@@ -257,9 +220,11 @@ def _node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> ND
 )
 def _cloth_energy(lab: Lab) -> Measurement:
     rollout = lab.once(_cantilever)
-    local = _local(rollout)
-    shares = _node_shares(local[0], (CLAMP_M + FREE_M, STRIP_WIDTH_M))
-    return passive_energy_gain(local, rollout.times_s, shares, BEND_GRAVITY)
+    local = local_nodes(rollout)
+    cloth = rollout.scene.deformables[0]
+    assert isinstance(cloth, Cloth), "the scene is that of `cantilever_strip`"
+    shares = node_shares(local[0], cloth.size_m)
+    return passive_energy_gain(local, rollout.times_s, shares, rollout.scene.gravity_m_per_s2)
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------

@@ -1,12 +1,13 @@
 """Recipes: contact settings of an engine for a measured behaviour, and back, by simulation."""
 
-from gauge_envs.checks.recipes.aim import Aim
+from gauge_envs.checks.recipes.aim import FREE_FRICTION, Aim
 from gauge_envs.checks.recipes.engines import engine_names, engine_settings
 from gauge_envs.checks.recipes.measure import Measured, measured
 from gauge_envs.checks.recipes.probes import Probe, Rebound, Rest, Slide
 from gauge_envs.checks.recipes.search import Recipe, find_recipe
 
 __all__ = [
+    "FREE_FRICTION",
     "Aim",
     "Measured",
     "Probe",

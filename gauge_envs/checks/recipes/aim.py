@@ -11,6 +11,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
 __all__ = [
+    "FREE_FRICTION",
     "FRICTION_RANGE",
     "MASS_RANGE_KG",
     "PENETRATION_RANGE_M",
@@ -31,6 +32,10 @@ PENETRATION_RANGE_M = (1e-7, 0.01)
 """Depths at rest that the scenes measure [m]: the plate is 0.03 m thick."""
 
 
+FREE_FRICTION = 0.5
+"""Coefficient of friction with which a contact is built and measured when none is asked for."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Aim:
     """Behaviour of a contact that settings are to give.
@@ -43,6 +48,7 @@ class Aim:
         damping_n_s_per_m: Damping beside this stiffness [N s/m], in place of the restitution; None if it is not given.
         mass_kg: Mass of the body [kg].
         timestep_s: Time step of the engine [s].
+        is_friction_asked: Whether the friction matters. If not, it is a value to build and measure with.
 
     Raises:
         ParameterError: A value is out of the range that can be measured, or two values contradict each other.
@@ -55,6 +61,7 @@ class Aim:
     damping_n_s_per_m: float | None = None
     mass_kg: float
     timestep_s: float
+    is_friction_asked: bool = True
 
     def __post_init__(self) -> None:
         _check("friction", self.friction, *FRICTION_RANGE, "")
@@ -107,7 +114,7 @@ class Aim:
     def asked(self) -> Mapping[str, float | None]:
         """Return the request, JSON-ready."""
         return {
-            "friction": self.friction,
+            "friction": self.friction if self.is_friction_asked else None,
             "restitution": self.restitution,
             "penetration_m": self.penetration_m,
             "stiffness_n_per_m": self.stiffness_n_per_m,

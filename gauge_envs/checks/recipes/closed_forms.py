@@ -130,13 +130,22 @@ class MuJoCoContact:
         """
         depth_m = self._depth_m(contact_count, G)
         loss = self.timestep_s * self._share(self._impedance(depth_m), contact_count) * self._damping(self.solref)
-        rebounds = [self._rebound(drop_m, index / phase_count) for index in range(phase_count)]
+        rebounds = self.rebounds(drop_m=drop_m, phase_count=phase_count)
         return ContactForm(
             penetration_m=depth_m,
             time_constant_s=-2.0 * self.timestep_s / math.log1p(-loss) if loss < 1.0 else None,
             restitution=sum(rebounds) / phase_count,
             creep_m_s=self._creep_m_s(contact_count, slope_rad),
         )
+
+    def rebounds(self, *, drop_m: float, phase_count: int) -> tuple[float, ...]:
+        """Return the restitution of drops on one contact, each at another phase of the impact within a step.
+
+        Args:
+            drop_m: Height of the drop [m].
+            phase_count: Number of drops.
+        """
+        return tuple(self._rebound(drop_m, index / phase_count) for index in range(phase_count))
 
     def _impedance(self, depth_m: float) -> float:
         return mujoco_impedance(self.solimp, depth_m)

@@ -5,6 +5,7 @@ All numbers are those of the task files; none stands here.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gauge_envs.errors import UnknownNameError
@@ -115,14 +116,18 @@ def material_pairs() -> tuple[MaterialPair, ...]:
     return tuple(map(find_material, PLACES))
 
 
-def find_material(name: str) -> MaterialPair:
+def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     """Return a pair of materials.
+
+    Args:
+        name: Name of the pair.
+        also: Further names that a message about an unknown one offers.
 
     Raises:
         UnknownNameError: No such pair was measured.
     """
     if name not in PLACES:
-        raise UnknownNameError("material", name, PLACES)
+        raise UnknownNameError("material", name, [*PLACES, *also])
     place = PLACES[name]
     spec = task_spec(place.family)
     constants = spec.constants_of(place.body, place.material, None)

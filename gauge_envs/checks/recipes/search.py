@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -49,6 +50,7 @@ class Recipe:
         settings: The settings.
         found: What was measured; None if a simulation diverged.
         explanation: Why values are missed, and what limits those that are reached.
+        wall_s: Wall time of the search and the measurement [s], without the start of the engine.
     """
 
     engine: str
@@ -57,6 +59,7 @@ class Recipe:
     settings: ContactSettings
     found: Measured | None
     explanation: str
+    wall_s: float
 
     @property
     def reached(self) -> dict[str, float | None]:
@@ -73,12 +76,27 @@ class Recipe:
     @property
     def error(self) -> dict[str, float | None]:
         """Reached less asked values by name; None for what was not asked or not measured."""
-        asked = {"friction": self.aim.friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
+        friction = self.aim.friction if self.aim.is_friction_asked else None
+        asked = {"friction": friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
         errors: dict[str, float | None] = {}
         for name, target in asked.items():
             value = self.reached[name]
             errors[name] = None if target is None or value is None else value - target
         return errors
+
+    @property
+    def detail(self) -> dict[str, float | None]:
+        """What the reached values leave out, by name: both plates, the hop, and the range of single drops."""
+        found = self.found
+        if found is None:
+            return dict.fromkeys(("friction_along", "friction_turned", "hop_m", "restitution_low", "restitution_high"))
+        return {
+            "friction_along": found.slide.along,
+            "friction_turned": found.slide.turned,
+            "hop_m": found.slide.lift_m,
+            "restitution_low": found.rebound.low,
+            "restitution_high": found.rebound.high,
+        }
 
     @property
     def misses(self) -> tuple[str, ...]:
@@ -95,6 +113,9 @@ class Recipe:
             "snippet": self.settings.snippet(self.aim.mass_kg),
             "reached": self.reached,
             "error": self.error,
+            "misses": self.misses,
+            "detail": self.detail,
+            "wall_s": self.wall_s,
             "explanation": self.explanation,
             "versions": dict(self.versions),
         }
@@ -114,7 +135,7 @@ def misses(aim: Aim, found: Measured) -> tuple[str, ...]:
 
 def _is_missed(aim: Aim, name: str, value: float) -> bool:
     if name == "friction":
-        return not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
+        return aim.is_friction_asked and not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
     if name == "restitution":
         return aim.rebound is not None and not abs(value - aim.rebound) <= RESTITUTION_TOLERANCE
     if aim.depth_m is None:
@@ -138,15 +159,33 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
         MissingExtraError: The engine is not installed.
     """
     versions = engine.backend().versions()
+    start = time.perf_counter()
     settings = engine.aimed(aim)
     try:
         settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump())
         found = measured(settings, aim.mass_kg, friction=aim.friction)
     except DivergedError as error:
         text = f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
-        return Recipe(engine=engine.engine, versions=versions, aim=aim, settings=settings, found=None, explanation=text)
-    recipe = Recipe(engine=engine.engine, versions=versions, aim=aim, settings=settings, found=found, explanation="")
-    return replace(recipe, explanation=_explanation(engine, recipe, found))
+        return Recipe(
+            engine=engine.engine,
+            versions=versions,
+            aim=aim,
+            settings=settings,
+            found=None,
+            explanation=text,
+            wall_s=time.perf_counter() - start,
+        )
+    recipe = Recipe(
+        engine=engine.engine,
+        versions=versions,
+        aim=aim,
+        settings=settings,
+        found=found,
+        explanation="",
+        wall_s=0.0,
+    )
+    text = _explanation(engine, recipe, found)
+    return replace(recipe, explanation=text, wall_s=time.perf_counter() - start)
 
 
 def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
@@ -167,6 +206,8 @@ def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     if aim.rebound is not None:
         target = _aimed_restitution(engine, target, aim.rebound)
     settings = engine.aimed(target)
+    if not aim.is_friction_asked:
+        return settings
 
     def friction_error(value: float) -> float:
         tried = engine.aimed(target.changed(friction=value))

@@ -17,6 +17,7 @@ CLASSES = {
     "pybullet": ("pybullet", "PyBulletSettings"),
     "rapier": ("rapier", "RapierSettings"),
     "drake": ("drake", "DrakeSettings"),
+    "genesis": ("genesis", "GenesisSettings"),
 }
 """Module and class of each engine, which are imported when they are used."""
 
