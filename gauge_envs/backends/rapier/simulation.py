@@ -17,7 +17,7 @@ from gauge_envs.backends.rapier.model import MASS_UNIT_KG, BodyLayout, build_wor
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
-from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene import ConvexUnion, Motion, Pose, Scene, Shape
 
 __all__ = ["SimulationRapier", "StateRapier", "WorldsRapier"]
 
@@ -211,12 +211,23 @@ def _share_count(scene: Scene) -> int:
     """Return how many copies of a scene can share a world and move as alone, bit for bit.
 
     Rapier solves the contacts of multibody joints in the order of the whole world, so jointed bodies that collide are
-    alone.
+    alone. It solves the contacts of one body in the order in which its tree of all colliders found the pairs, which
+    other scenes change. So a body of several pieces, which touches with more than one of them at once, is alone too.
     """
-    count = len(colliding_contacts(scene))
-    if not count:
+    contacts = colliding_contacts(scene)
+    if not contacts:
         return LARGEST_SHARE
-    return 1 if scene.joints or scene.body_hinges else LARGEST_CONTACT_COUNT // count
+    in_pieces = any(
+        _piece_count(scene.body(name).shape) > 1
+        for contact in contacts
+        for pair in scene.colliding_pairs(contact)
+        for name in pair
+    )
+    return 1 if scene.joints or scene.body_hinges or in_pieces else LARGEST_CONTACT_COUNT // len(contacts)
+
+
+def _piece_count(shape: Shape) -> int:
+    return len(shape.pieces_m) if isinstance(shape, ConvexUnion) else 1
 
 
 class WorldsRapier(Worlds):

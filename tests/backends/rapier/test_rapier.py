@@ -426,6 +426,20 @@ def test_batched_worlds_are_single_simulations_bit_for_bit(name: str) -> None:
     worlds.close()
 
 
+@pytest.mark.parametrize(("name", "seed"), [("NonsmoothContact-1-wood", 11), ("NonsmoothContact-2-wood", 136)])
+def test_a_body_that_touches_with_two_pieces_at_once_moves_as_alone(name: str, seed: int) -> None:
+    # In a shared world these two starts part from their single runs, where two pieces touch in the same step.
+    experiment = load_experiment(name)
+    scene = jittered(experiment.scene, Jitter(), seed=seed)
+    names = [body.name for body in scene.dynamic_bodies]
+    worlds, single = RAPIER.build_worlds([scene, scene]), RAPIER.build(scene)
+    for _ in range(6 * (experiment.frame_count - 1)):
+        worlds.advance(1 / 180)
+        single.advance(1 / 180)
+    for world in worlds.worlds:
+        assert (world.body_states(names) == single.body_states(names)).all()
+
+
 def test_a_world_that_fails_leaves_its_neighbours_alone() -> None:
     worlds = RAPIER.build_worlds([dropped(0.5)] * 3)
     alone = RAPIER.build(dropped(0.5))
