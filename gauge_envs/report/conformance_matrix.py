@@ -49,7 +49,7 @@ def error_text(finding: CheckResult) -> str:
         return "not finite"
     if finding.expected:
         percent = 100.0 * difference / abs(finding.expected)
-        return f"{percent:+.3g} %" if abs(percent) >= LEAST_PERCENT else f"below {LEAST_PERCENT:g} %"
+        return f"{percent:+.3g} %" if abs(percent) >= LEAST_PERCENT else f"<{LEAST_PERCENT:g} %"
     if not finding.width:
         return f"{difference:+.2g}" if difference else "exact"
     return f"{_two_digits(abs(difference) / finding.width)} tol."

@@ -121,8 +121,8 @@ class CheckResult:
         missing: Features that the backend lacks, when it declined.
         reported_by: Id of the check that reports the same fault first; empty for a fault of its own.
         wall_s: Time that the check took [s]; checks that share a rollout count it once.
-        cpu_s: CPU time of the process of the check, all its threads, over the same span [s]. None if it is not known, as
-            for a process that died.
+        cpu_s: CPU time of the process of the check, all its threads, over the same span [s]. None if it is not known,
+            as for a process that died.
         settings: Numerical settings in force in the last scene of the check.
         versions: Versions of the engine's packages.
     """
