@@ -61,7 +61,7 @@ def results(folder: Path) -> dict[Path, Result]:
 @pytest.fixture(scope="module")
 def take(results: dict[Path, Result]) -> Take:
     file, result = next(iter(results.items()))
-    return take_of(result, file, views_per_frame=None, use_withheld=False)
+    return take_of(result, file)
 
 
 def picture_place() -> tuple[slice, slice]:
@@ -107,7 +107,7 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, 
     assert frames[0].shape[1] == 2 * panel_width + _Scale(SIZE["height"]).gap
     assert frames[0].shape[0] % 2 == 0
     file, result = next(iter(results.items()))
-    panel = SimulatedPanel(take_of(result, file, views_per_frame=None, use_withheld=False), title="", detail="", **SIZE)
+    panel = SimulatedPanel(take_of(result, file), title="", detail="", **SIZE)
     rows, columns = picture_place()
     distances = []
     for time_s in (0.2, 0.25, 0.3):
@@ -135,7 +135,7 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(results: dict[Path, Result], 
     save_strip(results, tmp_path / "ball.png", FilmOptions(**SIZE, to_s=0.4), count=3)
     sheet = np.asarray(Image.open(tmp_path / "ball.png"))
     file, result = next(iter(results.items()))
-    take = take_of(result, file, views_per_frame=None, use_withheld=False)
+    take = take_of(result, file)
     rows, columns = picture_place()
     step = SIZE["width"] + _Scale(SIZE["height"]).gap
     scene = take.experiment.scene
@@ -238,7 +238,7 @@ def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
 
 @needs_opengl
 def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> None:
-    takes = [take_of(result, file, views_per_frame=None, use_withheld=False) for file, result in results.items()]
+    takes = [take_of(result, file) for file, result in results.items()]
     plain = [replace(one, reference=None) for one in takes]
     panels = [SimulatedPanel(one, title="", detail="", width=320, height=240) for one in plain]
     start, end = ([panel.picture(time_s).astype(int) for panel in panels] for time_s in (0.0, panels[0].last_s))
