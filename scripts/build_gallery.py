@@ -188,7 +188,7 @@ def stepped(entry: Entry, folder: Path) -> list[View]:
     """Return the first, middle and last view of an experiment without a score; an earlier call may have stored them."""
     assert entry.to_s is not None
     experiment = load_experiment(entry.name)
-    last = round(FRAME_RATE_HZ * entry.to_s)
+    last = min(round(FRAME_RATE_HZ * entry.to_s), experiment.frame_count - 1)
     key = repr((experiment.file_sha256, versions_of("mujoco"), last, entry.use_withheld))
     file = folder / f"{entry.name}.views.pickle"
     if file.is_file():
