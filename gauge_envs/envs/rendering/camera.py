@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.rendering.expected import Expected, expected_motion
 from gauge_envs.evaluation.reference_path import ReferencePath
-from gauge_envs.scene import Plane, Scene
+from gauge_envs.scene import Plane, Scene, SoftBody
 
 __all__ = ["FIELD_OF_VIEW_DEG", "View", "scene_view"]
 
@@ -133,7 +133,7 @@ def _fitted(points_m: FloatArray, azimuth_deg: float, elevation_deg: float, aspe
 
 
 def _azimuth_deg(scene: Scene, expected: Expected, elevation_deg: float) -> float:
-    """Return the azimuth from which the motion is seen side-on and the fewest of its places are hidden."""
+    """Return the azimuth from which the motion is seen side-on and the fewest of its places and markers are hidden."""
     across = expected.across
     if across is None:
         candidates = [AZIMUTH_DEG + turn for turn in (0.0, 180.0, 90.0, -90.0)]
@@ -141,13 +141,14 @@ def _azimuth_deg(scene: Scene, expected: Expected, elevation_deg: float) -> floa
         normal = float(np.degrees(np.arctan2(across[1], across[0])))
         candidates = [normal + side + turn for side in (0.0, 180.0) for turn in (OFF_AXIS_DEG, -OFF_AXIS_DEG)]
     candidates.sort(key=lambda angle: abs((angle - AZIMUTH_DEG + 180.0) % 360.0 - 180.0))
-    hidden = [_hidden_count(scene, expected, _axes(angle, elevation_deg)[2]) for angle in candidates]
+    forwards = [_axes(angle, elevation_deg)[2] for angle in candidates]
+    hidden = [_hidden_share(scene, expected, forward) + _hidden_markers(scene, forward) for forward in forwards]
     # Python's minimum is the first of equals, the one nearest to the usual direction.
     return candidates[int(np.argmin(hidden))]
 
 
-def _hidden_count(scene: Scene, expected: Expected, forward: FloatArray) -> int:
-    """Return how many places of moving bodies a still body covers, seen along a direction."""
+def _hidden_share(scene: Scene, expected: Expected, forward: FloatArray) -> float:
+    """Return the share of the places of moving bodies that a still body covers, seen along a direction."""
     places = _thinned(expected.places_m)
     hidden = np.zeros(len(places), dtype=np.bool_)
     for body in scene.bodies:
@@ -156,7 +157,22 @@ def _hidden_count(scene: Scene, expected: Expected, forward: FloatArray) -> int:
         corners = body.shape.corners_m
         starts, way = body.pose.to_body(places), body.pose.rotation.apply(-forward, inverse=True)
         hidden |= _meets_box(starts, way, corners.min(axis=0), corners.max(axis=0))
-    return int(hidden.sum())
+    return float(hidden.mean())
+
+
+def _hidden_markers(scene: Scene, forward: FloatArray) -> float:
+    """Return the share of the markers that are on the far sides of soft bodies, seen along a direction."""
+    if scene.markers is None:
+        return 0.0
+    places = np.array(scene.markers.positions_m)
+    hidden = np.zeros(len(places), dtype=np.bool_)
+    for body in scene.deformables:
+        if isinstance(body, SoftBody):
+            corners = body.shape.corners_m
+            starts, way = body.pose.to_body(places), body.pose.rotation.apply(-forward, inverse=True)
+            # A little smaller than the body, so that a marker on a near side does not hide itself.
+            hidden |= _meets_box(starts, way, 0.98 * corners.min(axis=0), 0.98 * corners.max(axis=0))
+    return float(hidden.mean())
 
 
 def _meets_box(starts: FloatArray, way: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:

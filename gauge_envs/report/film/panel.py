@@ -20,7 +20,7 @@ from gauge_envs.experiments.single_shot import shots_of
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.report.text import ALIGNED_TITLE, METRIC_TITLES, interval_text, score_text
-from gauge_envs.runs.replay import Replay, load_or_replay, replayed_experiment
+from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -88,13 +88,13 @@ class Take:
         return max(count - 1, 0) / replay.rate_hz
 
 
-def take_of(result: Result, file: Path, *, views_per_frame: int | None, use_withheld: bool) -> Take:
+def take_of(result: Result, file: Path, *, views_per_frame: int = 1, use_withheld: bool = False) -> Take:
     """Run the episode of a result again and return what can be drawn of it.
 
     Args:
         result: Content of the result file.
         file: The result file.
-        views_per_frame: Views of rigid bodies in each frame: 1, 2, 3 or 6; deformable bodies have one.
+        views_per_frame: Least number of views of rigid bodies in each frame: 1, 2, 3 or 6; deformable bodies have one.
         use_withheld: Whether to use also a band of low quality.
 
     Raises:
@@ -102,8 +102,9 @@ def take_of(result: Result, file: Path, *, views_per_frame: int | None, use_with
         GaugeError: See `gauge_envs.runs.replay.replayed_experiment`.
     """
     experiment = replayed_experiment(result)
-    views = None if experiment.scene.deformables else views_per_frame
-    replay = load_or_replay(result, file, views_per_frame=views)
+    # The default is stored beside the result, so that it is run once.
+    needs_more = not experiment.scene.deformables and views_per_frame > default_views_per_frame(experiment.scene)
+    replay = load_or_replay(result, file, views_per_frame=views_per_frame if needs_more else None)
     band = reference_band(experiment, use_withheld=use_withheld)
     reference = reference_path(experiment, band)
     return Take(result=result, experiment=experiment, replay=replay, band=band, reference=reference)

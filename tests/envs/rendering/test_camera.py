@@ -138,3 +138,14 @@ def test_a_still_body_does_not_hide_the_motion() -> None:
     )
     moved = scene_view(replace(scene, bodies=(*scene.bodies, wall)))
     assert abs((moved.azimuth_deg - usual.azimuth_deg + 180.0) % 360.0 - 180.0) > 45.0
+
+
+@pytest.mark.parametrize("name", ["FoamTwisting-soft", "FoamCompressing-hard"])
+def test_markers_are_on_the_sides_that_the_camera_sees(name: str) -> None:
+    scene = load_experiment(name).scene
+    foam, forward = scene.deformables[0], scene_view(scene).axes[2]
+    places = foam.pose.to_body(np.array(scene.markers.positions_m)) / (0.5 * np.array(foam.shape.size_m))
+    normals = np.where(np.abs(places) > 0.99, np.sign(places), 0.0)[:, :2]
+    towards = -foam.pose.rotation.apply(forward, inverse=True)[:2]
+    # All markers are on two neighbouring sides.
+    assert (normals @ towards > 0.0).all()

@@ -16,7 +16,8 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.envs.rendering import renderer
-from gauge_envs.envs.rendering.renderer import FIELD_OF_VIEW_DEG, SceneRenderer, scene_camera
+from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import GaugeError, MissingExtraError, ParameterError, RenderError, ResultFileError
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.report.film.film import (
@@ -61,7 +62,7 @@ def results(folder: Path) -> dict[Path, Result]:
 @pytest.fixture(scope="module")
 def take(results: dict[Path, Result]) -> Take:
     file, result = next(iter(results.items()))
-    return take_of(result, file, views_per_frame=None, use_withheld=False)
+    return take_of(result, file)
 
 
 def picture_place() -> tuple[slice, slice]:
@@ -107,7 +108,7 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, 
     assert frames[0].shape[1] == 2 * panel_width + _Scale(SIZE["height"]).gap
     assert frames[0].shape[0] % 2 == 0
     file, result = next(iter(results.items()))
-    panel = SimulatedPanel(take_of(result, file, views_per_frame=None, use_withheld=False), title="", detail="", **SIZE)
+    panel = SimulatedPanel(take_of(result, file), title="", detail="", **SIZE)
     rows, columns = picture_place()
     distances = []
     for time_s in (0.2, 0.25, 0.3):
@@ -135,20 +136,20 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(results: dict[Path, Result], 
     save_strip(results, tmp_path / "ball.png", FilmOptions(**SIZE, to_s=0.4), count=3)
     sheet = np.asarray(Image.open(tmp_path / "ball.png"))
     file, result = next(iter(results.items()))
-    take = take_of(result, file, views_per_frame=None, use_withheld=False)
+    take = take_of(result, file)
     rows, columns = picture_place()
     step = SIZE["width"] + _Scale(SIZE["height"]).gap
-    scene = take.experiment.scene
     assert result.trajectory is not None
     times_s, samples = result.trajectory.arrays()
-    own = SceneRenderer(scene, {}, **SIZE)
+    own = Pictures("rgb_array", **SIZE)
     panel = SimulatedPanel(take, title="", detail="", **SIZE)
     for column, time_s in enumerate((0.0, 0.2, 0.4)):
         drawn = sheet[rows, columns.start + column * step : columns.stop + column * step].astype(int)
         sample = int(np.argmin(np.abs(times_s - time_s)))
         pose = np.array([*1e-3 * samples[sample], 1.0, 0.0, 0.0, 0.0])
         overlay = panel.overlay(time_s, {"ball": pose})
-        expected = own.picture({"ball": pose}, {}, overlay)
+        poses = {"ball": pose}
+        expected = own.draw(take.experiment, {}, band=take.band, poses=poses, nodes_m={}, overlay=overlay)
         # A tag with the time covers a corner; rasterizers round a pixel now and then.
         assert np.abs(drawn - expected)[40:].max() <= 12
         assert overlay.markers_m[0] == pytest.approx(1e-3 * samples[sample], abs=1e-6)
@@ -178,12 +179,12 @@ def test_slow_films_use_more_views_of_the_episode() -> None:
 
 def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.ndarray:
     """Column and row of a point, by a pinhole camera of its own."""
-    camera = scene_camera(take.experiment.scene)
-    azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
+    view = scene_view(take.experiment.scene, aspect=width / height, reference=take.reference)
+    azimuth, elevation = np.radians([view.azimuth_deg, view.elevation_deg])
     forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     up = np.cross(right, forward)
-    away = scene_point_m - (np.array(camera.lookat) - camera.distance * forward)
+    away = scene_point_m - (view.target_m - view.distance_m * forward)
     scale = 0.5 * height / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / (away @ forward)
     return np.array([0.5 * width + scale * (away @ right), 0.5 * height - scale * (away @ up)]) - 0.5
 
@@ -197,8 +198,9 @@ def ghost_error_px(take: Take, shift_m: float = 0.0) -> float:
     places_m[GHOST_FRAME] = take.reference.places_m[GHOST_FRAME] + [0.0, 0.0, shift_m]
     time_s = GHOST_FRAME / FRAME_RATE_HZ
     pictures = []
-    for reference in (None, replace(take.reference, places_m=places_m)):
-        panel = SimulatedPanel(replace(take, reference=reference), title="", detail="", width=width, height=height)
+    for known_m in (np.full_like(places_m, np.nan), places_m):
+        drawn = replace(take, reference=replace(take.reference, places_m=known_m))
+        panel = SimulatedPanel(drawn, title="", detail="", width=width, height=height)
         pictures.append(panel.picture(time_s).astype(int))
         panel.close()
     changed = np.abs(pictures[1] - pictures[0]).max(axis=2) > 8
@@ -238,7 +240,7 @@ def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
 
 @needs_opengl
 def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> None:
-    takes = [take_of(result, file, views_per_frame=None, use_withheld=False) for file, result in results.items()]
+    takes = [take_of(result, file) for file, result in results.items()]
     plain = [replace(one, reference=None) for one in takes]
     panels = [SimulatedPanel(one, title="", detail="", width=320, height=240) for one in plain]
     start, end = ([panel.picture(time_s).astype(int) for panel in panels] for time_s in (0.0, panels[0].last_s))
@@ -249,9 +251,11 @@ def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> Non
     rows = np.flatnonzero(changed.any(axis=1))
     places = [one.replay.poses[-1, 0, :3].astype(float) for one in takes]
     # The balls at the end are apart by more than a ball; their pictures span what has changed.
-    tops = [pixel(np.add(place, [0.0, 0.0, 0.02]), takes[0], 320, 240)[1] for place in places]
+    radius_m = takes[0].experiment.scene.body("ball").shape.radius_m
+    view = scene_view(takes[0].experiment.scene, aspect=320 / 240, reference=takes[0].reference)
+    tops = [pixel(place + radius_m * view.axes[1], takes[0], 320, 240)[1] for place in places]
     assert abs(tops[0] - tops[1]) > 10
-    assert rows.min() == pytest.approx(min(tops), abs=8)
+    assert rows.min() == pytest.approx(min(tops), abs=4)
 
 
 @needs_opengl
