@@ -44,8 +44,8 @@ def recipe(
     """Give contact settings of an engine for a measured behaviour, with what they reach in simulation.
 
     With --explain the other way round. The settings are simulated in a slide, a drop, at rest and on a slope; those of
-    a fabric in a strip that hangs and one that droops. Exit code 1 when the simulation diverges. A value that the engine cannot reach is no failure: the nearest one is given, with
-    the reason.
+    a fabric in a strip that hangs and one that droops. Exit code 1 when the simulation diverges. A value that the
+    engine cannot reach is no failure: the nearest one is given, with the reason.
     """
     behaviour = (friction, restitution, penetration, stiffness, damping)
     if list_materials:

@@ -120,7 +120,7 @@ def stretch_stiffness(rollout: Rollout) -> Measurement:
     return stiffness(load, slope, cloth.stretch_stiffness_n_per_m, "stretches")
 
 
-def cantilever_strip(fabric: Fabric, free_m: float = BENT_FREE_M) -> Scene:
+def cantilever_strip(fabric: Fabric, free_m: float = BENT_FREE_M, *, height_m: float = 1.0) -> Scene:
     """Return a horizontal strip that is clamped at one end.
 
     Gravity is that with which rho g L^3 / D is the same for every fabric and length, so that the tip's slope is 0.04.
@@ -129,13 +129,14 @@ def cantilever_strip(fabric: Fabric, free_m: float = BENT_FREE_M) -> Scene:
     Args:
         fabric: The fabric.
         free_m: Free length L [m]; the clamp is a third of it, and the width two thirds.
+        height_m: Height of the strip [m]. Single precision rounds small displacements least at 0.
     """
     scale = free_m / BENT_FREE_M
     density = BENT_FABRIC.areal_density_kg_per_m2 / fabric.areal_density_kg_per_m2
     bend = fabric.bend_stiffness_n_m_per_rad / BENT_FABRIC.bend_stiffness_n_m_per_rad
     gravity = BENT_GRAVITY * density * bend / scale**3
     size_m = ((1.0 + CLAMP_SHARE) * free_m, WIDTH_SHARE * free_m)
-    cloth = _strip(fabric, Pose(position_m=(0.0, 0.0, 1.0)), size_m)
+    cloth = _strip(fabric, Pose(position_m=(0.0, 0.0, height_m)), size_m)
     return clamped(
         cloth,
         Region(axis="x", side="low", depth_m=CLAMP_SHARE * free_m),

@@ -31,7 +31,15 @@ from gauge_envs.scene.fabrics import (
     uniaxial_stiffness,
 )
 
-__all__ = ["FABRIC_ENGINES", "FabricRecipe", "fabric_engine", "fabric_recipe", "fabric_snippet"]
+__all__ = [
+    "FABRIC_ENGINES",
+    "NOTHING_LOST",
+    "NOT_SIMULATED",
+    "FabricRecipe",
+    "fabric_engine",
+    "fabric_recipe",
+    "fabric_snippet",
+]
 
 FABRIC_ENGINES = tuple(MAPPINGS)
 """Engines whose constants are known, simulated or not."""
@@ -45,6 +53,8 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {"genesis": {"preset": "out_of_box"}
 Genesis's constants state nominal springs, and its defaults determine what comes of them. The default of this package's
 backend has springs of its own, which no constant of `PBD.Cloth` expresses.
 """
+
+NOTHING_LOST = "Stretch and bending stiffness are reached in simulation, and shear by the law of the engine."
 
 BENT_SHARE = 0.2
 """Free length of the cantilever over that of the conformance check, so that a soft fabric swings within a second."""
@@ -132,14 +142,15 @@ class FabricRecipe:
     @property
     def explanation(self) -> str:
         """What the mapping loses, what a strip misses, and what is not simulated."""
-        texts = [f"The mapping loses {loss}." for loss in (*self.mapped.fallbacks, *self.mapped.lost)]
+        texts = [f"A fall-back sets {fallback}." for fallback in self.mapped.fallbacks]
+        texts += [f"The mapping loses {loss}." for loss in self.mapped.lost]
         for key in self.misses:
             value = self.reached[key]
             assert value is not None, "a miss was simulated"
             ratio = value / self.asked[key]
             texts.append(f"{key}: the simulated strip has {value:.4g}, {ratio:.3g} of what is asked.")
         texts += [f"{fault}." for fault in self.faults]
-        return " ".join(texts) or "Stretch, shear and bending stiffness are reached."
+        return " ".join(texts) or NOTHING_LOST
 
     def json(self) -> dict[str, Any]:
         """Return the recipe as one JSON-ready object, with the names of a contact's recipe."""
@@ -205,7 +216,7 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
     given = dict(SETTINGS.get(key, {})) | ({} if timestep_s is None else {"timestep_s": timestep_s})
     start = time.perf_counter()
     free_m = BENT_SHARE * BENT_FREE_M
-    hung, bent = hanging_strip(fabric), cantilever_strip(fabric, free_m)
+    hung, bent = hanging_strip(fabric), cantilever_strip(fabric, free_m, height_m=0.0)
     faults: list[str] = []
     values: list[float | None] = []
     steps: list[float] = []
@@ -219,7 +230,10 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
             measured = measure(lab.rollout(scene, scene.duration_s))
         except DivergedError as error:
             faults.append(f"the simulation diverges: {error}")
-        values.append(None if measured is None or not math.isfinite(measured.measured) else measured.measured)
+        if measured is not None and not math.isfinite(measured.measured):
+            faults.append(f"{scene.deformables[0].name} of {scene.duration_s:.3g} s: {measured.hint}")
+            measured = None
+        values.append(None if measured is None else measured.measured)
         steps.append(float(lab.settings_in_force.get("timestep_s", math.nan)))
     return FabricRecipe(
         engine=key,

@@ -311,3 +311,75 @@ def newton(snippet: str, friction: float, mass: float, step: float) -> tuple[flo
         heights = path_of((0.0, 0.0, -G), RADIUS + height, 2, radius=RADIUS, moments=[moment] * 3)
         rebounds.append(restitution_of(np.array(heights) - RADIUS))
     return friction_of(step * np.arange(len(path)), path, slope), float(np.mean(rebounds))
+
+
+def mujoco_warp(snippet: str, friction: float, mass: float, step: float) -> tuple[float, float]:
+    """mujoco_warp on the CPU, from MJCF."""
+    import mujoco as mj
+    import mujoco_warp as mjw
+    import warp as wp
+
+    def path_of(geom: str, position: str, gravity: tuple[float, float, float], axis: int) -> list[float]:
+        model = mj.MjModel.from_xml_string(
+            f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/>"
+            f"<body pos='{position}'><freejoint/><geom name='foot' mass='{mass}' {geom}/></body></worldbody></mujoco>"
+        )
+        model.opt.gravity[:] = gravity
+        with wp.ScopedDevice("cpu"):
+            on_warp, state = mjw.put_model(model), mjw.put_data(model, mj.MjData(model))
+            found = [float(state.qpos.numpy()[0, axis])]
+            for _ in range(round(0.5 / step)):
+                mjw.step(on_warp, state)
+                found.append(float(state.qpos.numpy()[0, axis]))
+        return found
+
+    slope = slope_of(friction)
+    gravity = (G * math.sin(slope), 0.0, -G * math.cos(slope))
+    box = f"type='box' size='{PLATE[0] / 2} {PLATE[1] / 2} {PLATE[2] / 2}'"
+    path = path_of(box, f"0 0 {PLATE[2] / 2}", gravity, 0)
+    rebounds = []
+    for height in heights_of_drops(step)[:2]:
+        heights = path_of(f"type='sphere' size='{RADIUS}'", f"0 0 {RADIUS + height}", (0.0, 0.0, -G), 2)
+        rebounds.append(restitution_of(np.array(heights) - RADIUS))
+    return friction_of(step * np.arange(len(path)), path, slope), float(np.mean(rebounds))
+
+
+def genesis(snippet: str, friction: float, mass: float, step: float) -> tuple[float, float]:
+    """Genesis, from Python. Balls fall side by side in one scene."""
+    import genesis as gs
+
+    names: dict[str, Any] = {}
+    exec(snippet, names)
+
+    def paths_of(gravity: tuple[float, float, float], morphs: list[Any], volume: float) -> Any:
+        scene = gs.Scene(
+            show_viewer=False,
+            sim_options=gs.options.SimOptions(dt=names["DT"], gravity=gravity),
+            rigid_options=names["rigid_options"](),
+        )
+        scene.add_entity(gs.morphs.Plane(), material=names["material"]())
+        feet = []
+        for morph in morphs:
+            material = names["material"]()
+            material.rho = mass / volume
+            feet.append(scene.add_entity(morph, material=material))
+        scene.build()
+        names["set_contact"](scene)
+        found = []
+        for _ in range(round(0.5 / step)):
+            found.append([foot.get_pos().cpu().numpy() for foot in feet])
+            scene.step()
+        return np.array(found)
+
+    try:
+        slope = slope_of(friction)
+        gravity = (G * math.sin(slope), 0.0, -G * math.cos(slope))
+        plate = gs.morphs.Box(size=PLATE, pos=(0.0, 0.0, PLATE[2] / 2))
+        path = paths_of(gravity, [plate], PLATE[0] * PLATE[1] * PLATE[2])[:, 0, 0]
+        places = [(0.2 * index, 0.0, RADIUS + height) for index, height in enumerate(heights_of_drops(step))]
+        balls = [gs.morphs.Sphere(radius=RADIUS, pos=place) for place in places]
+        heights = paths_of((0.0, 0.0, -G), balls, 4.0 / 3.0 * math.pi * RADIUS**3)[:, :, 2] - RADIUS
+        rebounds = [restitution_of(column) for column in heights.T]
+    finally:
+        gs.destroy()
+    return friction_of(step * np.arange(len(path)), path, slope), float(np.mean(rebounds))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from gauge_envs.checks.recipes.explain import explain, parsed_contact
 from gauge_envs.checks.recipes.materials import material_pairs
 from gauge_envs.cli.app import app
 from gauge_envs.errors import MissingExtraError, ParameterError
+from gauge_envs.experiments.fabrics import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 
 
@@ -133,6 +135,31 @@ def test_settings_are_explained_on_the_command_line() -> None:
     assert found["reached"]["penetration_m"] == pytest.approx(found["closed_form"]["penetration_m"], rel=1e-3)
 
 
+def test_friction_need_not_be_asked() -> None:
+    found = values("--engine", "mujoco", "--restitution", "0.6", "--mass", "0.5", "--timestep", "0.002")
+    assert found["asked"]["friction"] is None
+    assert found["error"]["friction"] is None
+    assert found["misses"] == []
+    assert found["reached"]["friction"] == pytest.approx(0.5, rel=0.02)
+    assert found["reached"]["restitution"] == pytest.approx(0.6, abs=0.01)
+
+
+def test_an_engine_with_half_the_friction_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A planted fault: the engine halves the friction that it is given, whatever the search tries."""
+    cls = engine_settings("mujoco")
+    kept = cls.build
+
+    def halved(self: Any, mass_kg: float) -> Any:
+        build = kept(self, mass_kg)
+        return replace(build, friction=min(0.5 * build.friction, 0.2))
+
+    monkeypatch.setattr(cls, "build", halved)
+    found = find_recipe(cls, Aim(friction=0.6, mass_kg=0.5, timestep_s=0.002))
+    assert found.misses == ("friction",)
+    assert found.reached["friction"] == pytest.approx(0.2, rel=0.02)
+    assert "friction: 0.2 is reached" in found.explanation
+
+
 # --- materials and fabrics -------------------------------------------------------------------------------------------
 
 
@@ -152,20 +179,26 @@ def test_a_material_is_looked_up_in_the_task_files() -> None:
 
 def test_materials_are_listed() -> None:
     result = gauge("--list-materials", "--json")
-    assert [json.loads(line)["name"] for line in result.stdout.splitlines()] == [pair.name for pair in material_pairs()]
+    assert [json.loads(line)["name"] for line in result.stdout.splitlines()] == [
+        *(pair.name for pair in material_pairs()),
+        *fabrics(),
+    ]
 
 
+@pytest.mark.slow
 def test_a_fabric_states_what_its_mapping_loses() -> None:
-    found = values("--fabric", "satin", "--engine", "newton")
+    pytest.importorskip("newton")
+    found = values("--material", "satin", "--engine", "newton")
     assert found["settings"]["tri_ke"] == pytest.approx(28.576437)
+    assert found["reached"]["stretch_n_per_m"] == pytest.approx(77.156, rel=0.02)
     assert "shear: 28.58 N/m instead of 1.008" in found["explanation"]
     assert "tri_ke=28.5764" in found["snippet"]
 
 
 @pytest.mark.parametrize("width", ["40", "140"])
 def test_a_terminal_does_not_cut_what_is_to_be_pasted(width: str) -> None:
-    snippet = values("--fabric", "satin", "--engine", "newton")["snippet"]
-    text = CliRunner(env={"COLUMNS": width}).invoke(app, ["recipe", "--fabric", "satin", "--engine", "newton"]).stdout
+    snippet = values("--material", "satin", "--engine", "isaac")["snippet"]
+    text = CliRunner(env={"COLUMNS": width}).invoke(app, ["recipe", "--material", "satin", "--engine", "isaac"]).stdout
     assert text.endswith(snippet)
 
 
@@ -188,7 +221,11 @@ GOOD = {"--engine": "mujoco", "--friction": "0.4", "--mass": "0.5", "--timestep"
         ("--damping", "3", "give a stiffness and no restitution"),
         ("--engine", "bullet", "unknown engine 'bullet'; did you mean pybullet?"),
         ("--material", "wood-on-wod", "unknown material 'wood-on-wod'; did you mean wood-on-wood"),
-        ("--fabric", "silk", "leave the other options out"),
+        ("--restitution", "1.2", "restitution 1.2: a recipe is measured for 0 to 1"),
+        ("--friction", "-1", "friction -1: a recipe is measured for 0.01 to 2"),
+        ("--timestep", "0", "timestep 0 s: a recipe is measured for 5e-05 to 0.05 s"),
+        ("--material", "satin", "leave the other options out"),
+        ("--material", "sattin", "did you mean satin"),
         ("--explain", "solref=1 1", "leave the other options out"),
     ],
 )
@@ -215,11 +252,17 @@ def test_wrong_settings_are_refused(text: str, message: str) -> None:
         parsed_contact(engine_settings("mujoco"), text, 0.002)
 
 
-@pytest.mark.parametrize("missing", ["--engine", "--friction", "--mass", "--timestep"])
+@pytest.mark.parametrize("missing", ["--engine", "--mass", "--timestep"])
 def test_a_missing_option_is_named(missing: str) -> None:
     result = gauge(*(word for pair in GOOD.items() if pair[0] != missing for word in pair))
     assert result.exit_code == 2
     assert f"{missing} is missing" in result.output
+
+
+def test_a_request_that_asks_for_nothing_is_refused() -> None:
+    result = gauge("--engine", "mujoco", "--mass", "0.5", "--timestep", "0.002")
+    assert result.exit_code == 2
+    assert "nothing is asked: add --friction 0.4" in " ".join(result.output.split())
 
 
 def test_an_engine_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -249,4 +292,4 @@ def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch: pytest.MonkeyPat
 
 
 def test_engines_of_recipes_are_named() -> None:
-    assert engine_names() == ("mujoco", "mujoco_warp", "newton", "physx", "pybullet", "rapier", "drake")
+    assert engine_names() == ("mujoco", "mujoco_warp", "newton", "physx", "pybullet", "rapier", "drake", "genesis")

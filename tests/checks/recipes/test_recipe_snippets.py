@@ -17,10 +17,11 @@ MODULES = {
     "pybullet": "pybullet",
     "drake": "pydrake",
     "newton": "newton",
+    "mujoco_warp": "mujoco_warp",
+    "genesis": "genesis",
 }
-ENGINES = [
-    pytest.param(name, marks=[pytest.mark.slow] if name in ("pybullet", "drake", "newton") else []) for name in MODULES
-]
+HEAVY = ("pybullet", "drake", "newton", "mujoco_warp", "genesis")
+ENGINES = [pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else []) for name in MODULES]
 
 
 @cache
@@ -53,3 +54,16 @@ def test_a_plain_loop_with_twice_the_step_is_noticed() -> None:
     snippet = recipe("mujoco").settings.snippet(MASS_KG)
     _, restitution = plain_loops.mujoco(snippet, FRICTION, MASS_KG, STEP_S, stepped=2.0)
     assert abs(restitution - RESTITUTION) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [('friction="0.4 0.4', 'friction="40 40'), ("-800", "-0.8")],
+    ids=["friction in per cent", "damping per millisecond"],
+)
+def test_a_snippet_with_a_wrong_unit_is_noticed(right: str, wrong: str) -> None:
+    """Planted faults: one number of the snippet is in another unit."""
+    snippet = recipe("mujoco").settings.snippet(MASS_KG)
+    assert right in snippet
+    friction, restitution = plain_loops.mujoco(snippet.replace(right, wrong), FRICTION, MASS_KG, STEP_S)
+    assert max(abs(friction - FRICTION), abs(restitution - RESTITUTION)) > 0.1
