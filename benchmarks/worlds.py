@@ -1,17 +1,22 @@
 """Environment steps a second of the slope slider by the number of worlds, on engines side by side in one run.
 
     python benchmarks/worlds.py --worlds 1 16 256 1024 --engines newton mujoco
-    python benchmarks/worlds.py --device cuda:0 --engines newton --worlds 1024 4096 16384
+    python benchmarks/worlds.py --rollout --engines newton --worlds 256 4096
+    python benchmarks/worlds.py --engine-stub --worlds 256 4096 16384
+    python benchmarks/worlds.py --device cuda:0 --rollout --engines newton --worlds 1024 4096 16384
 
-An episode is stepped to its end and scored in one pass over all worlds (`score_arrays=True`). Times are for one
-environment step, which is one frame of one world:
+An episode is stepped to its end and scored in one pass over all worlds (`score_arrays=True`). With `--rollout` it is
+recorded, judged and scored on the engine's device (`GaugeVectorEnv.rollout`). Times are for one environment step, which
+is one frame of one world:
 
-- `engine`: in the engine, up to the last frame;
-- `python`: reading, judging, rewards, observations and infos;
-- `run on`: in the engine after the last frame, for the release alignment;
+- `engine`: in the engine, up to the last frame; in a rollout up to the end of the record;
+- `host`: reading, judging, rewards, observations and infos; in a rollout the judgement;
+- `run on`: in the engine after the last frame, for the release alignment; in a rollout it is part of `engine`;
 - `scoring`: the scores of all worlds.
 
-The ratio is that of the steps a second to those of the first engine with as many worlds.
+`--engine-stub` replaces the engine by stored states that cost nothing, stepped and rolled out, so that the rest is
+left. `--cpu-time` counts processor time, for a CPU that other programs share; it is no measure of a GPU.
+The ratio is that of the steps a second to those of the first row with as many worlds.
 """
 
 from __future__ import annotations
@@ -20,6 +25,7 @@ import argparse
 import json
 import statistics
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -27,9 +33,15 @@ import gymnasium
 import numpy as np
 
 import gauge_envs  # noqa: F401  registers the ids
-from gauge_envs.backends import Simulation
+from gauge_envs.backends import Recording, Simulation, World, Worlds
+from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.envs.rollout import RecordedEpisodes
+from gauge_envs.evaluation.device_scores import device_array
+from gauge_envs.scene import Scene
 
 NAME = "SlopeSlider-2-wood"
+
+clock = time.perf_counter
 
 
 @dataclass
@@ -40,50 +52,163 @@ class Row:
     worlds: int
     make_s: float
     engine_us: float
-    python_us: float
+    host_us: float
     run_on_us: float
     scoring_us: float
     steps_per_s: float
 
 
-def measured(engine: str, worlds: int, settings: dict[str, Any], repeats: int, name: str = NAME) -> Row:
+def measured(
+    engine: str, worlds: int, settings: dict[str, Any], repeats: int, name: str = NAME, *, rollout: bool = False
+) -> Row:
     """Return the times of an engine."""
-    start = time.perf_counter()
+    start = clock()
     envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=worlds, backend=engine, settings=settings, score_arrays=True)
-    make_s = time.perf_counter() - start
-    inner = envs.unwrapped
-    actions = np.zeros(worlds, dtype=np.int64)
-    parts = []
-    for _ in range(repeats):
-        envs.reset(seed=0)
-        spent = _timed_engine(inner)
-        frames, stepping_s, over = 0, 0.0, False
-        while not over:
-            start = time.perf_counter()
-            # The wrapper scores in the last step; stepping below it keeps the two apart.
-            *_, terminations, truncations, _ = inner.step(actions)
-            stepping_s += time.perf_counter() - start
-            frames += 1
-            over = bool((terminations | truncations).all())
-        engine_s = spent[0]
-        start = time.perf_counter()
-        inner.score_arrays()
-        run_on_s = spent[0] - engine_s
-        scoring_s = time.perf_counter() - start - run_on_s
-        seconds = (engine_s, stepping_s - engine_s, run_on_s, scoring_s)
-        parts.append([1e6 * part / (frames * worlds) for part in seconds])
+    make_s = clock() - start
+    frames = envs.unwrapped.experiment.frame_count - 1
+    measure = _rolled_out if rollout else _stepped
+    # The first episode loads kernels.
+    parts = [measure(envs) for _ in range(repeats + rollout)][int(rollout) :]
     envs.close()
-    engine_us, python_us, run_on_us, scoring_us = (statistics.median(part) for part in zip(*parts, strict=True))
+    medians = (1e6 * statistics.median(part) / (frames * worlds) for part in zip(*parts, strict=True))
+    engine_us, host_us, run_on_us, scoring_us = medians
     return Row(
         engine=engine,
         worlds=worlds,
         make_s=round(make_s, 2),
         engine_us=engine_us,
-        python_us=python_us,
+        host_us=host_us,
         run_on_us=run_on_us,
         scoring_us=scoring_us,
-        steps_per_s=1e6 / (engine_us + python_us + run_on_us + scoring_us),
+        steps_per_s=1e6 / (engine_us + host_us + run_on_us + scoring_us),
     )
+
+
+def _stepped(envs: Any) -> tuple[float, float, float, float]:
+    """Return the seconds of an episode in the engine, on the host, running on and scoring."""
+    envs.reset(seed=0)
+    inner = envs.unwrapped
+    actions = np.zeros(envs.num_envs, dtype=np.int64)
+    spent = _timed_engine(inner)
+    stepping_s, over = 0.0, False
+    while not over:
+        start = clock()
+        # The wrapper scores in the last step; stepping below it keeps the two apart.
+        *_, terminations, truncations, _ = inner.step(actions)
+        stepping_s += clock() - start
+        over = bool((terminations | truncations).all())
+    engine_s = spent[0]
+    start = clock()
+    inner.score_arrays()
+    run_on_s = spent[0] - engine_s
+    return engine_s, stepping_s - engine_s, run_on_s, clock() - start - run_on_s
+
+
+def _rolled_out(envs: Any) -> tuple[float, float, float, float]:
+    """Return the seconds of a rollout in the engine, on the host and scoring; the engine runs on within the record."""
+    envs.reset(seed=0)
+    inner = envs.unwrapped
+    spent = {"record": 0.0, "scores": 0.0}
+
+    def timed(call: Any, part: str) -> Any:
+        def run(*arguments: Any, **keywords: Any) -> Any:
+            start = clock()
+            result = call(*arguments, **keywords)
+            if part == "record":
+                _wait(result)
+            spent[part] += clock() - start
+            return result
+
+        return run
+
+    record, scores = inner.worlds.record, RecordedEpisodes.scores
+    inner.worlds.record = timed(record, "record")
+    RecordedEpisodes.scores = timed(scores, "scores")  # type: ignore[method-assign]
+    start = clock()
+    try:
+        result = inner.rollout()
+    finally:
+        inner.worlds.record = record
+        RecordedEpisodes.scores = scores  # type: ignore[method-assign]
+    if result.device is None:
+        raise SystemExit(f"{inner.backend_name} records nothing on a device: leave out --rollout")
+    rest_s = clock() - start - sum(spent.values())
+    return spent["record"], rest_s, 0.0, spent["scores"]
+
+
+def _wait(recording: Recording) -> None:
+    """Wait for the engine; its work on a GPU would otherwise count where the result is read."""
+    positions = device_array(recording.positions_m)
+    import warp as wp
+
+    wp.synchronize_device(positions.device)
+
+
+class StillWorlds(Worlds):
+    """Worlds whose states were stored before; reading them costs nothing."""
+
+    can_record = True
+
+    def __init__(self, states: np.ndarray, world: World, count: int) -> None:
+        # One start, and slides of different accelerations, so that scores and shifts differ.
+        self.worlds = [world] * count
+        self._states = np.repeat(states[None], count, axis=0)
+        self._rates = np.linspace(0.5, 1.5, count)
+        self._recording: Recording | None = None
+
+    def reset(self, seed: int) -> None:
+        """Do nothing."""
+
+    def advance(self, seconds: float) -> None:
+        """Do nothing."""
+
+    def body_states(self, names: Sequence[str]) -> np.ndarray:
+        """Return the stored states."""
+        return self._states
+
+    def body_positions(self, names: Sequence[str]) -> np.ndarray:
+        """Return the stored positions."""
+        return self._states[:, :, :3]
+
+    def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
+        """Return the stored record of slides."""
+        if self._recording is None:
+            times_s = interval_s * np.arange((frame_count - 1) * samples + 1)
+            states = np.repeat(self._states[None], len(times_s), axis=0)
+            states[..., 0] += (times_s[:, None] ** 2 * self._rates)[:, :, None]
+            self._recording = Recording(
+                device="cpu", positions_m=states[..., :3].copy(), states=states[::samples].copy()
+            )
+        return self._recording
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class StillWorld(World):
+    """A world of `StillWorlds`."""
+
+    def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
+        self.settings = simulation.settings
+        self._states = simulation.body_states(names)
+
+    def drive(self, *_: Any) -> None:
+        """Do nothing."""
+
+    def body_states(self, names: Sequence[str]) -> np.ndarray:
+        """Return the start."""
+        return self._states
+
+
+def stub_engine() -> None:
+    """Replace the worlds of MuJoCo by stored states."""
+
+    def build_worlds(self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None) -> Worlds:
+        names = [body.name for body in scenes[0].dynamic_bodies]
+        world = StillWorld(self.build(scenes[0], settings), names)
+        return StillWorlds(world.body_states(names), world, len(scenes))
+
+    BackendMuJoCo.build_worlds = build_worlds  # type: ignore[method-assign]
 
 
 def _timed_engine(envs: Any) -> list[float]:
@@ -100,13 +225,13 @@ def _timed_engine(envs: Any) -> list[float]:
 def _counted(call: Any, spent: list[float], depth: list[int]) -> Any:
     def timed(*arguments: Any) -> Any:
         depth[0] += 1
-        start = time.perf_counter()
+        start = clock()
         try:
             return call(*arguments)
         finally:
             depth[0] -= 1
             # A method may call the other one, whose time counts once.
-            spent[0] += time.perf_counter() - start if depth[0] == 0 else 0.0
+            spent[0] += clock() - start if depth[0] == 0 else 0.0
 
     return timed
 
@@ -119,26 +244,37 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", help="Warp device of Newton")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--set", dest="changes", nargs="*", default=[], help="NAME=VALUE, for all engines")
+    parser.add_argument("--rollout", action="store_true", help="record, judge and score on the engine's device")
+    parser.add_argument("--engine-stub", action="store_true", help="replace the engine by stored states")
+    parser.add_argument("--cpu-time", action="store_true", help="count processor time in place of wall time")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    if options.cpu_time:
+        global clock
+        clock = time.process_time
     changes = {key: json.loads(value) for key, value in (text.split("=") for text in options.changes)}
+    ways = [(engine, options.rollout) for engine in options.engines]
+    if options.engine_stub:
+        stub_engine()
+        ways = [("mujoco", False), ("mujoco", True)]
     if not options.json:
         print(f"{NAME}, times for one environment step [us]; Newton on {options.device}")
-        titles = ("worlds", "engine", "python", "run on", "scoring", "steps/s", "ratio")
-        print(f"{'':8}" + "".join(f"{title:>10}" for title in titles))
+        titles = ("worlds", "engine", "host", "run on", "scoring", "steps/s", "ratio")
+        print(f"{'':16}" + "".join(f"{title:>10}" for title in titles))
     for worlds in options.worlds:
         first = 0.0
-        for engine in options.engines:
+        for engine, rollout in ways:
             settings = {**changes, **({"device": options.device} if engine == "newton" else {})}
-            row = measured(engine, worlds, settings, options.repeats)
+            row = measured(engine, worlds, settings, options.repeats, rollout=rollout)
             first = first or row.steps_per_s
             if options.json:
-                print(json.dumps(asdict(row)), flush=True)
+                print(json.dumps({**asdict(row), "rollout": rollout, "stub": options.engine_stub}), flush=True)
                 continue
-            times = (row.engine_us, row.python_us, row.run_on_us, row.scoring_us)
-            texts = [str(worlds), *(f"{part:.1f}" for part in times), f"{row.steps_per_s:.0f}"]
+            label = f"{'stub' if options.engine_stub else engine} {'rollout' if rollout else 'step'}"
+            times = (row.engine_us, row.host_us, row.run_on_us, row.scoring_us)
+            texts = [str(worlds), *(f"{part:.2f}" for part in times), f"{row.steps_per_s:.0f}"]
             texts.append(f"{row.steps_per_s / first:.2f}")
-            print(f"{engine:8}" + "".join(f"{text:>10}" for text in texts), flush=True)
+            print(f"{label:16}" + "".join(f"{text:>10}" for text in texts), flush=True)
 
 
 if __name__ == "__main__":

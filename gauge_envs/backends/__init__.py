@@ -1,6 +1,7 @@
 """Physics engines behind one interface, one folder per engine."""
 
 from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Simulation, Support, World, Worlds
+from gauge_envs.backends.recording import Recording
 from gauge_envs.backends.registry import (
     backend,
     backend_for,
@@ -17,6 +18,7 @@ __all__ = [
     "Backend",
     "FileBackend",
     "ModelFile",
+    "Recording",
     "ReplayedSimulation",
     "Simulation",
     "Support",

@@ -26,6 +26,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.recording import Recording
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 
@@ -210,9 +211,11 @@ class Worlds(ABC):
 
     Attributes:
         worlds: The instances, in the order of the scenes.
+        can_record: Whether `record` is implemented. Its worlds leave `World.fault` as it is.
     """
 
     worlds: Sequence[World]
+    can_record: ClassVar[bool] = False
 
     @abstractmethod
     def reset(self, seed: int) -> None:
@@ -256,6 +259,20 @@ class Worlds(ABC):
             names: Names of rigid bodies.
         """
         return self.body_states(names)[:, :, :3].copy()
+
+    def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
+        """Advance all worlds from now on, and record them on the engine's device without a copy to the host.
+
+        Args:
+            names: Names of moving bodies.
+            frame_count: Number of frames, with the current one as the first.
+            samples: Number of samples from one frame to the next.
+            interval_s: Time between samples [s].
+
+        Raises:
+            BackendError: The engine records nothing; `can_record` is false.
+        """
+        raise BackendError(f"{type(self).__name__} records nothing on a device: read body_states after each advance")
 
     @abstractmethod
     def close(self) -> None:

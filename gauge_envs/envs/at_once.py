@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode, Observation, reward_terms
+from gauge_envs.envs.rollout import RecordedEpisodes
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -59,6 +60,11 @@ class EpisodesAtOnce:
         self.running = np.arange(count)
         self.diverged = np.zeros(count, dtype=np.bool_)
 
+    @property
+    def can_roll_out(self) -> bool:
+        """Whether the engine records the worlds on its device."""
+        return self._worlds.can_record and not self._has_faults
+
     @staticmethod
     def fits(episodes: Sequence[Episode], worlds: Worlds) -> bool:
         """Return whether episodes can run at once: rigid bodies without drivers, on worlds that advance together."""
@@ -70,6 +76,29 @@ class EpisodesAtOnce:
             and experiment.trial is None
             and not any(isinstance(world, Simulation) for world in worlds.worlds)
         )
+
+    def roll_out(self) -> RecordedEpisodes:
+        """Advance all worlds from frame 0 to the end; the engine records them, and nothing is written here.
+
+        The episodes stay at frame 0 until `keep` takes the record, or `begin` starts the next ones.
+        """
+        return RecordedEpisodes(self._episodes, self._worlds, self._bounds)
+
+    def keep(self, recorded: RecordedEpisodes) -> None:
+        """Copy the record of episodes to the host, after which they are as if they had been stepped."""
+        positions, states = recorded.host_arrays()
+        self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(self._samples.shape)
+        self._bodies[:] = states[: len(self._bodies), :, self._rows]
+        self.frame = int(recorded.frames.max())
+        self.running = self.running[:0]
+        self._shown[:] = recorded.frames
+        for number, episode in enumerate(self._episodes):
+            episode.frame, episode.fault = int(recorded.frames[number]), recorded.faults.get(number)
+            self.diverged[number] = episode.fault is not None
+            last = states[min(episode.frame, len(self._bodies) - 1), number]
+            if episode.runs_on:
+                episode.begin_later_frame((dict(zip(self._dynamic, last[:, :7], strict=True)), {}))
+                episode.count_later_frames(int(recorded.later[number]))
 
     def begin(self) -> None:
         """Record frame 0 of all worlds; they are at their starts."""

@@ -80,14 +80,20 @@ class RigidBoundsOfWorlds:
     """Bounds of the dynamic bodies of many worlds, tested at once.
 
     Args:
-        scenes: The scene of each world, which differ in their starts.
+        scenes: The scene of each world, which differ in their starts and constants.
+
+    Attributes:
+        masses_kg: Masses of the dynamic bodies [kg], shape [world_count, body_count].
+        distances_m: Largest coordinate in each world [m], shape [world_count].
+        speeds_m_per_s: Largest component of a velocity [m/s], shape [world_count].
+        energies_j: Largest kinetic energy [J], shape [world_count].
     """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
-        self._masses = np.array([body.mass_kg for body in scenes[0].dynamic_bodies])
-        self._distances_m = np.array([scene.distance_limit_m for scene in scenes])[:, None, None]
-        self._speeds_m_per_s = np.array([scene.speed_limit_m_per_s for scene in scenes])[:, None, None]
-        self._energies_j = np.array([scene.kinetic_energy_limit_j for scene in scenes])
+        self.masses_kg = np.array([[body.mass_kg for body in scene.dynamic_bodies] for scene in scenes])
+        self.distances_m = np.array([scene.distance_limit_m for scene in scenes])
+        self.speeds_m_per_s = np.array([scene.speed_limit_m_per_s for scene in scenes])
+        self.energies_j = np.array([scene.kinetic_energy_limit_j for scene in scenes])
 
     def suspects(self, states: FloatArray) -> NDArray[np.bool_]:
         """Return which worlds may be out of bounds; `RigidBounds.fault` decides, and gives the reason.
@@ -99,13 +105,13 @@ class RigidBoundsOfWorlds:
             Shape [world_count]; true for every world that is out of bounds, and for those within rounding of a bound.
         """
         with np.errstate(invalid="ignore", over="ignore"):
-            energies_j = 0.5 * (self._masses * np.square(states[:, :, 7:10]).sum(axis=2)).sum(axis=1)
+            energies_j = 0.5 * (self.masses_kg * np.square(states[:, :, 7:10]).sum(axis=2)).sum(axis=1)
             # A comparison with NaN is false, so that each bound also catches what is not a number.
-            within = (np.abs(states[:, :, :3]) <= self._distances_m).all(axis=(1, 2))
+            within = (np.abs(states[:, :, :3]) <= self.distances_m[:, None, None]).all(axis=(1, 2))
             within &= (np.abs(states[:, :, 3:7]) <= 2.0).all(axis=(1, 2))
-            within &= (np.abs(states[:, :, 7:10]) <= self._speeds_m_per_s).all(axis=(1, 2))
+            within &= (np.abs(states[:, :, 7:10]) <= self.speeds_m_per_s[:, None, None]).all(axis=(1, 2))
             within &= np.isfinite(states[:, :, 10:]).all(axis=(1, 2))
-            within &= energies_j <= self._energies_j * (1.0 - 1e-9)
+            within &= energies_j <= self.energies_j * (1.0 - 1e-9)
         return ~within
 
 

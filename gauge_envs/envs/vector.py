@@ -22,6 +22,7 @@ from gauge_envs.envs.episode import Episode, Observation, advance_together, run_
 from gauge_envs.envs.no_reward import warn_without_reward
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.tracked import episode_picture
+from gauge_envs.envs.rollout import Rollout
 from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
@@ -145,6 +146,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         self._running: dict[int, Episode] = {}
         self._observations: list[Observation] = []
         self._is_reset = False
+        self._has_no_record = False
         fits = EpisodesAtOnce.fits(self.episodes, self.worlds)
         self._at_once = EpisodesAtOnce(self.episodes, self.worlds) if fits else None
 
@@ -185,7 +187,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             self._build(experiments)
         self.jitter = jitter
         self.worlds.reset(seeds[0])
-        self._is_reset = True
+        self._is_reset, self._has_no_record = True, False
         if self._at_once is not None:
             self._at_once.begin()
             return self._at_once.observations(), self._infos_at_once(self._at_once)
@@ -232,6 +234,70 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         infos = self._infos()
         self._running = {number: episode for number, episode in self._running.items() if not episode.is_over}
         return self._batched(), rewards, *self._flags(), infos
+
+    def rollout(self, actions: Any = None, *, keep: bool = False) -> Rollout:
+        """Simulate the whole episode after a reset, and return the scores of all worlds.
+
+        Where the engine records on its device (Newton) and the experiment is a passive one of rigid bodies, no state is
+        copied to the host before the end: there are no observations, rewards or infos. Other episodes are stepped. The
+        result says which.
+
+        Args:
+            actions: Actions of each frame as `step` takes them, shape [frame_count - 1, num_envs, ...]; None is zero.
+            keep: Whether to copy the record to the host at the end. `scores`, `score_arrays`, `render` and the records
+                of `episodes` are then as after stepping. Otherwise the environment must be reset before anything else.
+                Episodes that were stepped are always kept.
+
+        Raises:
+            ActionError: An action is wrong; see `step`.
+            EpisodeError: The environment was not reset just before, or the experiment has no reference.
+        """
+        self._check_started("rollout", started=self._is_reset)
+        if self.band is None:
+            raise EpisodeError(f"{self.experiment.id}: it has no reference, and so no scores")
+        if any(episode.frame for episode in self.episodes):
+            raise EpisodeError(f"{self.experiment.id}: a rollout starts at frame 0, call reset before it")
+        every = self._frame_actions(actions)
+        if self._at_once is None or not self._at_once.can_roll_out:
+            return self._stepped(every)
+        if any(np.any(one) for one in every):
+            self._rates(next(one for one in every if np.any(one)))
+        recorded = self._at_once.roll_out()
+        scores = recorded.scores()
+        if keep:
+            self._at_once.keep(recorded)
+        self._is_reset, self._has_no_record = keep, not keep
+        return Rollout(
+            scores=scores, diverged=recorded.faults, frames=recorded.frames, device=recorded.recording.device
+        )
+
+    def _check_record(self, call: str) -> None:
+        """Raise an error if the last episode left no record on the host."""
+        if self._has_no_record:
+            raise EpisodeError(
+                f"{self.experiment.id}: the rollout kept no record; use rollout(keep=True), or call reset before {call}"
+            )
+
+    def _frame_actions(self, actions: Any) -> Any:
+        count = self.experiment.frame_count - 1
+        if actions is None:
+            return np.zeros((count, *(self.action_space.shape or ())), dtype=self.action_space.dtype)
+        if len(actions) != count:
+            raise ActionError(f"{len(actions)} frames of actions for an episode of {count} steps")
+        return actions
+
+    def _stepped(self, actions: Any) -> Rollout:
+        """Return the result of an episode that is stepped to its end."""
+        for one in actions:
+            self.step(one)
+            if all(episode.is_over for episode in self.episodes):
+                break
+        return Rollout(
+            scores=self.score_arrays(),
+            diverged={number: one.fault for number, one in enumerate(self.episodes) if one.fault is not None},
+            frames=np.array([episode.frame for episode in self.episodes]),
+            device=None,
+        )
 
     def _step_at_once(self, at_once: EpisodesAtOnce, actions: Any) -> Step:
         if not len(at_once.running):
@@ -289,7 +355,12 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         return infos
 
     def scores(self) -> tuple[Score | None, ...]:
-        """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
+        """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`.
+
+        Raises:
+            EpisodeError: The episode was a rollout that kept no record.
+        """
+        self._check_record("scores")
         self._run_on()
         return tuple(episode.score() if episode.is_over else None for episode in self.episodes)
 
@@ -301,8 +372,9 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         A `Score` holds more, as intervals, and takes some milliseconds for each world.
 
         Raises:
-            EpisodeError: The experiment has no reference.
+            EpisodeError: The experiment has no reference, or the episode was a rollout that kept no record.
         """
+        self._check_record("score_arrays")
         if self.band is None:
             raise EpisodeError(f"{self.experiment.id}: it has no reference, and so no scores")
         self._run_on()
@@ -321,7 +393,12 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             self._at_once.run_on()
 
     def deformations(self) -> tuple[DeformationScore | None, ...]:
-        """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""
+        """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`.
+
+        Raises:
+            EpisodeError: The episode was a rollout that kept no record.
+        """
+        self._check_record("deformations")
         return tuple(episode.deformation() if episode.is_over else None for episode in self.episodes)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

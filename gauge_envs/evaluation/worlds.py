@@ -12,7 +12,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["score_worlds"]
+__all__ = ["MOST_STEPS", "is_aligned", "normalized", "score_worlds"]
 
 FloatArray = NDArray[np.float64]
 
@@ -55,16 +55,26 @@ def score_worlds(
     count = int(np.count_nonzero(known.any(axis=1)))
     frames = projected[::SAMPLES_PER_FRAME][: len(band.mean)]
     scores = {"rmse": _rmse(frames, band.mean, known, count)}
-    if band.grade is not BandGrade.LAW and experiment.trial is None:
+    if is_aligned(experiment, band):
         scores["release_offset_s"], scores["rmse_aligned"] = _aligned(projected, band.mean, known, count)
         scores["release_offset_s"][~np.isfinite(scores["rmse"])] = np.nan
         scores["rmse_aligned"][~np.isfinite(scores["rmse"])] = np.nan
+    return normalized(experiment, band, scores)
+
+
+def is_aligned(experiment: Experiment, band: Band) -> bool:
+    """Return whether worlds are also scored after the time shift that fits best; see `band_deviations`."""
+    return band.grade is not BandGrade.LAW and experiment.trial is None
+
+
+def normalized(experiment: Experiment, band: Band, scores: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return scores with those over the published baseline added, if there is one."""
     baseline = band_baseline(experiment, band)
-    if baseline is not None:
-        scores |= {
-            f"{key}_normalized": scores[key] / baseline.mean for key in ("rmse", "rmse_aligned") if key in scores
-        }
-    return scores
+    if baseline is None:
+        return scores
+    return scores | {
+        f"{key}_normalized": scores[key] / baseline.mean for key in ("rmse", "rmse_aligned") if key in scores
+    }
 
 
 def _rmse(frames: FloatArray, mean: FloatArray, known: NDArray[np.bool_], count: int) -> FloatArray:

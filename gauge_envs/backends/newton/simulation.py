@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.newton.model import WorldLayout, build_model
+from gauge_envs.backends.newton.recorder import Recorder, RecordShape
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import Stepper
+from gauge_envs.backends.recording import Recording
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
@@ -100,6 +102,8 @@ class SimulationNewton(_WorldNewton, Simulation):
 class WorldsNewton(Worlds):
     """Instances of a scene as worlds of one Newton model."""
 
+    can_record = True
+
     def __init__(self, scenes: Sequence[Scene], settings: SettingsNewton) -> None:
         self._stepper, layouts = build_model(scenes, settings)
         self.worlds = [
@@ -110,6 +114,7 @@ class WorldsNewton(Worlds):
             name: np.array([layout.rigid.bodies[name] for layout in layouts], dtype=np.intp) for name in moving
         }
         self._origins_m = np.array([layout.origin_m for layout in layouts])[:, None]
+        self._recorder: Recorder | None = None
 
     def reset(self, seed: int) -> None:
         """Return all worlds to their starts. Newton draws no random numbers here, so the seed has no effect."""
@@ -137,6 +142,14 @@ class WorldsNewton(Worlds):
             return super().body_positions(names)
         positions = self._stepper.body_positions(self._indices(names)).reshape(len(self.worlds), len(names), 3)
         return positions + self._origins_m
+
+    def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
+        """Advance all worlds and record them in Warp arrays of the model's device; see `Worlds.record`."""
+        bodies = np.column_stack([self._bodies[name] for name in names])
+        shape = RecordShape(frame_count=frame_count, samples=samples)
+        if self._recorder is None or not self._recorder.fits(bodies, shape):
+            self._recorder = Recorder(self._stepper, bodies, self._origins_m[:, 0], shape)
+        return self._recorder.run(interval_s)
 
     def _indices(self, names: Sequence[str]) -> NDArray[np.intp]:
         """Return the indices of bodies in the model, all of the first world first."""
