@@ -31,6 +31,8 @@ TEXELS = 256
 LINE_TEXELS = 5
 """Width of a line of the grid, of `TEXELS` for a pitch."""
 GRAIN_TEXELS = 128
+MOST_GRAINED = 40
+"""Largest number of bodies of a scene in which wood has a grain."""
 STILL = 0.84
 """Brightness of still and driven bodies, relative to free ones of the same material, from which they stay apart."""
 
@@ -39,8 +41,10 @@ AMBIENT, KEY, FILL = 0.54, 0.30, 0.30
 KEY_DIRECTIONS = ((0.6, 0.2),)
 """Parts of each key light to the right of the camera and away from it; the part down is 1.3."""
 
-SHADOW_TEXELS = 1536
-"""Width of the shadow map; MuJoCo's default is 4096, and software rendering takes time for each texel."""
+SHADOW_TEXELS_PER_PIXEL = 2.4
+"""Width of the shadow map, relative to the longer side of the picture: small pictures do not pay for a large map."""
+SHADOW_TEXELS = (256, 4096)
+"""Smallest and largest width of the shadow map."""
 SAMPLES = 4
 """Samples of each pixel; software rendering has no more."""
 
@@ -96,8 +100,8 @@ class Studio:
     def _add_body(self, spec: mujoco.MjSpec, body: RigidBody) -> None:
         frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
         look = look_of(body, self.materials.get(body.name))
-        if not isinstance(body.shape, Box | Cylinder):
-            # The grain of a mesh radiates from its middle, which looks like no wood.
+        if not isinstance(body.shape, Box | Cylinder) or len(self.scene.bodies) > MOST_GRAINED:
+            # The grain of a mesh radiates from its middle, which looks like no wood; on many bodies it costs time.
             look = replace(look, has_grain=False)
         if body.motion is not Motion.DYNAMIC:
             red, green, blue, opacity = look.color
@@ -147,7 +151,9 @@ def _set_quality(spec: mujoco.MjSpec, view: View, width: int, height: int) -> No
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = width, height
     visual.global_.fovy = FIELD_OF_VIEW_DEG
-    visual.quality.shadowsize, visual.quality.offsamples = SHADOW_TEXELS, SAMPLES
+    wanted = SHADOW_TEXELS_PER_PIXEL * max(width, height)
+    visual.quality.shadowsize = int(np.clip(wanted, *SHADOW_TEXELS))
+    visual.quality.offsamples = SAMPLES
     # Clipping planes, haze and shadows are relative to these two.
     spec.stat.center, spec.stat.extent = view.target_m.tolist(), view.distance_m
     visual.map.znear, visual.map.zfar = 0.02, 40.0
