@@ -11,7 +11,19 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Plane, Pose, Shape, vector
+from gauge_envs.scene.geometry import (
+    Box,
+    Capsule,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Plane,
+    Pose,
+    Shape,
+    Sphere,
+    vector,
+)
 
 __all__ = ["TOUCHING_M", "ContactFaces", "blocked_directions", "face_normal"]
 
@@ -19,6 +31,8 @@ FloatArray = NDArray[np.float64]
 
 TOUCHING_M = 1e-5
 """Largest gap between two faces that are in contact [m]: published positions have six decimals."""
+
+PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
 PARALLEL = 1.0 - 1e-9
 """Smallest cosine between normals of the same direction."""
@@ -105,7 +119,7 @@ def face_normal(pose: Pose) -> FloatArray:
     return axes[int(np.abs(axes[:, 2]).argmax())]
 
 
-def _pieces(shape: Shape, pose: Pose) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _pieces(shape: Shape | PartShape, pose: Pose) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield corners [m] and planes of flat faces, shape [face_count, 4], of the pieces of a shape, in the world.
 
     A plane is an outward normal, and minus the distance from the origin along it [m].
