@@ -21,6 +21,7 @@ from gauge_envs.scene.geometry import (
     Plane,
     Pose,
     Shape,
+    Sphere,
     vector,
 )
 
@@ -30,6 +31,8 @@ FloatArray = NDArray[np.float64]
 
 TOUCHING_M = 1e-5
 """Largest gap between two faces that are in contact [m]: published positions have six decimals."""
+
+PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
 PARALLEL = 1.0 - 1e-9
 """Smallest cosine between normals of the same direction."""
@@ -116,7 +119,7 @@ def face_normal(pose: Pose) -> FloatArray:
     return axes[int(np.abs(axes[:, 2]).argmax())]
 
 
-def _pieces(shape: Shape | Capsule | Ellipsoid, pose: Pose) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _pieces(shape: Shape | PartShape, pose: Pose) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield corners [m] and planes of flat faces, shape [face_count, 4], of the pieces of a shape, in the world.
 
     A plane is an outward normal, and minus the distance from the origin along it [m].

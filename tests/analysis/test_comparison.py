@@ -411,6 +411,9 @@ def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
     (score, *_) = grade(compare(ours), "trials").scores
     mean = np.mean([result.score.primary_normalized for result in ours])
     assert score.geometric_mean.value == pytest.approx(mean)
+    # Over one experiment, a mean has the interval of the cell that shows the same score.
+    (one,) = compare(ours).experiments
+    assert score.mean.interval_95 == one.cells[0].interval_95(COMPARED_METRICS[one.primary])
     # Repeats that differ widen the interval: their scatter is part of the uncertainty of the mean.
     (alone, *_) = grade(compare(ours[1:2]), "trials").scores
     widths = [one.geometric_mean.interval_95[1] - one.geometric_mean.interval_95[0] for one in (score, alone)]
