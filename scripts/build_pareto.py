@@ -234,8 +234,8 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
         [
             "",
             f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each with the least CPU time of "
-            f"{REPEATS} runs or more, and {once} with that of one or two. A run of more than {REPEAT_BELOW_S:g} s is "
-            f"not repeated. The slowest run of a setting took {median:.2g} times the least in the median, and over "
+            f"{REPEATS} runs or more, and {once} with that of one or two; the data file states how many. The slowest "
+            f"run of a setting took {median:.2g} times the least in the median, and more than "
             f"{SPREAD:g} times for {above} of {len(spreads)} settings. Costs in the tables are relative to MuJoCo's "
             "default preset on the same experiments and the same machine.",
             "",
