@@ -97,7 +97,7 @@ def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses() -> None:
 
 
 def test_carry_pays_over_friction_as_the_law_says() -> None:
-    """The same actions need the same friction in all worlds that hold the cube, so their share of the limit is 1 / mu."""
+    """The same actions need the same friction where the cube holds, so their share of the limit is that over mu."""
     found = control_envelope("Carry-Limit-wood", policy=LawPolicy(fraction=0.8), samples=8, settings=FAST, batch=5)
     column = [one.key for one in found.parameters].index("cube.friction")
     friction = found.parameters[column]
