@@ -248,14 +248,15 @@ def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> Non
         panel.close()
     assert np.abs(start[1] - start[0]).max() <= 12
     changed = np.abs(end[1] - end[0]).max(axis=2) > 12
-    rows = np.flatnonzero(changed.any(axis=1))
+    # Software rasterizers change a single pixel now and then.
+    rows = np.flatnonzero(changed.sum(axis=1) > 3)
     places = [one.replay.poses[-1, 0, :3].astype(float) for one in takes]
     # The balls at the end are apart by more than a ball; their pictures span what has changed.
     radius_m = takes[0].experiment.scene.body("ball").shape.radius_m
     view = scene_view(takes[0].experiment.scene, aspect=320 / 240, reference=takes[0].reference)
     tops = [pixel(place + radius_m * view.axes[1], takes[0], 320, 240)[1] for place in places]
     assert abs(tops[0] - tops[1]) > 10
-    assert rows.min() == pytest.approx(min(tops), abs=4)
+    assert rows.min() == pytest.approx(min(tops), abs=2)
 
 
 @needs_opengl
