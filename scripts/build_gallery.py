@@ -27,7 +27,7 @@ from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import Overlay
 from gauge_envs.envs.rendering.tracked import tracked_overlay
 from gauge_envs.evaluation.reference_path import reference_path
-from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.experiments.variants import beyond_variants, find_variant, variants
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.report.film.film import FilmOptions, save_film, save_strip
 from gauge_envs.report.film.layout import Caption, PanelText, strip_picture
@@ -154,6 +154,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
     "Beyond the benchmark": (
         Entry("CubeToss-acrylic"),
         Entry("ElbowToss-blocks"),
+        Entry("SiliconeBeam-52g-silicone", 0.5),
     ),
 }
 
@@ -297,7 +298,7 @@ def faults(page: str, folder: Path) -> list[str]:
         folder: Folder of the pictures.
     """
     shown = [entry.name for entries in GROUPS.values() for entry in entries]
-    families = {variant.family for variant in variants()}
+    families = {variant.family for variant in (*variants(), *beyond_variants())}
     missing = sorted(families - {find_variant(name).family for name in shown})
     found = [f"{family}: no picture of this family: add an entry" for family in missing]
     wanted = [*(picture_name(name) for name in (*shown, *CONTROLS)), *(film_name(film) for film in FILMS)]

@@ -117,7 +117,7 @@ def test_a_model_file_is_no_part_of_the_result(slide: Result) -> None:
 # --- the file beside the result ---
 
 
-def forbidden(result: Result) -> Replay:
+def forbidden(result: Result, *, views_per_frame: int | None = None) -> Replay:
     raise AssertionError("the episode ran again")
 
 

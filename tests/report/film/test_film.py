@@ -157,6 +157,7 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(results: dict[Path, Result], 
     panel.close()
 
 
+@pytest.mark.slow
 @needs_opengl
 def test_the_same_results_give_the_same_pixels(results: dict[Path, Result], tmp_path: Path) -> None:
     sheets = []

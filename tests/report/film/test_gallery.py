@@ -35,8 +35,8 @@ def test_what_is_missing_is_named(copied: Path, capsys: pytest.CaptureFixture[st
     copied.write_text(text, encoding="utf-8")
     assert build_gallery.main(["--check", "--page", str(copied)]) == 1
     assert capsys.readouterr().err.splitlines() == [
-        "StickStack-soft.webp: there is no such picture",
         "Funnel-satin.webp: there is no such picture",
+        "StickStack-soft.webp: there is no such picture",
         "Pendulum-metal.webp: the page does not show it",
         "stray.webp: it is in the folder, and no entry names it",
     ]
