@@ -18,6 +18,7 @@ from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.envs.divergence import speed_fault
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -302,7 +303,11 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._frame is not None)
-        return self._pictures.draw(self.experiment, {}, poses=self.moving_poses(), nodes_m={})
+        return self._pictures.draw(self.experiment, {}, reach=self.reach(), poses=self.moving_poses(), nodes_m={})
+
+    def reach(self) -> ReferencePath | None:
+        """Return the places that actions bring bodies to, for the camera; None where the scene says enough."""
+        return None
 
     def moving_poses(self) -> dict[str, FloatArray]:
         """Return position [m] and quaternion of each body that moves, shape [7], by name."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
 from gauge_envs.envs.control.stage import Stage
+from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -35,6 +36,10 @@ REST_M_PER_S = 0.02
 
 ARRIVAL_SHARE = 2.0 / 3.0
 """Largest part of the reward that an arrival pays for its time; the way pays the rest."""
+
+
+GOALS_IN_VIEW = 9
+"""Number of directions in which the camera of pictures looks for goals."""
 
 
 class LeastTimeLimit(ControlEnv):
@@ -103,6 +108,13 @@ class LeastTimeLimit(ControlEnv):
         self._cube_start_m = np.array(self._cube_start.position_m)
         self._driven_start_m = np.array(scene.body(self.DRIVEN).pose.position_m[:2])
         self.goal_m = np.array([self.DISTANCE_M, 0.0])
+
+    def reach(self) -> ReferencePath:
+        """Return the goals, and the places of the driven body as far from the cube as at the start."""
+        angles = np.linspace(-self.WIDEST_RAD, self.WIDEST_RAD, GOALS_IN_VIEW)
+        away = self.DISTANCE_M * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(GOALS_IN_VIEW)])
+        starts = [self.experiment.scene.body(name).pose.position_m for name in (CUBE, self.DRIVEN)]
+        return ReferencePath(names=(CUBE, self.DRIVEN), places_m=away[:, None] + np.asarray(starts), is_full=True)
 
     def _limit(self) -> Limit:
         scene = self.experiment.scene

@@ -14,6 +14,7 @@ from scipy.optimize import minimize_scalar
 from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.envs.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver
+from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
@@ -162,6 +163,16 @@ class ThrowLimit(ControlEnv):
     def _drop_m(self) -> float:
         scene = self.experiment.scene
         return scene.body(BALL).pose.position_m[2] - self._middle_m(scene)
+
+    def reach(self) -> ReferencePath:
+        """Return the largest height of the ball that the law allows, the plate below it, and the ends of its stroke."""
+        scene = self.experiment.scene
+        ball, plate = (np.asarray(scene.body(name).pose.position_m) for name in (BALL, PLATE))
+        highest = np.array([*ball[:2], self._zero_m + self.limit.value])
+        below = np.array([*ball[:2], plate[2]])
+        stroke = np.array([0.0, 0.0, STROKE_M])
+        places = [[ball, plate], [highest, below], [ball, below - stroke], [ball, below + stroke]]
+        return ReferencePath(names=(BALL, PLATE), places_m=np.array(places), is_full=True)
 
     def _limit(self) -> Limit:
         scene = self.experiment.scene

@@ -182,7 +182,8 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
             return None
         self._check_started("render", started=self._is_reset)
         return tuple(
-            self._pictures.draw(self.experiment, {}, poses=env.moving_poses(), nodes_m={}) for env in self.worlds.envs
+            self._pictures.draw(self.experiment, {}, reach=env.reach(), poses=env.moving_poses(), nodes_m={})
+            for env in self.worlds.envs
         )
 
     def close_extras(self, **_: Any) -> None:

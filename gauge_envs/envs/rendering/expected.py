@@ -7,7 +7,7 @@ until the floor, a loose cloth falls by half its size. No engine runs for them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from gauge_envs.scene import (
     Scene,
     Tether,
 )
+from gauge_envs.scene.geometry import vector
 
 __all__ = ["Expected", "expected_motion"]
 
@@ -80,10 +81,10 @@ def expected_motion(scene: Scene, reference: ReferencePath | None = None) -> Exp
 
     Args:
         scene: The scene.
-        reference: Places of the reference, or None. A body with a place follows it.
+        reference: Places of the reference, or None. A body with a place follows it, also a driven one.
     """
     ways = _Ways()
-    carriers = {driver.body: _driven_poses(scene, driver.body) for driver in scene.drivers}
+    carriers = {driver.body: _driven_poses(scene, driver.body, reference) for driver in scene.drivers}
     for name, poses in carriers.items():
         ways.add(pose.to_world(scene.body(name).shape.corners_m) for pose in poses)
     swing, supports = _swings(scene), _supports(scene)
@@ -137,10 +138,13 @@ def _way_of(
 # --- driven, hanging, flying ---
 
 
-def _driven_poses(scene: Scene, name: str) -> list[Pose]:
+def _driven_poses(scene: Scene, name: str, reference: ReferencePath | None) -> list[Pose]:
     """Return the poses of a driven body over the episode; of one that actions alone move, the ends of a short way."""
     driver = next(driver for driver in scene.drivers if driver.body == name)
     start = scene.body(name).pose
+    if reference is not None and name in reference.names:
+        places = reference.places_m[:, reference.names.index(name)]
+        return [start, *(replace(start, position_m=vector(place)) for place in places)]
     if any(motion.profiles for motion in driver.motions):
         times = np.linspace(0.0, scene.duration_s, 4 * STEPS)
         return [driver.pose(start, float(time)) for time in times]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 
@@ -62,6 +62,7 @@ class Pictures:
         rest_nodes_m: Mapping[str, NDArray[np.float64]],
         *,
         band: Band | None = None,
+        reach: ReferencePath | None = None,
         poses: Mapping[str, NDArray[np.float64]],
         nodes_m: Mapping[str, NDArray[np.float64]],
         overlay: Overlay | None = None,
@@ -72,6 +73,7 @@ class Pictures:
             experiment: The experiment; scene, materials and camera stay those of the first call until `close`.
             rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
             band: Its band, whose places the camera frames too, or None.
+            reach: Places that actions bring bodies to, which the camera frames in place of those of the band, or None.
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
             overlay: What is drawn on top of the scene, or None.
@@ -85,7 +87,9 @@ class Pictures:
             from gauge_envs.envs.rendering.renderer import SceneRenderer
 
             width, height = self._size
-            view = scene_view(experiment.scene, aspect=width / height, reference=reference_path(experiment, band))
+            view = scene_view(
+                experiment.scene, aspect=width / height, reference=reach or reference_path(experiment, band)
+            )
             self._renderer = SceneRenderer(
                 experiment.scene, rest_nodes_m, width, height, view=view, materials=experiment.materials
             )

@@ -11,6 +11,7 @@ from opengl import needs_opengl
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import GaugeEnv, load_experiment
+from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.rendering.camera import MARGIN, View, scene_view
 from gauge_envs.envs.rendering.expected import expected_motion
 from gauge_envs.envs.rendering.overlay import Overlay
@@ -80,6 +81,25 @@ def test_what_moves_is_in_the_picture_and_fills_it(name: str) -> None:
         assert ((pixels >= 0.0) & (pixels <= SIZE)).all()
     everything = np.concatenate(seen)
     assert (np.ptp(everything, axis=0) / SIZE).max() >= LEAST_SHARE
+
+
+@pytest.mark.parametrize("task", ["Carry-Limit-wood", "Push-Limit-wood", "Throw-Limit-rubber"])
+def test_a_body_that_actions_drive_stays_in_the_picture(task: str) -> None:
+    env = gymnasium.make(f"GAUGE/{task}").unwrapped
+    assert isinstance(env, ControlEnv)
+    view = scene_view(env.experiment.scene, aspect=SIZE[0] / SIZE[1], reference=env.reach())
+    seen = []
+    for seed in range(4):
+        env.reset(seed=seed)
+        over = False
+        while not over:
+            _, _, terminated, truncated, _ = env.step(env.law_action(0.95))
+            over = terminated or truncated
+            seen.append(
+                view.pixels(np.array([pose[:3] for pose in env.moving_poses().values()]), width=SIZE[0], height=SIZE[1])
+            )
+    env.close()
+    assert ((np.concatenate(seen) >= 0.0) & (np.concatenate(seen) <= SIZE)).all()
 
 
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "TextileFlinging-satin", "FoamTwisting-soft", "Pendulum-metal"])
