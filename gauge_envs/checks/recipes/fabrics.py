@@ -220,18 +220,18 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
     faults: list[str] = []
     values: list[float | None] = []
     steps: list[float] = []
-    for scene, cell, measure in (
-        (hung, {}, stretch_stiffness),
-        (bent, {"cell_m": free_m / CELLS}, bending_stiffness),
+    for quantity, scene, cell, measure in (
+        ("stretch_n_per_m", hung, {}, stretch_stiffness),
+        ("bend_n_m", bent, {"cell_m": free_m / CELLS}, bending_stiffness),
     ):
         lab = Lab(simulated, given | cell)
         measured: Measurement | None = None
         try:
             measured = measure(lab.rollout(scene, scene.duration_s))
         except DivergedError as error:
-            faults.append(f"the simulation diverges: {error}")
+            faults.append(f"{quantity}: the simulation diverges: {error}")
         if measured is not None and not math.isfinite(measured.measured):
-            faults.append(f"{scene.deformables[0].name} of {scene.duration_s:.3g} s: {measured.hint}")
+            faults.append(f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {measured.hint}")
             measured = None
         values.append(None if measured is None else measured.measured)
         steps.append(float(lab.settings_in_force.get("timestep_s", math.nan)))
