@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
+from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
@@ -32,6 +33,10 @@ LENGTH_SIGMA = 0.004 / 0.270
 
 MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
 """Uncertainty of the mass [kg]: rounding, as it is published to 0.1 g."""
+
+
+PLACES_IN_VIEW = 13
+"""Number of places of the swing that the camera of pictures looks at."""
 
 
 class PendulumLimit(ControlEnv):
@@ -107,6 +112,12 @@ class PendulumLimit(ControlEnv):
     @property
     def _target_m(self) -> float:
         return self._length_m * (1.0 - math.cos(TARGET_RAD))
+
+    def reach(self) -> ReferencePath:
+        """Return the ball's places from the target on one side to that on the other."""
+        angles = np.linspace(-TARGET_RAD, TARGET_RAD, PLACES_IN_VIEW)
+        arms = np.outer(np.cos(angles), self._hanging) + np.outer(np.sin(angles), self._sideways)
+        return ReferencePath(names=(BALL,), places_m=(self._anchor_m + arms)[:, None], is_full=True)
 
     def _limit(self) -> Limit:
         value = 1.0 / self._weight_n

@@ -30,6 +30,8 @@ __all__ = ["Expected", "expected_motion"]
 
 FloatArray = NDArray[np.float64]
 
+STILL_RAD = 1e-3
+"""Largest angle from hanging at which bodies hang still [rad]."""
 STEPS = 13
 """Moments at which a motion is looked at."""
 RESTS_WITHIN_M = 0.01
@@ -193,7 +195,7 @@ def _is_turned(poses: list[Pose]) -> bool:
 
 
 def _swings(scene: Scene) -> dict[str, list[FloatArray]]:
-    """Return the way of each body on a hinge or string to the world: as high on the other side.
+    """Return the way of each body on a hinge or string to the world: as high on the other side; none if all hang still.
 
     A body that hangs at rest is expected to swing as far as the one that may strike it.
     """
@@ -207,9 +209,9 @@ def _swings(scene: Scene) -> dict[str, list[FloatArray]]:
         flat = arm - axis * (axis @ arm)
         angle = float(np.arctan2(axis @ np.cross(down, flat), down @ flat))
         arms[joint.body] = joint, axis, angle
-    if not arms:
+    leader = max(arms.values(), key=lambda one: abs(one[2]), default=None)
+    if leader is None or abs(leader[2]) < STILL_RAD:
         return {}
-    leader = max(arms.values(), key=lambda one: abs(one[2]))
     ways = {}
     for name, (joint, axis, angle) in arms.items():
         around = axis if axis.any() else leader[1]

@@ -83,7 +83,7 @@ def test_what_moves_is_in_the_picture_and_fills_it(name: str) -> None:
     assert (np.ptp(everything, axis=0) / SIZE).max() >= LEAST_SHARE
 
 
-@pytest.mark.parametrize("task", ["Carry-Limit-wood", "Push-Limit-wood", "Throw-Limit-rubber"])
+@pytest.mark.parametrize("task", ["Carry-Limit-wood", "Push-Limit-wood", "Throw-Limit-rubber", "Pendulum-Limit-metal"])
 def test_a_body_that_actions_drive_stays_in_the_picture(task: str) -> None:
     env = gymnasium.make(f"GAUGE/{task}").unwrapped
     assert isinstance(env, ControlEnv)
