@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,7 +101,7 @@ def test_planted_faults_are_found(fault: str, monkeypatch: pytest.MonkeyPatch) -
     elif fault == "row of the band":
         mean = band.mean.copy()
         mean[[5, 6]] = mean[[6, 5]]
-        object.__setattr__(band, "mean", mean)
+        band = replace(band, mean=mean)
     elif fault == "release offset":
         monkeypatch.setattr(device_scores, "SAMPLE_INTERVAL_S", SAMPLE_INTERVAL_S * 1.001)
     else:

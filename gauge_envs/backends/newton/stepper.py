@@ -84,7 +84,7 @@ class Stepper(ABC):
         # Arrays that the solver allocated during the warm-up are zero at the start.
         self._first = self._completed(first)
         self.reset()
-        # From now on the start stays on the device; 4096 SlopeSlider worlds have 55 MB, which a reset need not send.
+        # The start stays on the device: 4096 worlds of a sliding cube have 55 MB, which a reset need not send.
         self._first = [wp.clone(array) for array in self._arrays()]
 
     def _completed(self, first: dict[int, NDArray[Any]]) -> Snapshot:

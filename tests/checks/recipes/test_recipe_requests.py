@@ -40,7 +40,8 @@ def test_a_recipe_is_one_json_object() -> None:
         *("--engine", "mujoco", "--friction", "0.4", "--restitution", "0.6", "--mass", "0.5", "--timestep", "0.002")
     )
     assert list(found) == [
-        *("engine", "asked", "settings", "snippet", "reached", "error", "explanation", "versions"),
+        *("engine", "asked", "settings", "snippet", "reached", "error"),
+        *("misses", "detail", "wall_s", "explanation", "versions"),
     ]
     assert set(found["reached"]) == {"friction", "restitution", "penetration_m", "creep_m_s"}
     assert found["error"]["friction"] == pytest.approx(found["reached"]["friction"] - 0.4)
