@@ -112,7 +112,10 @@ def check_matrix(
     if output.markdown:
         echo(matrix_markdown(columns, chosen), nl=False)
     bad = sum(finding.is_bad for column in new for finding in column.findings.values())
-    stderr.print(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")
+    if new:
+        stderr.print(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")
+    else:
+        stderr.print(f"{counted(len(columns), 'column')} of files; no check ran")
     if bad:
         raise typer.Exit(EXIT_FAILED)
 
