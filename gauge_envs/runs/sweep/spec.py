@@ -1,5 +1,7 @@
 """What a sweep covers: the model of a sweep file, and the same from keywords.
 
+A sweep file::
+
     backends = ["mujoco", "rapier"]
     variants = ["SlopeSlider-2-*", "BouncingBall-rubber"]
     repeats = 4
