@@ -58,6 +58,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"gauge_envs\.envs\.rendering\.skin\.Skin"),
     (r"py:class", r"gauge_envs\.experiments\.single_shot\.AnyExperiment"),
     (r"py:class", r"gauge_envs\.runs\.isolation\.Value"),
+    (r"py:class", r"gauge_envs\.runs\.sweep\.spec\.JitterSpec"),
 ]
 # Classes of several modules share a name, and a generated page has its sections below those of the page.
 suppress_warnings = ["ref.python", "myst.header"]
