@@ -1,9 +1,8 @@
 """Start of the `gauge` command: Ctrl-C ends it with one line, also while the package is being imported.
 
-The module is outside the package because `import gauge_envs` itself takes a third of a second.
+The module is outside the package because `import gauge_envs` itself takes a third of a second. It imports nothing
+that Python has not loaded already: a Ctrl-C that comes before the handler is in place would end in a traceback.
 """
-
-from __future__ import annotations
 
 import os
 
