@@ -151,7 +151,7 @@ class Result:
     settings_given: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
     seed: int | None = None
-    jitter: dict[str, float] = field(default_factory=dict)
+    jitter: dict[str, int | float] = field(default_factory=dict)
     marker_proxy: str = "material"
     driver_provenance: str | None = None
     dataset: dict[str, str] = field(default_factory=BUNDLED_DATA.copy)

@@ -18,7 +18,10 @@ from gauge_envs.scene.geometry import Pose, Sphere, vector
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
-__all__ = ["Jitter", "jittered", "swung"]
+__all__ = ["JITTER_FORMAT", "Jitter", "jittered", "swung"]
+
+JITTER_FORMAT = 2
+"""Number of this way to draw a start; another way gets another number, so that a sweep runs its repeats again."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import re
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import ResultFileError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import load_result
+from gauge_envs.runs.result_file import load_result, result_file_name
 
 NAME = "SlopeSlider-2-wood"
 
@@ -71,6 +72,12 @@ def test_one_damaged_file_is_skipped(
         result = CliRunner().invoke(app, [command, str(tmp_path)])
         assert result.exit_code == 1
         assert "skipped:" in result.stderr and "SlopeSlider" in result.stdout
+
+
+def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(content: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(json.dumps(content | {"jitter": {"trial": 0}}))
+    digest = hashlib.sha256(b'{"trial": 0}').hexdigest()[:8]
+    assert result_file_name(load_result(tmp_path / "a.json")) == f"{NAME}.mujoco.calibrated.jitter-{digest}.json"
 
 
 def test_a_result_whose_scene_cannot_be_built_is_skipped(content: dict[str, Any], tmp_path: Path) -> None:

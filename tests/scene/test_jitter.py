@@ -21,7 +21,7 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats, run_together
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Motion, Plane, Pose, Scene
-from gauge_envs.scene.jitter import jittered
+from gauge_envs.scene.jitter import JITTER_FORMAT, jittered
 
 STILL = Jitter(position_m=0.0, angle_rad=0.0)
 
@@ -82,6 +82,25 @@ def test_a_seed_gives_the_same_start_and_another_one_another() -> None:
     scene = load_experiment("SlopeSlider-2-wood").scene
     assert jittered(scene, Jitter(), seed=5) == jittered(scene, Jitter(), seed=5)
     assert jittered(scene, Jitter(), seed=5) != jittered(scene, Jitter(), seed=6)
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "moved_um"),
+    [
+        ("SlopeSlider-2-wood", "cube", [-183.013, -132.105, 105.663]),
+        ("SlopeContact-wood", "teh", [-259.988, -132.105, 367.679]),
+        ("WallBreaking-wood", "ball", [271.043, -497.083, -155.749]),
+        ("WallBreaking-wood", "brick-1", [1243.478, -642.988, 0.0]),
+        ("BouncingBall-rubber", "ball", [125.73, -132.105, 640.423]),
+        ("Pendulum-metal", "ball", [0.162, 0.0, 294.643]),
+    ],
+)
+def test_another_way_to_draw_starts_needs_another_format(name: str, body: str, moved_um: list[float]) -> None:
+    """The keys of sweeps hold the format: with the same one, old repeats would count as those of the new way."""
+    assert JITTER_FORMAT == 2
+    scene = load_experiment(name).scene
+    start, moved = scene.body(body).pose, jittered(scene, Jitter(), seed=0).body(body).pose
+    assert 1e6 * (np.subtract(moved.position_m, start.position_m)) == pytest.approx(moved_um, abs=2e-3)
 
 
 def test_nothing_to_jitter_is_said() -> None:

@@ -91,7 +91,8 @@ def run_sha256(
         versions: Versions of the engine's packages and of gauge-envs.
         settings: Hash of the resolved settings, or of the given ones where an engine does not resolve them.
         parameters: Name of the parameter set, or the overrides.
-        jitter: Standard deviations of the start; None for the start that the experiment states for a seed.
+        jitter: Standard deviations of the start and the number of the way to draw it; None for the start that the
+            experiment states for a seed.
     """
     return content_sha256(
         {

@@ -13,6 +13,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sweep.engine_facts import EngineFacts, engine_facts
 from gauge_envs.runs.sweep.key import KEY_LENGTH, episode_key, experiment_sha256, run_sha256
 from gauge_envs.runs.sweep.spec import MOST_EPISODES, SweepSpec
+from gauge_envs.scene.jitter import JITTER_FORMAT
 
 __all__ = ["SweepPlan", "SweepRun", "SweepTask", "plan_sweep", "remaining_tasks", "shard"]
 
@@ -196,7 +197,7 @@ def _run(
             versions=facts.versions,
             settings=str(settings) if found is None else found.sha256,
             parameters=subject.parameters,
-            jitter=None if jitter is None else jitter.to_dict(),
+            jitter=None if jitter is None else {**jitter.to_dict(), "format": JITTER_FORMAT},
         ),
         versions=facts.versions,
         shares_worlds=facts.shares_worlds,
