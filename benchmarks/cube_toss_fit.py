@@ -3,8 +3,8 @@
     python benchmarks/cube_toss_fit.py fit ENGINE OUT [--tosses 40] [--first 32] [--second 16] [--set KEY=VALUE ...]
     python benchmarks/cube_toss_fit.py report OUT          the table of docs/cube_toss.md
 
-Constants are fitted on even tosses. `cube_toss.py run` judges them on odd ones. The first points fill the box of the
-constants, the second ones half of it about the minimum of the first.
+Constants are fitted on even tosses that repeat no earlier one. `cube_toss.py run` judges them on odd ones. The first
+points fill the box of the constants, the second ones half of it about the minimum of the first.
 """
 
 from __future__ import annotations

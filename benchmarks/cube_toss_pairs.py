@@ -4,7 +4,7 @@
 
 Tosses are compared at their first contact, up to a turn about the vertical, a mirror in a vertical plane, a shift along
 the table, and the 48 symmetries of a cube. Until then a cube flies on a parabola with a constant spin, as all its
-moments of inertia are equal.
+moments of inertia are equal. Tosses that repeat an earlier one are left out.
 """
 
 from __future__ import annotations
@@ -37,9 +37,6 @@ BINS = ((0, 30), (30, 90), (90, 270), (270, 1000))
 """Pairs that are summarized together, closest first."""
 
 CUBE = Rotation.create_group("O").as_matrix()
-COPY_M = 1e-4
-"""Distance below which two tosses are one recording [m]: a tenth of the uncertainty of a start."""
-
 LATER_S = (0.05, 0.1, 0.2, 0.3)
 
 
@@ -181,16 +178,11 @@ def main() -> None:
     parser.add_argument("--engine", default="mujoco")
     options = parser.parse_args()
     data = shots()
-    contacts = _starts(range(len(data)))
-    moved = _starts(range(len(data)), perturbed=True)
+    contacts = _starts(data.trials())
+    moved = _starts(data.trials(), perturbed=True)
     noise = [_distance_m(contacts[trial], moved[trial]) for trial in contacts if trial in moved]
     print(f"{len(contacts)} tosses start in flight; the uncertainty of a start is {1e3 * np.median(noise):.2f} mm")
     pairs = closest(contacts, options.pairs)
-    copies = [pair for pair in pairs if pair.distance_m < COPY_M]
-    across = sum((pair.first - pair.second) % 2 for pair in copies)
-    print(f"{len(copies)} pairs are one recording turned about the vertical; {across} of them are across the halves")
-    left_out = {pair.second for pair in copies}
-    pairs = [pair for pair in pairs[len(copies) :] if not {pair.first, pair.second} & left_out]
     used = sorted({trial for pair in pairs for trial in (pair.first, pair.second)})
     real: dict[int, Path] = {}
     for trial in used:
