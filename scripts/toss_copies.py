@@ -1,6 +1,6 @@
 """Copies among recorded tosses: recordings that are one toss, laid elsewhere on the table.
 
-    python scripts/toss_copies.py VARIANT [--parts 20]      counts pairs of tosses by their distance
+    python scripts/toss_copies.py VARIANT [--parts 10]      counts pairs of tosses by their distance
 
 A toss may be turned about the vertical, mirrored, shifted along the table and in time, and its corners may be named in
 another order, as by a symmetry of the body. None of that changes the heights of its corners, sorted in each frame. So
@@ -133,7 +133,7 @@ def main() -> None:
     """Print how many pairs of tosses are how far apart."""
     parser = argparse.ArgumentParser(description="Count pairs of recorded tosses by their distance.")
     parser.add_argument("variant")
-    parser.add_argument("--parts", type=int, default=20, help="parts of a frame by which tosses are shifted in time")
+    parser.add_argument("--parts", type=int, default=10, help="parts of a frame by which tosses are shifted in time")
     options = parser.parse_args()
     corners_m = recorded_corners_m(options.variant)
     repeats = copies(corners_m)

@@ -1,0 +1,153 @@
+"""Restitution of the hinged blocks from the first impact of each real toss.
+
+    python benchmarks/elbow_rebound.py ENGINE OUT [--every 1] [--friction 0.2] [--restitution 0 0.125 0.25 0.375 0.5]
+
+The rebound is the normal speed of the striking corner after over before its impact, from poses. It is no restitution
+itself: frames are 7 ms apart and noisy, other corners may strike meanwhile, and a corner that slides or turns loses
+normal speed. So the same rebound is read from tosses of an engine with the same starts, the same noise and a known
+restitution. The estimate is the restitution at which the median rebounds of engine and recording agree. Even tosses.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from elbow_toss import NAME, WORLDS, records, shots
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from tosses import write
+
+from gauge_envs.backends import backend_for
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
+
+FloatArray = NDArray[np.float64]
+
+INTERVAL_S = 1.0 / 150.0
+"""Interval of simulated samples, a multiple of all time steps; recorded frames are 1/148 s apart."""
+
+DURATION_S = 0.4
+"""Time within which a first impact is looked for [s]."""
+
+NEAR_M = 0.015
+"""Height below which a corner can strike: recorded heights scatter by several millimetres."""
+
+GAP = 2
+"""Samples before and after an impact at which speeds are read."""
+
+LEAST_APPROACH_M_PER_S = 0.8
+"""Least normal speed of a corner that strikes. The noise of a recorded speed is 0.05 m/s."""
+
+DRAWS = 2000
+
+
+def rebound(heights_m: FloatArray, interval_s: float) -> tuple[int, float, float] | None:
+    """Return corner, speed of approach [m/s], and rebound of the first impact, or None without one.
+
+    Args:
+        heights_m: Heights of all corners, shape [T, V].
+        interval_s: Interval of the samples.
+    """
+    normal = np.diff(heights_m, axis=0) / interval_s
+    fall = GRAVITY_M_PER_S2 * (GAP + 0.5) * interval_s
+    for at in range(GAP + 1, len(normal) - GAP):
+        approach = fall - normal[at - GAP - 1]
+        stops = (heights_m[at] < NEAR_M) & (normal[at - 1] < 0.0) & (normal[at] > 0.25 * normal[at - 1])
+        if stops.any():
+            corner = int(np.argmax(np.where(stops, approach, 0.0)))
+            speed = float(approach[corner])
+            after = float(normal[at : at + GAP + 1, corner].max())
+            return None if speed < LEAST_APPROACH_M_PER_S else (corner, speed, after / speed)
+    return None
+
+
+def heights(positions_m: Sequence[FloatArray], rotations: Sequence[Rotation]) -> FloatArray:
+    """Return the heights of the corners of both blocks, shape [T, 16]."""
+    corners_m = load_experiment(NAME).scene.body(shots().sidecar.body).shape.corners_m
+    found = [
+        place[:, 2, None] + np.einsum("ti,vi->tv", turned.as_matrix()[:, 2], corners_m)
+        for place, turned in zip(positions_m, rotations, strict=True)
+    ]
+    return np.concatenate(found, axis=1)
+
+
+def recorded(trial: int) -> tuple[int, float, float] | None:
+    """Return the first impact of a recorded toss."""
+    both = records(trial)
+    return rebound(heights([s.positions_m for s in both], [s.rotations for s in both]), 1.0 / shots().sidecar.rate_hz)
+
+
+def noisy(states: FloatArray, draw: np.random.Generator) -> FloatArray:
+    """Return the heights of the corners in simulated states, shape [T, 2, 13], with the noise of the recording."""
+    errors = shots().sidecar.nuisances
+    shift = draw.normal(0.0, errors.position_noise_m, (len(states), 3))
+    turn = Rotation.from_rotvec(np.radians(draw.normal(0.0, errors.rotation_noise_deg, (len(states), 3))))
+    opened = np.radians(draw.normal(0.0, errors.angle_noise_deg or 0.0, len(states)))
+    own = [Rotation.from_quat(states[:, place, 3:7], scalar_first=True) for place in (0, 1)]
+    # Noise moves both blocks together about the first one, and the second one about the hinge.
+    hung = shots().sidecar.hung[0]
+    first = own[0] * turn
+    second = first * (own[0].inv() * own[1]) * Rotation.from_rotvec(np.outer(opened, hung.axis))
+    origin = states[:, 0, :3] + shift
+    return heights([origin, origin + first.apply(hung.anchor_on_m) - second.apply(hung.anchor_m)], [first, second])
+
+
+def simulated(engine: str, trials: Sequence[int], friction: float, restitution: float) -> dict[int, float | None]:
+    """Return the rebound of the first impact of each toss of an engine."""
+    bodies = shots().sidecar.bodies
+    constants = {f"{body}.friction": friction for body in bodies}
+    constants |= {f"{body}.restitution": restitution for body in bodies}
+    experiment = load_experiment(NAME, constants)
+    found: dict[int, float | None] = {}
+    for begin in range(0, len(trials), WORLDS):
+        chunk = trials[begin : begin + WORLDS]
+        worlds = backend_for(engine, None).build_worlds([with_trial(experiment, trial).scene for trial in chunk], {})
+        worlds.reset(0)
+        states = [worlds.body_states(bodies)]
+        for _ in range(round(DURATION_S / INTERVAL_S)):
+            worlds.advance(INTERVAL_S)
+            states.append(worlds.body_states(bodies))
+        worlds.close()
+        for place, trial in enumerate(chunk):
+            hit = rebound(noisy(np.array(states)[:, place], np.random.default_rng(trial)), INTERVAL_S)
+            found[trial] = None if hit is None else hit[2]
+    return found
+
+
+def crossing(restitutions: Sequence[float], medians: FloatArray, wanted: float) -> float:
+    """Return the restitution at which the medians cross a value; the ends where they do not."""
+    return float(np.interp(wanted, np.maximum.accumulate(medians), restitutions))
+
+
+def main() -> None:
+    """Print the rebounds and the estimate."""
+    parser = argparse.ArgumentParser(description="Restitution of the hinged blocks from the first impact of each toss.")
+    parser.add_argument("engine")
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--friction", type=float, default=0.2)
+    parser.add_argument("--restitution", type=float, nargs="+", default=[0.0, 0.125, 0.25, 0.375, 0.5])
+    options = parser.parse_args()
+    real = {trial: hit for trial in shots().trials("fit", every=options.every) if (hit := recorded(trial)) is not None}
+    tossed = [simulated(options.engine, list(real), options.friction, value) for value in options.restitution]
+    used = [trial for trial in real if all(one[trial] is not None for one in tossed)]
+    rows = np.array([[real[trial][2], *(one[trial] or 0.0 for one in tossed)] for trial in used])
+    draws = np.random.default_rng(0).integers(0, len(used), (DRAWS, len(used)))
+    found = [crossing(options.restitution, (m := np.median(rows[draw], axis=0))[1:], m[0]) for draw in draws]
+    medians = np.median(rows, axis=0)
+    at = crossing(options.restitution, medians[1:], medians[0])
+    low, high = np.percentile(found, [2.5, 97.5])
+    write(options.out, f"rebound-{options.engine}-{options.friction}", {"trials": used, "rows": rows.tolist()})
+    print(f"{len(used)} first impacts; recorded rebound {medians[0]:.3f}, quartiles", end=" ")
+    print(np.percentile(rows[:, 0], [25, 75]).round(3).tolist())
+    for value, median in zip(options.restitution, medians[1:], strict=True):
+        print(f"{options.engine}, restitution {value}: rebound {median:.3f}")
+    print(f"{options.engine}, friction {options.friction}: restitution {at:.3f} [{low:.3f}, {high:.3f}]")
+
+
+if __name__ == "__main__":
+    main()
