@@ -176,8 +176,9 @@ def fit(options: argparse.Namespace) -> None:
     """Write the losses of each toss at the points of the design."""
     space = SPACES[options.engine]
     settings = {key: json.loads(value) for key, value in (text.split("=", 1) for text in options.set)}
-    even = shots().trials("fit")
-    trials = [even[index] for index in np.linspace(0, len(even) - 1, options.tosses).round().astype(int)]
+    even, independent = range(0, len(shots()), 2), set(shots().trials("fit"))
+    chosen = [even[index] for index in np.linspace(0, len(even) - 1, options.tosses).round().astype(int)]
+    trials = [trial for trial in chosen if trial in independent]
     dimension, start = len(space.names), time.process_time()
     points = qmc.Sobol(dimension, seed=0).random(options.first)
     losses = [losses_at(options.engine, trials, space.changes(space.values(point)), settings) for point in points]

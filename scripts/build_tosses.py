@@ -9,8 +9,12 @@ SOURCE is a NumPy archive with the processed tosses of DAIRLab/contact-nets: `to
 Stored are positions in counts of 0.02 mm and quaternions in counts of 1/32767, both below the noise. Velocities at the
 first frame come from the frames before contact: a parabola with the known acceleration of gravity through the scaled
 positions, and a constant rate of rotation, which a body of three equal moments has in free flight. Recorded velocities
-are backward differences, hence late by half an interval and noisier. The sidecar names tosses that repeat an earlier
-one (`toss_copies.py`). All nuisances are fitted on even trials without these; odd trials judge.
+are backward differences, hence late by half an interval and noisier. All nuisances are fitted on even trials; odd
+trials judge.
+
+The sidecar names tosses that repeat an earlier one (`toss_copies.py`). The even ones among them take part in the fit of
+the nuisances, so that starts stay what they were before these tosses were known: the script prints what the fit gives
+without them.
 """
 
 from __future__ import annotations
@@ -179,7 +183,10 @@ def generate(source: Path) -> tuple[dict[str, NDArray[np.generic]], str]:
     """Return the arrays of the data file and the text of the sidecar."""
     tosses = read_tosses(source)
     repeats = copies([toss.corners_m for toss in tosses])
-    found = nuisances([toss for trial, toss in enumerate(tosses) if trial % 2 == 0 and trial not in repeats])
+    found = nuisances(tosses[::2])
+    without = nuisances([toss for trial, toss in enumerate(tosses) if trial % 2 == 0 and trial not in repeats])
+    for name, value in found.items():
+        print(f"{name}: {value:.6g}, without copies {without[name]:.6g}")
     # The text rounds the scale, and the start velocities contain it.
     scale = float(f"{found['length_scale']:.6g}")
     return arrays_of(tosses, scale), sidecar_text(source, len(tosses), repeats, found)
