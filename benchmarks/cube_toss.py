@@ -6,7 +6,7 @@
     python benchmarks/cube_toss.py report OUT              the tables of docs/cube_toss.md
 
 Each command but the last writes JSON files into the folder OUT. Odd tosses judge; `cube_toss_fit.py`
-fits constants on even ones.
+fits constants on even ones. Tosses that repeat an earlier one are left out.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> None:
 
 def floor(options: argparse.Namespace) -> None:
     """Write the errors between a toss and one with a start within the measurement."""
-    trials = shots().trials("judge")[:: options.every]
+    trials = shots().trials("judge", every=options.every)
     plain = {trial: rest for trial, *rest in toss(options.engine, trials)}
     found = []
     for trial, times_s, positions_m, rotations in toss(options.engine, trials, floor=True):
@@ -115,10 +115,10 @@ def loss(row: Mapping[str, float]) -> float:
 
 
 def recorded(options: argparse.Namespace) -> None:
-    """Write the first impacts of all recorded tosses."""
+    """Write the impacts of the independent recorded tosses."""
     data, body = shots(), load_experiment(NAME).scene.body("cube")
     found = []
-    for trial in range(len(data)):
+    for trial in data.trials():
         shot = data.shot(trial)
         rotations = Rotation.from_quat(shot.quaternions, scalar_first=True)
         struck = impacts(body, HALF_WIDTH_M, shot.times_s, shot.positions_m, rotations)

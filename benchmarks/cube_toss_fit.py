@@ -3,8 +3,8 @@
     python benchmarks/cube_toss_fit.py fit ENGINE OUT [--tosses 40] [--first 32] [--second 16] [--set KEY=VALUE ...]
     python benchmarks/cube_toss_fit.py report OUT          the table of docs/cube_toss.md
 
-Constants are fitted on even tosses. `cube_toss.py run` judges them on odd ones. The first points fill the box of the
-constants, the second ones half of it about the minimum of the first.
+Constants are fitted on even tosses that repeat no earlier one. `cube_toss.py run` judges them on odd ones. The first
+points fill the box of the constants, the second ones half of it about the minimum of the first.
 """
 
 from __future__ import annotations
@@ -176,8 +176,9 @@ def fit(options: argparse.Namespace) -> None:
     """Write the losses of each toss at the points of the design."""
     space = SPACES[options.engine]
     settings = {key: json.loads(value) for key, value in (text.split("=", 1) for text in options.set)}
-    even = shots().trials("fit")
-    trials = [even[index] for index in np.linspace(0, len(even) - 1, options.tosses).round().astype(int)]
+    even, independent = range(0, len(shots()), 2), set(shots().trials("fit"))
+    chosen = [even[index] for index in np.linspace(0, len(even) - 1, options.tosses).round().astype(int)]
+    trials = [trial for trial in chosen if trial in independent]
     dimension, start = len(space.names), time.process_time()
     points = qmc.Sobol(dimension, seed=0).random(options.first)
     losses = [losses_at(options.engine, trials, space.changes(space.values(point)), settings) for point in points]

@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> None:
 
 def floor(options: argparse.Namespace) -> None:
     """Write the errors between a toss and one with a start within the measurement."""
-    trials = shots().trials("judge")[:: options.every]
+    trials = shots().trials("judge", every=options.every)
     plain = {trial: states for trial, _, states in tosses(options.engine, trials)}
     found = [row_of(one, _as_records(one, plain[one[0]])) for one in tosses(options.engine, trials, floor=True)]
     write(options.out, f"floor-{options.engine}", {"engine": options.engine, "preset": "floor", "rows": found})
@@ -102,7 +102,7 @@ def floor(options: argparse.Namespace) -> None:
 
 def pair(options: argparse.Namespace) -> None:
     """Write the differences between two engines, as if the second one were a record."""
-    trials = shots().trials("judge")[:: options.every]
+    trials = shots().trials("judge", every=options.every)
     other = {trial: states for trial, _, states in tosses(options.other, trials)}
     found = [row_of(one, _as_records(one, other[one[0]])) for one in tosses(options.engine, trials)]
     head = {"engine": f"{options.engine} from {options.other}", "preset": "default"}
@@ -268,7 +268,7 @@ def impact_of(model: mujoco.MjModel, trial: int) -> dict[str, float] | None:
 def hinge(options: argparse.Namespace) -> None:
     """Write what happens in the first impacts of the recorded tosses."""
     model = flying()
-    found = [one for trial in range(len(shots())) if (one := impact_of(model, trial)) is not None]
+    found = [one for trial in shots().trials() if (one := impact_of(model, trial)) is not None]
     write(options.out, "hinge", {"rows": found})
     print(len(found), "impacts of one corner between two flights")
     for key in ("restitution", "friction", "impulse_n_s", "relative_rate_rad_per_s", "hinge_against_n_m_s"):

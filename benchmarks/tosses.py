@@ -87,7 +87,7 @@ class Run:
         self.constants = {key: value for key, value in changes.items() if is_constant(key)}
         self.settings = {key: value for key, value in changes.items() if key not in self.constants}
         self.settings |= {"preset": options.preset} if options.preset else {}
-        self.trials = recorded.trials(options.half)[:: options.every]
+        self.trials = recorded.trials(options.half, every=options.every)
         preset = options.preset or "default"
         self.name = options.name or f"run-{options.engine}-{preset}"
         self._head = {"engine": options.engine, "preset": preset, "changes": changes}

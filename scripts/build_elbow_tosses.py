@@ -12,8 +12,9 @@ the noise. Tosses that do not begin in free flight are left out: those with fewe
 table, and those whose centre of mass is `MOST_RESIDUAL_M` or more (root mean square) off a parabola with gravity.
 
 Start velocities come from the frames before contact: those of two rigid bodies with a frictionless hinge that pass
-closest to the frames, in the sense of a robust least-squares fit of pose and velocities. All nuisances are fitted on
-even trials; odd trials judge.
+closest to the frames, in the sense of a robust least-squares fit of pose and velocities. A toss that repeats an earlier
+one (`toss_copies.py`) would be named in the sidecar; there is none. All nuisances are fitted on even trials without
+such tosses; odd trials judge.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from toss_copies import copies
 from toss_files import (
     QUATERNION_COUNTS,
     RATE_HZ,
@@ -99,12 +101,17 @@ class Toss:
         """Centre of mass of both blocks, shape [T, 3]."""
         return 0.5 * (self.positions_m + self.second[0])
 
-    def lowest_m(self) -> FloatArray:
-        """Return the height of the lowest corner of each block, shape [2, T]."""
+    def corners_m(self) -> FloatArray:
+        """Return the corners of each block, shape [2, T, 8, 3]."""
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         blocks = ((self.positions_m, self.rotations), self.second)
-        reach = [np.einsum("ti,vi->tv", r.as_matrix()[:, 2], 0.5 * SIZE_M * signs).min(axis=1) for _, r in blocks]
-        return np.array([place[:, 2] + low for (place, _), low in zip(blocks, reach, strict=True)])
+        turned = [np.einsum("tij,vj->tvi", rotations.as_matrix(), 0.5 * SIZE_M * signs) for _, rotations in blocks]
+        return np.array([place[:, None] + arms for (place, _), arms in zip(blocks, turned, strict=True)])
+
+    def lowest_m(self) -> FloatArray:
+        """Return the height of the lowest corner of each block, shape [2, T]."""
+        lowest: FloatArray = self.corners_m()[..., 2].min(axis=2)
+        return lowest
 
     @property
     def flight(self) -> int:
@@ -225,9 +232,8 @@ def rest_errors(toss: Toss, scale: float) -> tuple[list[float], list[float]]:
     return heights, tilts
 
 
-def nuisances(tosses: list[Toss], starts: list[Start], scale: float) -> dict[str, float]:
-    """Return the nuisances, fitted on even trials."""
-    fit, begun = tosses[::2], starts[::2]
+def nuisances(fit: list[Toss], begun: list[Start], scale: float) -> dict[str, float]:
+    """Return the nuisances, fitted on some trials."""
     fall = acceleration(fit)
     rest = [rest_errors(toss, scale) for toss in fit]
     heights, tilts = (np.concatenate([np.array(pair[place]) for pair in rest]) for place in (0, 1))
@@ -272,7 +278,7 @@ def arrays_of(tosses: list[Toss], starts: list[Start]) -> dict[str, NDArray[np.g
     }
 
 
-def sidecar_text(source: Path, count: int, found: dict[str, float]) -> str:
+def sidecar_text(source: Path, count: int, repeats: dict[int, int], found: dict[str, float]) -> str:
     """Return the text of the sidecar."""
     head = sidecar_head(
         source,
@@ -282,6 +288,7 @@ def sidecar_text(source: Path, count: int, found: dict[str, float]) -> str:
         trial_count=count,
         position_unit_m=POSITION_UNIT_M,
         origin=SOURCE_TEXT,
+        copies=repeats,
     )
     lines = [
         *head,
@@ -304,10 +311,13 @@ def generate(source: Path) -> tuple[dict[str, NDArray[np.generic]], str]:
     tosses = in_free_flight(recorded, float(np.median(acceleration(recorded))))
     print(f"{len(tosses)} of {len(recorded)} tosses begin in free flight")
     # The text rounds the scale, and the start velocities contain it.
-    scale = float(f"{GRAVITY_M_PER_S2 / float(np.median(acceleration(tosses[::2]))):.4g}")
+    repeats = copies([np.concatenate(toss.corners_m(), axis=1) for toss in tosses])
+    fit = [trial for trial in range(0, len(tosses), 2) if trial not in repeats]
+    scale = float(f"{GRAVITY_M_PER_S2 / float(np.median(acceleration([tosses[trial] for trial in fit]))):.4g}")
     flying = model(GRAVITY_M_PER_S2)
     starts = [start_of(toss, scale, flying) for toss in tosses]
-    return arrays_of(tosses, starts), sidecar_text(source, len(tosses), nuisances(tosses, starts, scale))
+    found = nuisances([tosses[trial] for trial in fit], [starts[trial] for trial in fit], scale)
+    return arrays_of(tosses, starts), sidecar_text(source, len(tosses), repeats, found)
 
 
 def main() -> int:

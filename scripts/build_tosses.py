@@ -11,6 +11,10 @@ first frame come from the frames before contact: a parabola with the known accel
 positions, and a constant rate of rotation, which a body of three equal moments has in free flight. Recorded velocities
 are backward differences, hence late by half an interval and noisier. All nuisances are fitted on even trials; odd
 trials judge.
+
+The sidecar names tosses that repeat an earlier one (`toss_copies.py`). The even ones among them take part in the fit of
+the nuisances, so that starts stay what they were before these tosses were known: the script prints what the fit gives
+without them.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from toss_copies import copies
 from toss_files import (
     QUATERNION_COUNTS,
     RATE_HZ,
@@ -63,11 +68,16 @@ class Toss:
     rates_body: FloatArray
 
     @property
+    def corners_m(self) -> FloatArray:
+        """Corners of the cube, shape [T, 8, 3]."""
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        turned: FloatArray = np.einsum("tij,vj->tvi", self.rotations.as_matrix(), HALF_WIDTH_M * signs)
+        return self.positions_m[:, None] + turned
+
+    @property
     def flight(self) -> int:
         """Number of frames before the cube is near the table."""
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        corners = np.einsum("tij,vj->tvi", self.rotations.as_matrix(), HALF_WIDTH_M * signs)[:, :, 2]
-        low = self.positions_m[:, 2] + corners.min(axis=1) < CLEAR_M
+        low = self.corners_m[:, :, 2].min(axis=1) < CLEAR_M
         return int(np.argmax(low)) if low.any() else len(low)
 
     def flight_times_s(self, least: int = 0) -> FloatArray:
@@ -88,9 +98,8 @@ def read_tosses(source: Path) -> list[Toss]:
     return tosses
 
 
-def nuisances(tosses: list[Toss]) -> dict[str, float]:
-    """Return the nuisances, fitted on even trials."""
-    fit = tosses[::2]
+def nuisances(fit: list[Toss]) -> dict[str, float]:
+    """Return the nuisances, fitted on some trials."""
     flights = [toss for toss in fit if toss.flight >= LEAST_FLIGHT]
     fall, residuals, turning, lags = [], [], [], []
     for toss in flights:
@@ -150,7 +159,7 @@ def arrays_of(tosses: list[Toss], scale: float) -> dict[str, NDArray[np.generic]
     }
 
 
-def sidecar_text(source: Path, count: int, found: dict[str, float]) -> str:
+def sidecar_text(source: Path, count: int, repeats: dict[int, int], found: dict[str, float]) -> str:
     """Return the text of the sidecar."""
     head = sidecar_head(
         source,
@@ -160,6 +169,7 @@ def sidecar_text(source: Path, count: int, found: dict[str, float]) -> str:
         trial_count=count,
         position_unit_m=POSITION_UNIT_M,
         origin=SOURCE_TEXT,
+        copies=repeats,
     )
     lines = [
         *head,
@@ -172,10 +182,14 @@ def sidecar_text(source: Path, count: int, found: dict[str, float]) -> str:
 def generate(source: Path) -> tuple[dict[str, NDArray[np.generic]], str]:
     """Return the arrays of the data file and the text of the sidecar."""
     tosses = read_tosses(source)
-    found = nuisances(tosses)
+    repeats = copies([toss.corners_m for toss in tosses])
+    found = nuisances(tosses[::2])
+    without = nuisances([toss for trial, toss in enumerate(tosses) if trial % 2 == 0 and trial not in repeats])
+    for name, value in found.items():
+        print(f"{name}: {value:.6g}, without copies {without[name]:.6g}")
     # The text rounds the scale, and the start velocities contain it.
     scale = float(f"{found['length_scale']:.6g}")
-    return arrays_of(tosses, scale), sidecar_text(source, len(tosses), found)
+    return arrays_of(tosses, scale), sidecar_text(source, len(tosses), repeats, found)
 
 
 def main() -> int:

@@ -53,7 +53,15 @@ def slope_error(count: int) -> float:
 
 
 def sidecar_head(
-    source: Path, *, script: str, name: str, body: str, trial_count: int, position_unit_m: float, origin: str
+    source: Path,
+    *,
+    script: str,
+    name: str,
+    body: str,
+    trial_count: int,
+    position_unit_m: float,
+    origin: str,
+    copies: Mapping[int, int],
 ) -> list[str]:
     """Return the first lines of a sidecar.
 
@@ -65,6 +73,7 @@ def sidecar_head(
         trial_count: Number of tosses.
         position_unit_m: Metres of one count of a position.
         origin: Where the source is from, in words.
+        copies: Tosses that repeat an earlier one, with the number of that one.
     """
     return [
         f"# Written by scripts/{script}; do not edit.",
@@ -76,8 +85,16 @@ def sidecar_head(
         f'source = "{origin}"',
         f'source_sha256 = "{hashlib.sha256(source.read_bytes()).hexdigest()}"',
         f'licence = "{name}.LICENSE"',
+        *_copies_lines(copies),
         "",
     ]
+
+
+def _copies_lines(copies: Mapping[int, int]) -> list[str]:
+    if not copies:
+        return []
+    rows = [f"    {{ trial = {trial}, of = {copies[trial]} }}," for trial in sorted(copies)]
+    return ["# The same recording as an earlier one, laid elsewhere on the table.", "copies = [", *rows, "]"]
 
 
 def write_or_check(

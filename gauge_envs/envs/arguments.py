@@ -213,10 +213,13 @@ def start_of(experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed
     Args:
         experiment: The experiment.
         jitter: Standard deviations or trial that were asked for, or None.
-        seed: Seed of the episode; it selects trial `seed` modulo the number of trials.
+        seed: Seed of the episode; modulo their number it counts the trials that repeat no other one.
     """
     shots = shots_of(experiment)
-    return jitter if jitter is not None or shots is None else TrialStart(seed % len(shots))
+    if jitter is not None or shots is None:
+        return jitter
+    trials = shots.trials()
+    return TrialStart(trials[seed % len(trials)])
 
 
 def check_support(experiment: Experiment, backend: str) -> None:

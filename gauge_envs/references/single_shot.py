@@ -8,13 +8,13 @@ by the nuisances when they are read. Bodies that hang on the recorded body by hi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, NonNegativeInt, PositiveInt, model_validator
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -25,7 +25,16 @@ from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Half", "HungBody", "ShotNuisances", "ShotSidecar", "SingleShot", "SingleShots", "single_shots"]
+__all__ = [
+    "CopiedTrial",
+    "Half",
+    "HungBody",
+    "ShotNuisances",
+    "ShotSidecar",
+    "SingleShot",
+    "SingleShots",
+    "single_shots",
+]
 
 FloatArray = NDArray[np.float64]
 Half = Literal["fit", "judge"]
@@ -99,6 +108,18 @@ class HungBody(FileModel):
     axis: UnitAxis
 
 
+class CopiedTrial(FileModel):
+    """A trial that is the same recording as an earlier one, laid elsewhere on the table: it is no trial of its own.
+
+    Attributes:
+        trial: Number of the trial.
+        of: Number of the earlier one, which is no copy itself.
+    """
+
+    trial: NonNegativeInt
+    of: NonNegativeInt
+
+
 class ShotSidecar(FileModel):
     """What is known about the recordings of a variant.
 
@@ -113,6 +134,7 @@ class ShotSidecar(FileModel):
         licence: File in the same folder with the licence of the recordings.
         nuisances: Errors of the recordings.
         hung: Bodies that hang on the recorded body, in the order of the recorded angles.
+        copies: Trials that repeat an earlier one.
     """
 
     body: str
@@ -125,6 +147,7 @@ class ShotSidecar(FileModel):
     licence: str
     nuisances: ShotNuisances
     hung: tuple[HungBody, ...] = ()
+    copies: tuple[CopiedTrial, ...] = ()
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -140,6 +163,14 @@ class ShotSidecar(FileModel):
         errors = (self.nuisances.angle_noise_deg, self.nuisances.start_angle_rate_std_rad_per_s)
         if any((error is None) == bool(self.hung) for error in errors):
             raise ValueError("nuisances: errors of angles go together with hung bodies")
+        return self
+
+    @model_validator(mode="after")
+    def _earlier(self) -> ShotSidecar:
+        repeats = {copy.trial for copy in self.copies}
+        for copy in self.copies:
+            if not copy.of < copy.trial < self.trial_count or copy.of in repeats or len(repeats) < len(self.copies):
+                raise ValueError(f"copies: each trial once, of an earlier one that is no copy, but {copy} is listed")
         return self
 
 
@@ -210,6 +241,8 @@ class SingleShot:
 class SingleShots:
     """All recorded trials of a variant.
 
+    Trials keep the numbers of the data set, copies too. The trials of a half are independent: copies are in none.
+
     Attributes:
         variant: Name of the variant.
         sidecar: What is known about them.
@@ -223,9 +256,20 @@ class SingleShots:
     def __len__(self) -> int:
         return self.sidecar.trial_count
 
-    def trials(self, half: Half) -> tuple[int, ...]:
-        """Return the trials that constants may be fitted on, or those that judge: even and odd numbers."""
-        return tuple(range(0 if half == "fit" else 1, len(self), 2))
+    @cached_property
+    def copies(self) -> dict[int, int]:
+        """Trials that repeat an earlier one, with the number of that one."""
+        return {copy.trial: copy.of for copy in self.sidecar.copies}
+
+    def trials(self, half: Half | None = None, *, every: int = 1) -> tuple[int, ...]:
+        """Return independent trials: without those that repeat an earlier one.
+
+        Args:
+            half: `fit` for even numbers, which constants may be fitted on; `judge` for odd ones; None for all.
+            every: Count of trials, copies included, from one to the next.
+        """
+        first, step = {"fit": (0, 2), "judge": (1, 2), None: (0, 1)}[half]
+        return tuple(trial for trial in range(first, len(self), step * every) if trial not in self.copies)
 
     def shot(self, trial: int, body: str | None = None) -> SingleShot:
         """Return one trial of one body.
@@ -303,6 +347,7 @@ class SingleShots:
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
         mean = 1e3 * np.concatenate([shot.poses_at(times_s)[0] for shot in shots], axis=1)
         sigma = 1e3 * float(np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m))
+        repeats = f" (the same recording as trial {self.copies[trial]})" if trial in self.copies else ""
         return Band(
             grade=BandGrade.TRIALS,
             unit="mm",
@@ -312,7 +357,7 @@ class SingleShots:
             sigma=np.full_like(mean, sigma),
             measured=times_s <= shots[0].duration_s,
             trial_count=1,
-            source=f"trial {trial} of {self.sidecar.source}",
+            source=f"trial {trial}{repeats} of {self.sidecar.source}",
             sigma_source=SigmaSource.MEASUREMENT,
             uncertainty=np.full_like(mean, sigma),
             normalized_by_baseline=False,
