@@ -627,6 +627,20 @@ def test_engines_without_a_reference_get_a_panel_of_their_distance():
     assert not any("distance" in axis.get_ylabel() for axis in draw_experiment([made(FOAM)]).axes)
 
 
+def test_rounding_errors_do_not_fill_a_panel():
+    figure = draw_experiment([made(FOAM, motion=along(60.0))])
+    limits = [axis.get_ylim() for axis in figure.axes[:3]]
+    widest = max(high - low for low, high in limits)
+    assert all(high - low >= 0.019 * widest for low, high in limits)
+
+
+def test_a_score_without_a_scatter_is_drawn_with_its_unit():
+    figure = draw_experiment([made(score=Score(grade="trials", unit="mm", rmse=0.03))])
+    texts = [text.get_text() for text in figure.axes[-1].texts]
+    assert "0.03 mm, not normalized" in texts
+    assert "no reference" in texts  # DTW, of which there is no score at all.
+
+
 def places_of(axis):
     """Places of the dots of a panel."""
     return {float(line.get_xdata()[0]) for line in axis.get_lines() if len(line.get_xdata())}

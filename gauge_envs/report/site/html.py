@@ -15,7 +15,7 @@ from typing import Any
 from gauge_envs.files import printable
 from gauge_envs.report.sanity_page import STYLE
 
-__all__ = ["SITE_STYLE", "Html", "element", "join", "page", "script_value", "slug", "table"]
+__all__ = ["SITE_STYLE", "Html", "code", "element", "join", "page", "script_value", "slug", "table"]
 
 Text = str | float | int | None
 
@@ -26,8 +26,11 @@ class Html(str):
     __slots__ = ()
 
 
-VOID = ("br", "col", "input", "link", "meta", "line", "path", "polygon", "polyline", "rect", "circle")
+VOID = ("br", "col", "input", "link", "meta", "line", "path", "polygon", "polyline", "rect", "circle", "wbr")
 """Elements without content, in HTML and SVG."""
+
+LONGEST_WORD = 34
+"""Length up to which a word of a command fits in a line of a phone [characters]."""
 
 SITE_STYLE = (
     STYLE
@@ -42,6 +45,7 @@ nav a[aria-current] { font-weight: 600; text-decoration: none; }
 .answer p { margin: .3rem 0; }
 .value { font-weight: 600; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .quiet { color: var(--quiet); font-size: .85rem; font-weight: 400; } .quiet.block { display: block; }
+.hash { display: block; font-size: .8rem; color: var(--quiet); }
 .far { background: var(--red); } .near { background: var(--blue); } .even { background: var(--amber); }
 .scroll { overflow-x: auto; } .scroll table { overflow-wrap: normal; }
 .matrix td, .matrix th { min-width: 8.2rem; } .matrix tr > :first-child { position: sticky; left: 0; min-width: 11rem;
@@ -53,7 +57,7 @@ nav a[aria-current] { font-weight: 600; text-decoration: none; }
   font-size: .9rem; }
 .swatch { display: inline-block; width: 1.4rem; height: .25rem; vertical-align: middle; margin-right: .35rem; }
 .swatch.area { height: .8rem; }
-.panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(22rem, 100%), 1fr)); gap: .8rem; }
+.panels { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); gap: .8rem; }
 .panels figure > svg, .forest figure > svg { display: block; width: 100%; max-width: 36rem; height: auto; }
 .panels figure:only-child { max-width: 36rem; }
 figure { margin: 0; min-width: 0; } figcaption { font-size: .85rem; color: var(--quiet); }
@@ -65,8 +69,10 @@ svg .one { stroke: var(--real); stroke-dasharray: 3 3; }
 .forest { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)); gap: 1rem; }
 .shares { display: flex; height: 1.1rem; width: 100%; margin: .15rem 0 .5rem; border-radius: .2rem; overflow: hidden; }
 .shares span { display: block; height: 100%; }
-pre { overflow-x: auto; background: var(--grey); padding: .5rem .7rem; border-radius: .3rem; font-size: .85rem; }
-code { overflow-wrap: anywhere; }
+pre { white-space: pre-wrap; overflow-wrap: anywhere; background: var(--grey); padding: .5rem .7rem;
+  border-radius: .3rem; font-size: .85rem; }
+code { overflow-wrap: anywhere; } .word { white-space: nowrap; }
+td code { display: inline-block; min-width: min(21rem, 70vw); }
 .replay { border: 1px solid var(--line); border-radius: .4rem; padding: .6rem; }
 .stage { position: relative; } .stage canvas { display: block; width: 100%; border-radius: .3rem;
   background: var(--stage); touch-action: pan-y; }
@@ -114,6 +120,12 @@ def join(parts: Iterable[Text | Html], between: str = "") -> Html:
     return Html(escape(between).join(texts))
 
 
+def code(text: str) -> Html:
+    """Return a command as code; a narrow screen breaks its lines between words, and not at the hyphens of options."""
+    words = (element("span", word, class_="word") if len(word) <= LONGEST_WORD else word for word in text.split(" "))
+    return element("code", join(words, " "))
+
+
 def _plain(value: Text | Html | bool) -> str:
     # Control characters are no part of HTML.
     return printable(value) if isinstance(value, str) else str(value)
@@ -135,7 +147,8 @@ def table(
         number_from: First column of numbers.
     """
     head = join(
-        element("th", title, class_="n" if index >= number_from else None) for index, title in enumerate(titles)
+        element("th", title, scope="col", class_="n" if index >= number_from else None)
+        for index, title in enumerate(titles)
     )
     body = join(
         element(
