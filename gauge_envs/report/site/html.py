@@ -39,7 +39,8 @@ SITE_STYLE = (
   --band1: #c4c4c4; --band2: #e3e3e3; --stage: #eef0f3; --floor: #d9dce1; }
 @media (prefers-color-scheme: dark) { :root { --c0: #4ba3dc; --c1: #ff8b3d; --c2: #2cc69a; --c3: #e39cc6; --c4: #e6b422;
   --c5: #7cc8f2; --real: #e6e6e6; --band1: #5c5c5c; --band2: #3a3a3a; --stage: #202328; --floor: #33373d; } }
-nav { font-size: .9rem; margin-bottom: .8rem; } nav a { margin-right: 1rem; }
+nav { font-size: .9rem; margin-bottom: .6rem; }
+nav a { display: inline-block; margin-right: 1rem; padding: .3rem 0; }
 nav a[aria-current] { font-weight: 600; text-decoration: none; }
 .answer { border-left: 4px solid #0072b2; background: var(--blue); padding: .3rem .8rem; margin: .5rem 0; }
 .answer p { margin: .3rem 0; }
@@ -81,7 +82,9 @@ td code { display: inline-block; min-width: min(21rem, 70vw); }
 .names span { position: absolute; padding: .1rem .4rem; font-size: .85rem; border-radius: .2rem;
   background: var(--back); opacity: .85; margin: .3rem; border-left: .3rem solid; }
 .controls { display: flex; flex-wrap: wrap; align-items: center; gap: .4rem .7rem; margin-top: .5rem; }
-.controls input[type=range] { flex: 1 1 10rem; min-width: 8rem; } .controls output { font-variant-numeric: tabular-nums;
+.controls input[type=range] { flex: 1 1 10rem; min-width: 8rem; height: 1.6rem; }
+.controls input[type=checkbox] { width: 1.1rem; height: 1.1rem; vertical-align: -.15rem; }
+.controls output { font-variant-numeric: tabular-nums;
   min-width: 6.5rem; } .controls button, .controls select { font: inherit; padding: .25rem .7rem; min-height: 2.2rem; }
 .controls label { white-space: nowrap; } .controls fieldset { border: 0; padding: 0; margin: 0; display: flex;
   flex-wrap: wrap; gap: .3rem .8rem; } .controls legend { float: left; margin-right: .6rem; color: var(--quiet); }
