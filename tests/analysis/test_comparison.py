@@ -28,7 +28,7 @@ from gauge_envs.report import (
 )
 from gauge_envs.report.figures.experiment import draw_experiment
 from gauge_envs.report.figures.overview import draw_overview, save_comparison
-from gauge_envs.report.figures.style import OURS
+from gauge_envs.report.figures.style import OURS, legend_above, new_figure
 from gauge_envs.report.text import score_text
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -639,6 +639,18 @@ def test_a_score_without_a_scatter_is_drawn_with_its_unit():
     texts = [text.get_text() for text in figure.axes[-1].texts]
     assert "0.03 mm, not normalized" in texts
     assert "no reference" in texts  # DTW, of which there is no score at all.
+
+
+def test_a_legend_is_no_wider_than_its_panel():
+    figure = new_figure(12.0, 5.0)
+    panel, _ = figure.subplots(1, 2, width_ratios=(1.8, 1.0))
+    aligned = [f"mujoco, effective{number}, +0.058 s to align the release" for number in range(3)]
+    for label in ["real, mean (22 trials)", "real, 1 sigma", "extrapolated, not measured", *aligned]:
+        panel.plot([], [], label=label)
+    legend_above(panel)
+    figure.draw_without_rendering()
+    assert panel.get_legend().get_window_extent().width <= panel.get_window_extent().width
+    assert panel.get_position().width > 0.5
 
 
 def places_of(axis):
