@@ -27,6 +27,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from tosses import Run, Toss, add_run_options, median, quartiles, recorded_tosses, simulated_tosses, write
 
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.evaluation.single_shot import angle_error, bootstrap_interval, shot_error
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.single_shot import with_trial
@@ -342,17 +344,19 @@ def report(options: argparse.Namespace) -> None:
         print(f"| {' | '.join(cells)} | {same:.0f} % |")
 
 
-SHOWN_TRIAL, SHOWN_S = 9, (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
+SHOWN_TRIAL, SHOWN_S = 9, (0.0, 0.1, 0.2, 0.3)
 
 
 def picture(options: argparse.Namespace) -> None:
     """Draw one toss as recorded, above the same toss in MuJoCo."""
-    from matplotlib.image import imsave
-
+    from gauge_envs.envs.rendering.camera import scene_view
     from gauge_envs.envs.rendering.renderer import SceneRenderer
+    from gauge_envs.report.film.layout import Caption, PanelText, strip_picture
+    from gauge_envs.report.film.writer import save_still
 
-    scene = with_trial(load_experiment(NAME), SHOWN_TRIAL).scene
-    renderer = SceneRenderer(scene, {}, 300, 260)
+    experiment = with_trial(load_experiment(NAME), SHOWN_TRIAL)
+    view = scene_view(experiment.scene, reference=reference_path(experiment, reference_band(experiment)))
+    renderer = SceneRenderer(experiment.scene, {}, 240, 180, view=view, materials=experiment.materials)
     ((_, times_s, states),) = tosses("mujoco", [SHOWN_TRIAL])
     rows: list[list[NDArray[np.uint8]]] = [[], []]
     for time_s in SHOWN_S:
@@ -364,8 +368,11 @@ def picture(options: argparse.Namespace) -> None:
         rows[0].append(renderer.picture(real, {}))
         rows[1].append(renderer.picture(dict(zip(shots().sidecar.bodies, simulated[:, :7], strict=True)), {}))
     renderer.close()
+    texts = [PanelText(title=title, detail="", note="") for title in ("Recorded", "MuJoCo")]
+    caption = Caption(title=f"{NAME}, toss {SHOWN_TRIAL}", subtitle=experiment.title, reference="", simulated="")
+    clocks = [f"{time_s:.2f} s" for time_s in SHOWN_S]
     options.out.mkdir(parents=True, exist_ok=True)
-    imsave(options.out / "elbow_toss.png", np.concatenate([np.concatenate(row, axis=1) for row in rows]))
+    save_still(strip_picture(rows, texts, caption, clocks), options.out / "elbow_toss.png")
 
 
 def main() -> None:

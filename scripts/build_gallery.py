@@ -226,9 +226,10 @@ def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
         over = terminated or truncated
         pictures.append(env.render())
     env.close()
-    report = info["limit"]
+    report, limit = info["limit"], info["limit"].limit
     chosen = (0, len(pictures) // 2, len(pictures) - 1)
-    note = f"reached {report.reached:.3f}, limit {report.limit.value:.3f} +- {report.limit.sigma:.3f}"
+    unit = "" if limit.unit == "1" else f" {limit.unit}"
+    note = f"{limit.quantity}: reached {report.reached:.3f}, limit {limit.value:.3f} +- {limit.sigma:.3f}{unit}"
     return [pictures[index] for index in chosen], [index / FRAME_RATE_HZ for index in chosen], note
 
 
@@ -245,7 +246,8 @@ def entry_text(entry: Entry, result: Result | None) -> str:
         score = f"MuJoCo {result.versions['mujoco']}: {score_line(result, band)}."
     else:
         score = f"Not scored: {'the package has no real reference' if band is None else 'the reference is withheld'}."
-    reference = reference_text(band, reference_path(experiment, band), trial=experiment.trial)
+    end_s = entry.to_s or (experiment.frame_count - 1) / FRAME_RATE_HZ
+    reference = reference_text(band, reference_path(experiment, band), end_s=end_s, trial=experiment.trial)
     return " ".join([spec.summary, observed, score, *([f"Red: {reference}."] if reference else [])])
 
 
@@ -362,7 +364,7 @@ def draw_unscored(entry: Entry, results: Path, out: Path) -> str:
     canvas.close()
     note = "not scored" if band is None else "not scored: the reference is withheld"
     text = PanelText(title="MuJoCo", detail=f"mujoco {versions_of('mujoco')['mujoco']}", note=note)
-    reference = reference_text(shown, reference_path(experiment, shown))
+    reference = reference_text(shown, reference_path(experiment, shown), end_s=views[-1].time_s)
     caption = Caption(title=entry.name, subtitle=experiment.title, reference=reference)
     save_still(strip_picture([pictures], [text], caption, [f"{view.time_s:.2f} s" for view in views]), out)
     return entry_text(entry, None)

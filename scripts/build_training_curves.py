@@ -46,7 +46,7 @@ def main() -> None:
             zip(found["success"][:, -1], ratio[:, -1], found["wall_s"][:, -1], strict=True)
         ):
             print(f"{task} seed {number}: {10 * success:.0f} of 10, ratio {end:.3f}, {wall_s:.0f} s")
-    figure.axes[0].set_ylabel("of the law (0 if failed)")
+    figure.axes[0].set_ylabel("ratio to the law's limit (0 if failed)")
     figure.axes[-1].legend(loc="lower right", fontsize=8)
     figure.savefig(arguments.out, dpi=130)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["ReferencePath", "reference_path"]
 
@@ -27,6 +28,12 @@ class ReferencePath:
     names: tuple[str, ...]
     places_m: NDArray[np.float64]
     is_full: bool
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last frame at which a place is known [s]; 0 without any."""
+        known = np.isfinite(self.places_m).all(axis=2)
+        return float(np.nonzero(known)[0].max(initial=0)) / FRAME_RATE_HZ
 
 
 def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath | None:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["ghost_trajectory", "reference_text", "reference_words"]
 
@@ -51,12 +52,13 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
     return "one recorded real trial" if grade is BandGrade.RECORDING else "the law that the score compares with"
 
 
-def reference_text(band: Band | None, path: ReferencePath | None, *, trial: int | None = None) -> str:
+def reference_text(band: Band | None, path: ReferencePath | None, *, end_s: float, trial: int | None = None) -> str:
     """Return what is drawn of a reference, in words; empty if nothing is.
 
     Args:
         band: The band, or None.
         path: Its places in space, or None.
+        end_s: Time of the last picture [s]. A reference that ends before it has its end in the text.
         trial: Number of the single trial that it is; None for others.
     """
     if band is None or path is None:
@@ -64,4 +66,6 @@ def reference_text(band: Band | None, path: ReferencePath | None, *, trial: int 
     text = reference_words(band.grade, band.trial_count) if trial is None else f"real trial {trial}"
     if band.withheld is not None:
         text += ", withheld from scores"
-    return text if path.is_full else f"{text}, in the measured directions"
+    if not path.is_full:
+        text += ", in the measured directions"
+    return f"{text}, until {path.last_s:.2f} s" if path.last_s < end_s - 0.5 / FRAME_RATE_HZ else text

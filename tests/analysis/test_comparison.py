@@ -28,7 +28,7 @@ from gauge_envs.report import (
 )
 from gauge_envs.report.figures.experiment import draw_experiment
 from gauge_envs.report.figures.overview import draw_overview, save_comparison
-from gauge_envs.report.figures.style import OURS
+from gauge_envs.report.figures.style import OURS, legend_above, new_figure
 from gauge_envs.report.text import score_text
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -625,6 +625,32 @@ def test_engines_without_a_reference_get_a_panel_of_their_distance():
     heights = max(panel.get_lines(), key=lambda line: len(line.get_ydata())).get_ydata()
     assert heights == pytest.approx(60.0 * np.arange(31) / 30)
     assert not any("distance" in axis.get_ylabel() for axis in draw_experiment([made(FOAM)]).axes)
+
+
+def test_rounding_errors_do_not_fill_a_panel():
+    figure = draw_experiment([made(FOAM, motion=along(60.0))])
+    limits = [axis.get_ylim() for axis in figure.axes[:3]]
+    widest = max(high - low for low, high in limits)
+    assert all(high - low >= 0.019 * widest for low, high in limits)
+
+
+def test_a_score_without_a_scatter_is_drawn_with_its_unit():
+    figure = draw_experiment([made(score=Score(grade="trials", unit="mm", rmse=0.03))])
+    texts = [text.get_text() for text in figure.axes[-1].texts]
+    assert "0.03 mm, not normalized" in texts
+    assert "no reference" in texts  # DTW, of which there is no score at all.
+
+
+def test_a_legend_is_no_wider_than_its_panel():
+    figure = new_figure(12.0, 5.0)
+    panel, _ = figure.subplots(1, 2, width_ratios=(1.8, 1.0))
+    aligned = [f"mujoco, effective{number}, +0.058 s to align the release" for number in range(3)]
+    for label in ["real, mean (22 trials)", "real, 1 sigma", "extrapolated, not measured", *aligned]:
+        panel.plot([], [], label=label)
+    legend_above(panel)
+    figure.draw_without_rendering()
+    assert panel.get_legend().get_window_extent().width <= panel.get_window_extent().width
+    assert panel.get_position().width > 0.5
 
 
 def places_of(axis):

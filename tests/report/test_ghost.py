@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.bands import Band, BandGrade
-from gauge_envs.report.ghost import ghost_trajectory
+from gauge_envs.report.ghost import ghost_trajectory, reference_text
 
 
 def band_along(direction: list[float], mean: list[float]) -> Band:
@@ -47,3 +48,15 @@ def test_a_ghost_has_the_mean_of_its_band(name: str) -> None:
     ghost = ghost_trajectory(band, g)
     known = np.isfinite(band.mean).all(axis=1)
     assert band.project(ghost[known]) == pytest.approx(band.mean[known])
+
+
+def test_the_text_says_when_a_reference_ends_before_the_pictures() -> None:
+    experiment = load_experiment("SlopeContact-wood")
+    band = reference_band(experiment)
+    path = reference_path(experiment, band)
+    assert band is not None and path is not None
+    # The law holds while the body slides down the seam: for 5 of 10 frames.
+    assert np.isfinite(band.mean).all(axis=1).tolist() == [True] * 5 + [False] * 5
+    assert path.last_s == pytest.approx(4 / 30)
+    assert reference_text(band, path, end_s=0.3).endswith(", until 0.13 s")
+    assert "until" not in reference_text(band, path, end_s=4 / 30)

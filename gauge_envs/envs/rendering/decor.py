@@ -18,10 +18,18 @@ FloatArray = NDArray[np.float64]
 
 MARKER_PX = 4.0
 """Radius of a marker [pixels]."""
+RECORDED_MARKER_PX = 3.4
+"""Radius of a marker of the reference [pixels]: where a simulation follows it, its own marker covers it."""
 PATH_PX = 1.6
 """Radius of the tube of a path [pixels]."""
 RECORDED_PATH_PX = 1.3
 """Radius of a path in the colour of the reference [pixels]: where a simulation follows it, its own path covers it."""
+GHOST_AHEAD_PX = 3.0
+"""Distance by which a ghost is drawn nearer to the camera than it is [pixels].
+
+Surfaces of a ghost and its body that coincide are at the same depth, so that rounding would decide for each pixel, and
+differently in each picture, which one is in front. A ghost that is displaced by less than can be seen is in front.
+"""
 
 
 def add_tube(drawing: mujoco.MjvScene, start: FloatArray, end: FloatArray, *, radius_m: float, color: Color) -> None:
@@ -61,9 +69,12 @@ def add_overlay(drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overla
         pixel_m: Size of a pixel in the middle of the scene [m]. Balls and tubes have the same size in pixels there,
             whatever the size of the scene.
     """
-    for points, color in ((overlay.recorded_m, RECORDED_COLOR), (overlay.markers_m, SIMULATED_COLOR)):
+    for points, color, radius_px in (
+        (overlay.recorded_m, RECORDED_COLOR, RECORDED_MARKER_PX),
+        (overlay.markers_m, SIMULATED_COLOR, MARKER_PX),
+    ):
         for point in points[np.isfinite(points).all(axis=1)]:
-            add_ball(drawing, point, radius_m=MARKER_PX * pixel_m, color=color)
+            add_ball(drawing, point, radius_m=radius_px * pixel_m, color=color)
     for path in overlay.paths:
         known = np.asarray(np.isfinite(path.points_m).all(axis=1))
         radius_m = pixel_m * (RECORDED_PATH_PX if path.color == RECORDED_COLOR else PATH_PX)
@@ -72,12 +83,21 @@ def add_overlay(drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overla
                 add_tube(drawing, start, end, radius_m=radius_m, color=path.color)
                 drawing.geoms[drawing.ngeom - 1].emission = 0.4
     for name, pose in overlay.ghosts.items():
-        _add_ghost(drawing, model, name, pose, overlay.ghost_color)
+        if np.isfinite(pose).all():
+            ahead = GHOST_AHEAD_PX * pixel_m * _to_camera(drawing, pose[:3])
+            _add_ghost(drawing, model, name, np.concatenate([pose[:3] + ahead, pose[3:]]), overlay.ghost_color)
+
+
+def _to_camera(drawing: mujoco.MjvScene, point_m: FloatArray) -> FloatArray:
+    """Return the unit vector from a point [m] to the camera of a drawing, shape [3]."""
+    # A drawing has a camera for each eye; a picture is taken from between them.
+    left, right = drawing.camera
+    way = -left.forward.astype(np.float64) if left.orthographic else 0.5 * (left.pos + right.pos) - point_m
+    unit: FloatArray = way / np.linalg.norm(way)
+    return unit
 
 
 def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray, color: Color) -> None:
-    if not np.isfinite(pose).all():
-        return
     turn = Rotation.from_quat(pose[3:], scalar_first=True)
     body = model.body(_known(model, name))
     for index in range(int(body.geomadr[0]), int(body.geomadr[0] + body.geomnum[0])):

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.envs.episode import Episode
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
-from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.single_shot import shots_of
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.scene import Sphere
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["episode_picture", "tracked_overlay"]
+__all__ = ["episode_picture", "reference_ghosts", "tracked_overlay"]
 
 FloatArray = NDArray[np.float64]
 
@@ -47,10 +51,9 @@ def tracked_overlay(episode: Episode) -> Overlay:
     """Return the overlay of an episode that has begun.
 
     Tracked points are the markers of deformable bodies, and the recorded origins of rigid ones. Both the simulation and
-    the reference have a path where g(t) is of positions. A ball of the reference is drawn with its own shape, any other
-    body as a point, because a reference holds no orientation.
+    the reference have a path where g(t) is of positions. A body of the reference is drawn once more as a ghost.
     """
-    experiment, scene = episode.experiment, episode.experiment.scene
+    experiment = episode.experiment
     frame, trajectory = episode.frame or 0, episode.trajectory()
     observable = experiment.score.observable
     markers_m = trajectory.markers_m[-1]
@@ -70,11 +73,45 @@ def tracked_overlay(episode: Episode) -> Overlay:
             ]
         if frame < len(reference.places_m):
             recorded_m = reference.places_m[frame]
-        if observable is Observable.POSITION:
-            balls = [name for name in reference.names if isinstance(scene.body(name).shape, Sphere)]
-            places = dict(zip(reference.names, recorded_m, strict=False))
-            ghosts = {name: np.array([*places[name], 1.0, 0.0, 0.0, 0.0]) for name in balls if name in places}
+            ghosts = reference_ghosts(
+                experiment, reference, recorded_m, time_s=frame / FRAME_RATE_HZ, poses=episode.poses()
+            )
     return Overlay(markers_m=markers_m, recorded_m=recorded_m, paths=tuple(paths), ghosts=ghosts)
+
+
+def reference_ghosts(
+    experiment: Experiment,
+    reference: ReferencePath,
+    places_m: FloatArray,
+    *,
+    time_s: float,
+    poses: Mapping[str, FloatArray],
+) -> dict[str, FloatArray]:
+    """Return the poses of the bodies of a reference; one that holds no orientation turns as the simulation.
+
+    Args:
+        experiment: The experiment, with the trial that it starts from.
+        reference: Places of the reference.
+        places_m: Those of the moment [m], shape [body_count, 3].
+        time_s: The moment [s].
+        poses: Poses of the simulated bodies at that moment, shape [7] each; others stand at their start.
+
+    Returns:
+        Position [m] and quaternion w x y z of each body, shape [7]; none where g(t) is not of positions, or of many
+        bodies.
+    """
+    if experiment.score.observable is not Observable.POSITION or len(reference.names) > MOST_PATHS:
+        return {}
+    shots, ghosts = shots_of(experiment), {}
+    for name, place in zip(reference.names, places_m, strict=True):
+        if shots is not None and experiment.trial is not None:
+            # A single trial is known between the frames, too.
+            position_m, turns = shots.shot(experiment.trial, name).poses_at(np.array([time_s]))
+            ghosts[name] = np.concatenate([position_m[0], turns[0].as_quat(scalar_first=True)])
+            continue
+        turn = poses[name][3:] if name in poses else np.array(experiment.scene.body(name).pose.quaternion)
+        ghosts[name] = np.concatenate([place, turn])
+    return ghosts
 
 
 def _thinned(points_m: FloatArray) -> FloatArray:

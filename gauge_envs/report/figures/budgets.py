@@ -22,7 +22,8 @@ __all__ = ["draw_diagnoses", "save_diagnoses"]
 DIAGNOSIS = "diagnosis"
 """Name of the picture of error budgets."""
 
-STAGE_COLORS = {BudgetStage.RELEASE: OURS[0], BudgetStage.OFFSET: OURS[5], BudgetStage.RATE: OURS[4]}
+STAGE_COLORS = {BudgetStage.RELEASE: OURS[5], BudgetStage.OFFSET: OURS[2], BudgetStage.RATE: OURS[4]}
+"""Colours of the parts, as on the pages of `gauge report`."""
 
 
 def save_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]], folder: Path) -> Path:
@@ -56,7 +57,7 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
             axis.barh(place, 100.0 * part.share, left=left, color=STAGE_COLORS[part.stage], height=0.72, label=label)
             left += 100.0 * part.share
         rest = "rest" if place == 0 else None
-        axis.barh(place, 100.0 * diagnosis.rest.share, left=left, color=ENGINES[1], height=0.72, label=rest)
+        axis.barh(place, 100.0 * diagnosis.rest.share, left=left, color=ENGINES[0], height=0.72, label=rest)
         axis.text(101.0, place, _error_text(diagnosis), va="center", fontsize=8, color="#404040")
     names = [f"{diagnosis.id.removeprefix('GAUGE/')}\n{result_label(result)}" for result, diagnosis in pairs]
     axis.set_yticks(range(len(pairs)), names, fontsize=8)
@@ -64,7 +65,9 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
     axis.set_xlim(0.0, 128.0)
     axis.set_xticks(range(0, 101, 20))
     order = ", then ".join(part.stage.value for part in pairs[0][1].parts)
-    axis.set_xlabel(f"share of the squared error that is gone with {order} [%]; RMSE before and after", loc="left")
+    shares = f"share of the squared error that is gone with {order} [%]"
+    ends = "at the right: RMSE before and after, over the mean of the real trials or with its unit"
+    axis.set_xlabel(f"{shares}\n{ends}", loc="left", fontsize=9)
     tidy_axis(axis)
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", length=0)

@@ -56,8 +56,8 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
             chosen = np.array([one == ending for one in envelope.endings])
             axis.plot(column[chosen], envelope.values[chosen], ".", ms=2.5, alpha=0.5, color=colors[ending])
         axis.axvline(0.0, color=REAL, lw=0.8)
-        axis.set_xlabel(f"{effect.parameter.name} [sigma = {effect.parameter.std:.2g}{_unit(effect.parameter.unit)}]",
-                        fontsize=8)  # fmt: skip
+        sigma = f"{effect.parameter.std:.2g}{_unit(effect.parameter.unit)}"
+        axis.set_xlabel(f"{effect.parameter.name}\nfrom the calibrated value [sigma = {sigma}]", fontsize=8)
         axis.set_title(f"rank correlation {effect.rank_correlation:+.2f}", loc="left", fontsize=8)
         tidy_axis(axis)
     title = f"{report.id}  {report.backend}, {report.samples} samples"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.analysis.configuration import group_by_configuration
 from gauge_envs.analysis.distance import distances_over_time
-from gauge_envs.analysis.scores import ScoreSpread
+from gauge_envs.analysis.scores import COMPARED_METRICS, ScoreSpread
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
@@ -52,6 +52,8 @@ if TYPE_CHECKING:
 __all__ = ["draw_experiment", "save_figures"]
 
 MOST_LEGEND_ENTRIES = 12
+LEAST_RANGE = 0.02
+"""Smallest range of a panel without a band, relative to that of the widest panel of the experiment."""
 MOST_ALIGNED = 2
 """Largest number of curves that are drawn a second time, aligned to the release."""
 
@@ -188,8 +190,9 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
             axis.plot(times[flags], mean[flags], "o", ms=3.0, mew=0.8, mec=REAL, mfc=face, zorder=6)
     if column == 0:
         axis.plot([], [], "-" if is_law else "o-", ms=3.0, color=REAL, lw=width, label=_mean_label(band))
-        axis.fill_between([], [], facecolor="#c4c4c4", label="real, 1 sigma")
-        axis.fill_between([], [], facecolor="#e3e3e3", label="real, 2 sigma")
+        whose = "law" if is_law else "real"
+        axis.fill_between([], [], facecolor="#c4c4c4", label=f"{whose}, 1 sigma")
+        axis.fill_between([], [], facecolor="#e3e3e3", label=f"{whose}, 2 sigma")
         if (~band.measured & np.isfinite(mean)).any():
             axis.fill_between([], [], facecolor="#c4c4c4", label="extrapolated, not measured", **HATCH)
     axis.set_ylabel(f"{band.coordinates[column]} [{band.unit}]")
@@ -256,6 +259,16 @@ def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
         axis.set_ylabel(f"{title} [{unit}]")
         axis.margins(x=0.0)
         tidy_axis(axis)
+    _widen(axes)
+
+
+def _widen(axes: Sequence[Axes]) -> None:
+    """Give each panel a share of the range of the widest one: rounding errors must not fill a panel."""
+    limits = [axis.get_ylim() for axis in axes]
+    least = LEAST_RANGE * max(high - low for low, high in limits)
+    for axis, (low, high) in zip(axes, limits, strict=True):
+        lacking = max(least - (high - low), 0.0)
+        axis.set_ylim(low - 0.5 * lacking, high + 0.5 * lacking)
 
 
 def _curves(result: Result, panels: int) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
@@ -382,12 +395,17 @@ def _own_bar(one: _Series, metric: str) -> _Bar:
     scores = [result.score for result in one.results]
     values = [getattr(score, f"{metric}_normalized") for score in scores]
     spread = ScoreSpread.of([value for value in values if value is not None])
-    diverged = any(result.diverged for result in one.results)
+    missing = "diverged" if any(result.diverged for result in one.results) else "no reference"
+    compared = COMPARED_METRICS[metric]
+    raw = ScoreSpread.of([value for score in scores if (value := getattr(score, compared.raw)) is not None])
+    if raw is not None:
+        unit = compared.unit or scores[0].unit
+        missing = f"{score_text(raw.mean)}{'' if unit == '1' else f' {unit}'}, not normalized"
     return _Bar(
         one.label,
         one.color,
         spread,
-        "diverged" if diverged else "no reference",
+        missing,
         getattr(scores[0], f"{metric}_normalized_95", None) if len(scores) == 1 else None,
     )
 
@@ -438,5 +456,5 @@ def _subtitle(experiment: Experiment, band: Band | None, *, has_bars: bool) -> s
     parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
     parts += [f"{band.source}."] if band is not None else []
     parts += [f"Driver: {experiment.driver_provenance}."] if experiment.driver_provenance else []
-    parts += ["Engines: as published (GAUGE, Table 5)."] if has_bars else []
+    parts += ["Grey bars: engines as published (GAUGE, Table 5)."] if has_bars else []
     return " ".join(parts)

@@ -162,7 +162,11 @@ def _draw_panel(axis: Axes, shown: Sequence[ExperimentComparison], panel: _Panel
         places += [spread.mean for spread in spreads if spread is not None and spread.mean > 0.0]
         places += [end for interval in intervals if interval is not None for end in interval if end > 0.0]
         _draw_dots(axis, one, spreads, intervals, place)
-    axis.set_xlim(0.7 * min(places), 1.4 * max(places))
+    low, high = 0.7 * min(places), 1.4 * max(places)
+    axis.set_xlim(low, high)
+    # Within two decades, whole decades alone are too few labels.
+    digits = ("2", "5") if high < 100.0 * low else ()
+    axis.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in digits else "")
     axis.set_xlabel(panel.axis_label, fontsize=9)
     axis.set_title(panel.title, loc="left", fontsize=12, fontweight="bold")
     tidy_axis(axis)

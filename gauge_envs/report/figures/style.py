@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from gauge_envs.errors import MissingExtraError, ResultFileError
 
@@ -27,11 +30,14 @@ ENGINE_MARKERS = ("s", "^", "D")
 
 LINE_STYLES = ("-", "--", ":", "-.")
 
+LEGEND_WIDTH, KEY_WIDTH = 100, 6
+"""Width of a legend that fits above a panel beside bars, and of its lines and gaps [characters]."""
+
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
 
 WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
 
-HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 2}
+HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 5}
 
 CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "ls": "", "zorder": 4}
 
@@ -78,9 +84,17 @@ def tidy_axis(axis: Axes) -> None:
     axis.set_axisbelow(True)
 
 
+def _legend_width(labels: Sequence[str], columns: int) -> int:
+    """Return the width of a legend [characters]: matplotlib fills one column after the other, as evenly as possible."""
+    lengths = [KEY_WIDTH + len(label) for label in labels]
+    return sum(int(max(part, default=0)) for part in np.array_split(np.array(lengths), columns))
+
+
 def legend_above(axis: Axes) -> None:
     """Put the legend above the curves, with bold lines for faint curves."""
-    columns = max(1, min(3, len(axis.get_legend_handles_labels()[0])))
+    labels = axis.get_legend_handles_labels()[1]
+    # A legend that is wider than its panel would make the panel narrower.
+    columns = next((count for count in (3, 2) if _legend_width(labels, count) <= LEGEND_WIDTH), 1)
     place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderpad": 0.2}
     legend = axis.legend(fontsize=8, frameon=False, ncols=columns, **place)
     for line in legend.get_lines():

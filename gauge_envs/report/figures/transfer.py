@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from gauge_envs.analysis.transfer import FALL_SHARE, TransferReport
@@ -12,6 +13,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["draw_transfer", "save_transfer"]
+
+LONG_NAME = 48
+"""Length at which the name of a world continues in a second line [characters]."""
 
 
 def save_transfer(report: TransferReport, path: Path) -> Path:
@@ -31,7 +35,9 @@ def draw_transfer(report: TransferReport) -> Figure:
         MissingExtraError: matplotlib is not installed.
     """
     rows = (report.training, *report.others)
-    figure = new_figure(9.0, 0.28 * len(rows) + 1.6)
+    names = ["\n".join(wrap(row.world.name, LONG_NAME, break_on_hyphens=False)) for row in rows]
+    # Two lines of a name need more height than one world has.
+    figure = new_figure(9.0, 0.28 * len(rows) + 0.12 * sum("\n" in name for name in names) + 1.6)
     axis = figure.add_subplot()
     for place, row in enumerate(rows):
         color = REAL if place == 0 else OURS[1] if row.falls else OURS[0]
@@ -41,7 +47,7 @@ def draw_transfer(report: TransferReport) -> Figure:
         axis.plot(100 * kept.value, place, "o", color=color, ms=6)
         allowed = 100 * min(1.0, row.allowed)
         axis.plot([allowed, allowed], [place - 0.4, place + 0.4], color="#707070", lw=1.2)
-    axis.set_yticks(range(len(rows)), [row.world.name for row in rows], fontsize=8)
+    axis.set_yticks(range(len(rows)), names, fontsize=8)
     axis.set_ylim(len(rows) - 0.5, -0.5)
     lowest = min([0.0, *(row.kept.value if row.kept.low is None else row.kept.low for row in rows)])
     axis.set_xlim(100 * lowest - 5, None)

@@ -309,7 +309,8 @@ def _text(panel: Panel) -> PanelText:
 
 def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:
     experiment = takes[0].experiment
-    texts = [reference_text(take.band, take.reference, trial=take.experiment.trial) for take in takes]
+    end_s = max(take.last_s for take in takes) if options.to_s is None else options.to_s
+    texts = [reference_text(one.band, one.reference, end_s=end_s, trial=one.experiment.trial) for one in takes]
     remarks = []
     if options.speed != 1.0:
         remarks.append(f"speed x {options.speed:.3g}")

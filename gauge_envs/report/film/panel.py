@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from gauge_envs.analysis.scores import COMPARED_METRICS
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
-from gauge_envs.envs.rendering.tracked import MOST_PATHS
+from gauge_envs.envs.rendering.tracked import MOST_PATHS, reference_ghosts
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.single_shot import shots_of
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.report.text import ALIGNED_TITLE, METRIC_TITLES, interval_text, score_text
@@ -125,7 +124,6 @@ class SimulatedPanel:
         self.title, self.detail, self.note = title, detail, score_line(take.result, take.band)
         self.last_s = take.last_s
         self._take = take
-        self._scene = take.experiment.scene
         self._is_place = take.experiment.score.observable in (Observable.POSITION, Observable.MARKER_POSITION)
         self._rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
         self._canvas = Pictures("rgb_array", width=width, height=height)
@@ -165,8 +163,7 @@ class SimulatedPanel:
             at = time_s * FRAME_RATE_HZ
             if at <= len(reference.places_m) - 1:
                 recorded_m = _between(reference.places_m, at)
-                ghosts = self._ghosts(reference, recorded_m, time_s, poses)
-                # A single trial is known between the frames, too.
+                ghosts = reference_ghosts(self._take.experiment, reference, recorded_m, time_s=time_s, poses=poses)
                 recorded_m = np.array([pose[:3] for pose in ghosts.values()]) if ghosts else recorded_m
         return Overlay(markers_m=markers_m, recorded_m=recorded_m, paths=tuple(paths), ghosts=ghosts)
 
@@ -190,23 +187,6 @@ class SimulatedPanel:
         # Steps from the start, and not from the present, keep the points of a path where they are.
         past = places_m[: np.searchsorted(times_s, time_s)][::PATH_STEP][-PATH_POINTS:]
         return markers_m, [OverlayPath(points_m=line) for line in _lines(np.concatenate([past, markers_m[None]]))]
-
-    def _ghosts(
-        self, reference: ReferencePath, places_m: FloatArray, time_s: float, poses: dict[str, FloatArray]
-    ) -> dict[str, FloatArray]:
-        """Return the poses of the bodies of the reference; one that holds no orientation turns as the simulation."""
-        if self._take.experiment.score.observable is not Observable.POSITION or len(reference.names) > MOST_PATHS:
-            return {}
-        shots, trial = shots_of(self._take.experiment), self._take.experiment.trial
-        ghosts = {}
-        for name, place in zip(reference.names, places_m, strict=True):
-            if shots is not None and trial is not None:
-                position_m, turns = shots.shot(trial, name).poses_at(np.array([time_s]))
-                ghosts[name] = np.concatenate([position_m[0], turns[0].as_quat(scalar_first=True)])
-                continue
-            turn = poses[name][3:] if name in poses else np.array(self._scene.body(name).pose.quaternion)
-            ghosts[name] = np.concatenate([place, turn])
-        return ghosts
 
 
 def score_line(result: Result, band: Band | None) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 from gauge_envs.files import printable
 from gauge_envs.report.sanity_page import STYLE
 
-__all__ = ["SITE_STYLE", "Html", "element", "join", "page", "script_value", "slug", "table"]
+__all__ = ["SITE_STYLE", "Html", "code", "element", "join", "page", "script_value", "slug", "table"]
 
 Text = str | float | int | None
 
@@ -26,8 +26,11 @@ class Html(str):
     __slots__ = ()
 
 
-VOID = ("br", "col", "input", "link", "meta", "line", "path", "polygon", "polyline", "rect", "circle")
+VOID = ("br", "col", "input", "link", "meta", "line", "path", "polygon", "polyline", "rect", "circle", "wbr")
 """Elements without content, in HTML and SVG."""
+
+LONGEST_WORD = 34
+"""Length up to which a word of a command fits in a line of a phone [characters]."""
 
 SITE_STYLE = (
     STYLE
@@ -36,12 +39,14 @@ SITE_STYLE = (
   --band1: #c4c4c4; --band2: #e3e3e3; --stage: #eef0f3; --floor: #d9dce1; }
 @media (prefers-color-scheme: dark) { :root { --c0: #4ba3dc; --c1: #ff8b3d; --c2: #2cc69a; --c3: #e39cc6; --c4: #e6b422;
   --c5: #7cc8f2; --real: #e6e6e6; --band1: #5c5c5c; --band2: #3a3a3a; --stage: #202328; --floor: #33373d; } }
-nav { font-size: .9rem; margin-bottom: .8rem; } nav a { margin-right: 1rem; }
+nav { font-size: .9rem; margin-bottom: .6rem; }
+nav a { display: inline-block; margin-right: 1rem; padding: .3rem 0; }
 nav a[aria-current] { font-weight: 600; text-decoration: none; }
 .answer { border-left: 4px solid #0072b2; background: var(--blue); padding: .3rem .8rem; margin: .5rem 0; }
 .answer p { margin: .3rem 0; }
 .value { font-weight: 600; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .quiet { color: var(--quiet); font-size: .85rem; font-weight: 400; } .quiet.block { display: block; }
+.hash { display: block; font-size: .8rem; color: var(--quiet); }
 .far { background: var(--red); } .near { background: var(--blue); } .even { background: var(--amber); }
 .scroll { overflow-x: auto; } .scroll table { overflow-wrap: normal; }
 .matrix td, .matrix th { min-width: 8.2rem; } .matrix tr > :first-child { position: sticky; left: 0; min-width: 11rem;
@@ -53,7 +58,7 @@ nav a[aria-current] { font-weight: 600; text-decoration: none; }
   font-size: .9rem; }
 .swatch { display: inline-block; width: 1.4rem; height: .25rem; vertical-align: middle; margin-right: .35rem; }
 .swatch.area { height: .8rem; }
-.panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(22rem, 100%), 1fr)); gap: .8rem; }
+.panels { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); gap: .8rem; }
 .panels figure > svg, .forest figure > svg { display: block; width: 100%; max-width: 36rem; height: auto; }
 .panels figure:only-child { max-width: 36rem; }
 figure { margin: 0; min-width: 0; } figcaption { font-size: .85rem; color: var(--quiet); }
@@ -65,8 +70,10 @@ svg .one { stroke: var(--real); stroke-dasharray: 3 3; }
 .forest { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)); gap: 1rem; }
 .shares { display: flex; height: 1.1rem; width: 100%; margin: .15rem 0 .5rem; border-radius: .2rem; overflow: hidden; }
 .shares span { display: block; height: 100%; }
-pre { overflow-x: auto; background: var(--grey); padding: .5rem .7rem; border-radius: .3rem; font-size: .85rem; }
-code { overflow-wrap: anywhere; }
+pre { white-space: pre-wrap; overflow-wrap: anywhere; background: var(--grey); padding: .5rem .7rem;
+  border-radius: .3rem; font-size: .85rem; }
+code { overflow-wrap: anywhere; } .word { white-space: nowrap; }
+td code { display: inline-block; min-width: min(21rem, 70vw); }
 .replay { border: 1px solid var(--line); border-radius: .4rem; padding: .6rem; }
 .stage { position: relative; } .stage canvas { display: block; width: 100%; border-radius: .3rem;
   background: var(--stage); touch-action: pan-y; }
@@ -75,7 +82,9 @@ code { overflow-wrap: anywhere; }
 .names span { position: absolute; padding: .1rem .4rem; font-size: .85rem; border-radius: .2rem;
   background: var(--back); opacity: .85; margin: .3rem; border-left: .3rem solid; }
 .controls { display: flex; flex-wrap: wrap; align-items: center; gap: .4rem .7rem; margin-top: .5rem; }
-.controls input[type=range] { flex: 1 1 10rem; min-width: 8rem; } .controls output { font-variant-numeric: tabular-nums;
+.controls input[type=range] { flex: 1 1 10rem; min-width: 8rem; height: 1.6rem; }
+.controls input[type=checkbox] { width: 1.1rem; height: 1.1rem; vertical-align: -.15rem; }
+.controls output { font-variant-numeric: tabular-nums;
   min-width: 6.5rem; } .controls button, .controls select { font: inherit; padding: .25rem .7rem; min-height: 2.2rem; }
 .controls label { white-space: nowrap; } .controls fieldset { border: 0; padding: 0; margin: 0; display: flex;
   flex-wrap: wrap; gap: .3rem .8rem; } .controls legend { float: left; margin-right: .6rem; color: var(--quiet); }
@@ -114,6 +123,12 @@ def join(parts: Iterable[Text | Html], between: str = "") -> Html:
     return Html(escape(between).join(texts))
 
 
+def code(text: str) -> Html:
+    """Return a command as code; a narrow screen breaks its lines between words, and not at the hyphens of options."""
+    words = (element("span", word, class_="word") if len(word) <= LONGEST_WORD else word for word in text.split(" "))
+    return element("code", join(words, " "))
+
+
 def _plain(value: Text | Html | bool) -> str:
     # Control characters are no part of HTML.
     return printable(value) if isinstance(value, str) else str(value)
@@ -135,7 +150,8 @@ def table(
         number_from: First column of numbers.
     """
     head = join(
-        element("th", title, class_="n" if index >= number_from else None) for index, title in enumerate(titles)
+        element("th", title, scope="col", class_="n" if index >= number_from else None)
+        for index, title in enumerate(titles)
     )
     body = join(
         element(

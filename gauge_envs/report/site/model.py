@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -120,7 +121,10 @@ class Site:
 
     def experiment_link(self, one: ExperimentComparison) -> Html:
         """Return a link to the page of an experiment."""
-        return element("a", one.name, href=self.experiment_page(one))
+        # A narrow column may break a long name between its words.
+        first, *others = re.split(r"(?<=[a-z])(?=[A-Z])", one.name)
+        broken = join([first, *(join([element("wbr"), word]) for word in others)])
+        return element("a", broken, href=self.experiment_page(one))
 
     def configuration_link(self, index: int) -> Html:
         """Return a link to the page of the engine of a configuration, with its label."""

@@ -38,13 +38,13 @@ RANK_NOTE = (
 def overview_page(site: Site) -> str:
     """Return the first page of a site."""
     comparison = site.comparison
-    count = len(comparison.experiments)
-    lead = (
-        f"{count} experiment{'' if count == 1 else 's'} of the GAUGE benchmark, "
-        f"{len(comparison.configurations)} configuration{'' if len(comparison.configurations) == 1 else 's'} of "
-        f"{len(site.engines)} engine{'' if len(site.engines) == 1 else 's'}, scored against real motion capture."
-    )
     graded = [grade for grade in comparison.grades if grade.ids]
+    against = ", ".join(f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded)
+    lead = (
+        f"{_number(len(comparison.experiments), 'experiment')}, "
+        f"{_number(len(comparison.configurations), 'configuration')} of {_number(len(site.engines), 'engine')}. "
+        f"Scored in all configurations: {against or 'none'}."
+    )
     parts = [
         element("p", lead, class_="lead"),
         _answers(site, graded),
@@ -66,8 +66,12 @@ def _grade_title(grade: GradeComparison) -> str:
     ) + (", withheld band" if grade.withheld else "")
 
 
+def _number(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def _counted(ids: Sequence[str]) -> str:
-    return f"{len(ids)} experiment{'' if len(ids) == 1 else 's'}"
+    return _number(len(ids), "experiment")
 
 
 # --- the answer ---
@@ -312,8 +316,8 @@ def _engines(site: Site) -> Html:
         for index, (one, summary) in enumerate(zip(site.comparison.configurations, summaries, strict=True))
     ]
     titles = ("engine", "versions", "ran", "scored", "diverged", "not run", "wall s/sim s")
+    common = _number(len(site.comparison.run_by_all), "experiment")
     note = (
-        f"Wall s/sim s: wall time over simulated time, over the {len(site.comparison.run_by_all)} experiments that all "
-        "ran. It compares engines on one machine alone."
+        f"Wall s/sim s: wall time over simulated time, over {common} that all ran. It compares engines on one machine."
     )
     return join([element("h2", "Engines"), table(titles, rows, number_from=2), element("p", note, class_="small")])

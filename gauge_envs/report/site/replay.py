@@ -42,6 +42,7 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import Pose, Shape
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 __all__ = ["Quantized", "ghost_text", "quantized", "replay_data", "scene_data"]
 
@@ -252,4 +253,6 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     what = reference_words(grade, ghost["trials"])
     what += ", no recorded motion" if grade is BandGrade.LAW else ""
     held = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
-    return f"Ghost: {what}; not aligned in time.{held}"
+    last = max((frame for frame, place in enumerate(ghost["places"]) if place is not None), default=0)
+    end = f" It ends at {last / FRAME_RATE_HZ:.2f} s." if last < len(ghost["places"]) - 1 else ""
+    return f"Ghost: {what}; not aligned in time.{held}{end}"

@@ -13,7 +13,7 @@ from typing import Any
 from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import DataSource
-from gauge_envs.report.site.html import Html, element, join, page, table
+from gauge_envs.report.site.html import Html, code, element, join, page, table
 from gauge_envs.report.site.model import Site
 from gauge_envs.report.text import short_id
 from gauge_envs.runs.result import Result
@@ -103,13 +103,16 @@ def run_commands(site: Site, cells: Sequence[tuple[int, Sequence[Result]]]) -> H
         command = run_command(results)
         text = "scored from a trajectory file: gauge score FILE" if command is None else command
         versions = ", ".join(f"{name} {version}" for name, version in results[0].versions.items())
-        parts.append(
-            element("div", element("p", site.swatch(index), site.labels[index]), element("pre", element("code", text)))
-        )
+        parts.append(element("div", element("p", site.swatch(index), site.labels[index]), element("pre", code(text))))
         parts.append(element("p", f"Versions: {versions}.", class_="small"))
         settings = element("pre", element("code", "\n".join(_assignments(results[0].settings)) or "none stated"))
         parts.append(element("details", element("summary", "settings in force"), settings))
     return join(parts)
+
+
+def _hash(digest: str) -> Html:
+    """Return the start of a hash, as a line of its own."""
+    return element("span", digest[:16], class_="hash")
 
 
 def _digest(file: Path) -> str:
@@ -137,29 +140,32 @@ def reproduce_page(site: Site, command: str) -> str:
                 line = run_command([result])
                 rows.append(
                     [
-                        site.experiment_link(one),
+                        join([site.experiment_link(one), _hash(result.task_sha256)]),
                         site.configuration_link(index),
-                        element("code", line or "trajectory file"),
-                        "-" if file is None else file.name,
-                        "-" if file is None else _digest(file),
-                        result.task_sha256[:16],
-                        result.created,
+                        code(line or "trajectory file"),
+                        "-" if file is None else join([file.name, _hash(_digest(file))]),
+                        result.created.partition(".")[0].replace("T", " ").removesuffix("+00:00"),
                     ]
                 )
-    titles = ("experiment", "configuration", "command", "result file", "its SHA-256", "SHA-256 of the task", "created")
-    steps = (
-        "pip install 'gauge-envs[newton,physx,rapier,drake]' with the versions that each page states.",
-        "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the same "
-        "versions on the same kind of processor. Wall times differ.",
-        "gauge compare results/ prints the scores, intervals, ranks and pairs of these pages.",
-        "gauge diagnose results/ prints the error budgets.",
+    titles = ("experiment", "configuration", "command", "result file", "created, UTC")
+    steps: tuple[tuple[Html | str, ...], ...] = (
+        (code("pip install 'gauge-envs[newton,physx,rapier,drake]'"), " with the versions that each page states."),
+        (
+            "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the "
+            "same versions on the same kind of processor. Wall times differ.",
+        ),
+        (code("gauge compare results/"), " prints the scores, intervals, ranks and pairs of these pages."),
+        (code("gauge diagnose results/"), " prints the error budgets."),
     )
     parts = [
         element("p", "Every number on these pages comes from a result file, and each file from one command."),
-        element("ol", *(element("li", step) for step in steps)),
+        element("ol", *(element("li", *step) for step in steps)),
         element("h2", "This site"),
-        element("pre", element("code", command)),
+        element("pre", code(command)),
         element("h2", "Results"),
+        element(
+            "p", "Below an experiment: SHA-256 of its task file. Below a result file: that of the file.", class_="small"
+        ),
         table(titles, rows),
         element("h2", "Software on these pages"),
         element(

@@ -75,11 +75,11 @@ def curve_panel(panel: CurvePanel) -> Html:
     to_x = _scale(0.0, panel.end_s or 1.0, LEFT, WIDTH - RIGHT)
     to_y = _scale(low, high, HEIGHT - BOTTOM, TOP)
     parts = [element("text", panel.title, x=LEFT, y=13)]
-    for tick in _ticks(low, high, 4):
+    for tick in _ticks(low, high, 6):
         y = float(to_y(np.array(tick)))
         parts.append(element("line", x1=LEFT, x2=WIDTH - RIGHT, y1=f"{y:.1f}", y2=f"{y:.1f}", class_="grid"))
         parts.append(element("text", _tick_text(tick), x=LEFT - 4, y=f"{y + 4:.1f}", text_anchor="end", class_="quiet"))
-    for tick in _ticks(0.0, panel.end_s, 5):
+    for tick in _ticks(0.0, panel.end_s, 6):
         x = float(to_x(np.array(tick)))
         text = _tick_text(tick)
         parts.append(element("text", text, x=f"{x:.1f}", y=HEIGHT - BOTTOM + 14, text_anchor="middle", class_="quiet"))
@@ -211,9 +211,13 @@ def simplified(points: FloatArray, tolerance: float) -> FloatArray:
 # --- scores ---
 
 ROW = 20.0
+MOST_WORDED = 3
+"""Largest number of decades of an axis of scores with words below the 1."""
 LABELS = 128.0
+VALUES = 52.0
+"""Room for the scores at the right end, as 0.00032."""
 LEAST_SCORE = 0.1
-"""Left end of the axis of scores; what is below it is drawn there, with an arrow."""
+"""Left end of the axis of scores; an arrow points at what is below it."""
 
 
 def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> Html:
@@ -221,7 +225,7 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
     highest = max([1.0, *(row.interval[1] if row.interval else row.value for row in rows)])
     right = 10.0 ** math.ceil(math.log10(highest * 1.2))
     span = (math.log10(LEAST_SCORE), math.log10(right))
-    to_x = _scale(*span, LABELS, WIDTH - 42.0)
+    to_x = _scale(*span, LABELS, WIDTH - VALUES)
 
     def place(value: float) -> float:
         return float(to_x(np.array(math.log10(max(value, LEAST_SCORE)))))
@@ -232,7 +236,8 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
         x, value = place(10.0**power), 10.0**power
         kind = "one" if power == 0 else "grid"
         parts.append(element("line", x1=f"{x:.1f}", x2=f"{x:.1f}", y1=TOP, y2=bottom, class_=kind))
-        text = "1 = real trials" if power == 0 else f"{value:g}"
+        # More decades leave too little room for the words.
+        text = "1 = real trials" if power == 0 and span[1] - span[0] <= MOST_WORDED else f"{value:g}"
         parts.append(element("text", text, x=f"{x:.1f}", y=bottom + 13, text_anchor="middle", class_="quiet"))
     for number, row in enumerate(rows):
         y = TOP + ROW * (number + 0.5)
@@ -244,7 +249,8 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
             x = place(low)
             arrow = f"M{x + 4:.1f} {y - 4}L{x - 1:.1f} {y}L{x + 4:.1f} {y + 4}"
             parts.append(element("path", d=arrow, style=f"fill:none;{paint}"))
-        parts.append(element("circle", cx=f"{place(row.value):.1f}", cy=y, r=4, style=f"fill:{row.color}"))
+        if row.value >= LEAST_SCORE:
+            parts.append(element("circle", cx=f"{place(row.value):.1f}", cy=y, r=4, style=f"fill:{row.color}"))
         parts.append(element("text", score_text(row.value), x=WIDTH - 2, y=f"{y + 4:.1f}", text_anchor="end"))
     label = "; ".join(
         f"{row.label} {score_text(row.value)}"
@@ -254,7 +260,9 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
     drawing = element(
         "svg", *parts, viewBox=f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", role="img", aria_label=f"{title}: {label}"
     )
-    return element("figure", drawing, *(element("figcaption", note) for note in notes))
+    is_cut = any(row.value < LEAST_SCORE for row in rows)
+    cut = [f"Scores below {LEAST_SCORE:g} have an arrow in place of a dot."] if is_cut else []
+    return element("figure", drawing, *(element("figcaption", note) for note in (*notes, *cut)))
 
 
 def _short(label: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from itertools import pairwise
 
 import gymnasium
 import numpy as np
@@ -17,6 +18,7 @@ from gauge_envs.envs.rendering.tracked import tracked_overlay
 from gauge_envs.errors import ParameterError, ShapeError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.experiments.single_shot import shots_of
 
 SIZE = {"width": 240, "height": 180}
 
@@ -76,6 +78,43 @@ def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through() -> None:
 
 
 @needs_opengl
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "NonsmoothContact-1-wood"])
+def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(name: str) -> None:
+    scene = load_experiment(name).scene
+    renderer = SceneRenderer(scene, {}, 240, 180)
+    body = scene.dynamic_bodies[0]
+    pose = np.array([*body.pose.position_m, *body.pose.quaternion])
+    plain = renderer.picture({body.name: pose}, {}).astype(int)
+    rng = np.random.default_rng(0)
+    pictures = []
+    for _ in range(5):
+        # A thousandth of a pixel at most: what a resting body moves by in simulations and recordings.
+        shift = np.array([*rng.uniform(-1e-6, 1e-6, 3), 0.0, 0.0, 0.0, 0.0])
+        overlay = Overlay(ghosts={body.name: pose + shift}, recorded_m=(pose + shift)[None, :3])
+        pictures.append(renderer.picture({body.name: pose}, {}, overlay).astype(int))
+    away = {body.name: np.array([0.0, 0.0, 10.0, 1.0, 0.0, 0.0, 0.0])}
+    empty, alone = (renderer.picture(away, {}, one).astype(int) for one in (None, overlay))
+    renderer.close()
+    assert max(np.abs(one - other).max() for one, other in pairwise(pictures)) <= 1
+    # The whole ghost is to be seen, as it is without its body.
+    with_body, without = (np.abs(one - other).max(axis=2) > 5 for one, other in ((pictures[-1], plain), (alone, empty)))
+    assert without.sum() > 150
+    assert (with_body & without).sum() > 0.97 * without.sum()
+
+
+@needs_opengl
+def test_markers_that_coincide_keep_the_colour_of_the_simulation() -> None:
+    scene = load_experiment("BouncingBall-rubber").scene
+    renderer = SceneRenderer(scene, {}, 240, 180)
+    place = np.array([scene.body("ball").pose.position_m]) - [0.0, 0.0, 0.15]
+    alone = renderer.picture({}, {}, Overlay(markers_m=place)).astype(int)
+    for shift in (-1e-6, 1e-6):
+        both = renderer.picture({}, {}, Overlay(markers_m=place, recorded_m=place + shift)).astype(int)
+        assert np.abs(both - alone).max() <= 1
+    renderer.close()
+
+
+@needs_opengl
 def test_paths_of_any_length_fit_into_a_picture() -> None:
     scene = load_experiment("BouncingBall-rubber").scene
     renderer = SceneRenderer(scene, {}, 64, 48)
@@ -127,7 +166,22 @@ def test_the_overlay_of_an_episode_holds_what_its_score_compares() -> None:
         env.band.mean, nan_ok=True
     )
     assert overlay.recorded_m == pytest.approx(path.places_m[5])
+    # A mean has no orientation: its ghost turns as the simulated body.
+    assert overlay.ghosts["cube"] == pytest.approx([*path.places_m[5, 0], *env.episode.poses()["cube"][3:]])
     env.close()
+
+
+def test_a_recorded_toss_turns_its_ghost() -> None:
+    env = GaugeEnv("CubeToss-acrylic")
+    env.reset(seed=0, options={"trial": 0})
+    for _ in range(12):
+        env.step(0)
+    ghost = tracked_overlay(env.episode).ghosts["cube"]
+    _, turns = shots_of(env.episode.experiment).shot(0, "cube").poses_at(np.array([0.4]))
+    simulated = env.episode.poses()["cube"]
+    env.close()
+    assert abs(ghost[3:] @ turns[0].as_quat(scalar_first=True)) == pytest.approx(1.0)
+    assert abs(ghost[3:] @ simulated[3:]) < 0.999
 
 
 def test_an_episode_of_a_soft_body_shows_its_markers_alone() -> None:

@@ -20,7 +20,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.report.site import save_site
 from gauge_envs.report.site.replay import quantized, replay_data
 from gauge_envs.report.site.reproduce import run_command
-from gauge_envs.report.site.svg import simplified
+from gauge_envs.report.site.svg import ForestRow, forest, simplified
 from gauge_envs.report.text import score_text
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import replay
@@ -286,3 +286,21 @@ def test_the_command_of_a_page_makes_the_same_results(request_: RunRequest, tmp_
     for one, other in zip(made, again, strict=True):
         assert one.trajectory == other.trajectory
         assert one.settings == other.settings
+
+
+def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot() -> None:
+    rows = [
+        ForestRow(label=name, color="red", value=value, interval=(0.5 * value, 2.0 * value))
+        for name, value in (("near", 0.02), ("far", 3.0))
+    ]
+    drawn = forest("scores", rows)
+    # Each arrow is a path, and each dot a circle.
+    assert (drawn.count("<path"), drawn.count("<circle")) == (1, 1)
+    assert "arrow in place of a dot" in drawn
+    assert "arrow in place of a dot" not in forest("scores", rows[1:])
+
+
+def test_a_page_says_when_its_reference_ends(site: Path) -> None:
+    # The law of a fall holds until the first contact, after frame 3 of 10.
+    assert "It ends at 0.10 s." in Page(site / "experiment-NonsmoothContact-3-wood.html").text
+    assert "It ends" not in Page(site / "experiment-SlopeSlider-2-wood.html").text

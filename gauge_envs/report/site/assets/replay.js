@@ -227,7 +227,9 @@
   function ghost(data, scene) {
     const group = new THREE.Group(), real = data.ghost;
     const line = new THREE.LineBasicMaterial({ transparent: true, opacity: 0.8, depthTest: false });
-    const solid = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.4, depthWrite: false });
+    // Nearer than it is by 0.3 % of the distance, or it flickers where it coincides with the simulated ball.
+    const nearer = { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -1000 };
+    const solid = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.4, depthWrite: false, ...nearer });
     const balls = real.radii.map((radius) => radius && new THREE.Mesh(new THREE.SphereGeometry(radius, 32, 20), solid));
     const bare = real.names.map((_, body) => body).filter((body) => !balls[body]);
     const dot = dots(Math.max(bare.length, 1), 0, 9);
