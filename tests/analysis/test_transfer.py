@@ -236,7 +236,7 @@ def test_the_interval_holds_what_is_kept(policies: int, starts: int, scatter: tu
 
 
 def test_the_interval_of_few_starts_counts_their_number() -> None:
-    """Two starts of one policy: t of 0.975 with one degree of freedom is 12.706, and their error half the difference."""
+    """Two starts of one policy: t of 0.975 with one degree of freedom is 12.706."""
     kept = transfer_report(known({"train": [[10.0, 10.0]], "there": [[4.0, 6.0]]})).kept
     assert (kept.low, kept.high) == pytest.approx((0.5 - 12.706 * 0.1, 0.5 + 12.706 * 0.1), rel=1e-4)
 

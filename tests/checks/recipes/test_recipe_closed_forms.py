@@ -64,7 +64,13 @@ def test_a_rebound_higher_than_the_drop_is_read_before_its_top() -> None:
 
 @pytest.mark.parametrize(
     ("step_s", "solref"),
-    [(0.0005, (0.02, 0.3)), (0.002, (0.01, 0.5)), (0.005, (-1200.0, -240.0)), (0.01, (0.05, 0.1)), (0.03, (-30.0, -50.0))],
+    [
+        (0.0005, (0.02, 0.3)),
+        (0.002, (0.01, 0.5)),
+        (0.005, (-1200.0, -240.0)),
+        (0.01, (0.05, 0.1)),
+        (0.03, (-30.0, -50.0)),
+    ],
 )
 def test_the_rebound_of_mujocos_equation_is_that_of_the_engine(step_s: float, solref: tuple[float, float]) -> None:
     """Also at coarse steps, where speeds at the impact lag by half a step of gravity."""
