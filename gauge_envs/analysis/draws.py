@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,13 +125,14 @@ def _mean(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool) -> tuple[floa
     return float(values[index].mean()), np.einsum("kn,nk->k", weights, draws[index])
 
 
+@cache
 def _repeat_weights(count: int, draw_count: int) -> FloatArray:
     """Return weights of repeats with the sum 1, shape [draw_count, count].
 
     With them a weighted mean of `count` values is their mean plus the standard error of the mean times a number of
-    Student's t with count - 1 degrees of freedom. Repeats that are drawn with replacement scatter too little if they are
-    few: the 95 % interval of three then holds the true mean in 75 %. The weights depend on the number alone, so that
-    repeats of two configurations are paired.
+    Student's t with count - 1 degrees of freedom. Repeats that are drawn with replacement scatter too little if they
+    are few: the 95 % interval of three then holds the true mean in 75 %. The weights depend on the number alone, so
+    that repeats of two configurations are paired.
     """
     if count == 1:
         return np.ones((draw_count, 1))
