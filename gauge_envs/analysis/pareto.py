@@ -371,7 +371,7 @@ def _with_fronts(families: Sequence[Family]) -> list[Family]:
 
 
 def _shown_error(family: Family, point: Point, error: str) -> float | None:
-    """Return the error of a point, a numerical one at least the resolution: the converged motion has 0 by definition."""
+    """Return the error of a point; a numerical one is at least the resolution, as the converged motion has 0 itself."""
     value: float | None = getattr(point, error)
     if value is None or error != "numerical":
         return value
