@@ -126,7 +126,7 @@ def _step_decides_nothing(phenomena: dict[str, Phenomenon]) -> str:
     mended = _known(point.to_reality for point in enough)
     _check(max(mended) < 1.0, "recorded heights mend the ball drop")
     return (
-        "- **The step decides nothing about the cradle.** MuJoCo, PhysX and Newton end at "
+        "- **No step brings the cradle near reality.** MuJoCo, PhysX and Newton end at "
         f"{_range(point.to_reality for point in others)} scatters from the real momentum transfer and Drake at "
         f"{_range(point.to_reality for point in _line([_family(cradle, 'drake')]))}, at every step and number of "
         f"iterations with which they finished. Rapier goes from {rapier[0].to_reality:.2g} to "

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,10 +118,27 @@ def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, F
 
 
 def _mean(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool) -> tuple[float, FloatArray]:
-    """Return the mean over repeats and its draws; each draw also resamples the repeats."""
+    """Return the mean over repeats and its draws, which also scatter as the mean of so few repeats does."""
     index = list(chosen)
     values, draws = (scores.raw, scores.raw_draws) if raw else (scores.primary, scores.primary_draws)
-    count = len(index)
-    random = np.random.default_rng([SEED, *b"repeats"])
-    weights = random.multinomial(count, np.full(count, 1.0 / count), draws.shape[1]) / count
+    weights = _repeat_weights(len(index), draws.shape[1])
     return float(values[index].mean()), np.einsum("kn,nk->k", weights, draws[index])
+
+
+@cache
+def _repeat_weights(count: int, draw_count: int) -> FloatArray:
+    """Return weights of repeats with the sum 1, shape [draw_count, count].
+
+    With them a weighted mean of `count` values is their mean plus the standard error of the mean times a number of
+    Student's t with count - 1 degrees of freedom. Repeats that are drawn with replacement scatter too little if they
+    are few: the 95 % interval of three then holds the true mean in 75 %. The weights depend on the number alone, so
+    that repeats of two configurations are paired.
+    """
+    if count == 1:
+        return np.ones((draw_count, 1))
+    random = np.random.default_rng([SEED, *b"repeats"])
+    normal = random.standard_normal((draw_count, count))
+    across = normal - normal.mean(axis=1, keepdims=True)
+    # The sum of across times values has the variance of the sum of squares about their mean, (count - 1) s^2.
+    scale = np.sqrt(random.chisquare(count - 1, draw_count) * count)
+    return 1.0 / count + across / scale[:, None]

@@ -239,7 +239,8 @@ def _grade_score(index: int, common: Sequence[GradedExperiment], rank: int) -> G
 def _stacked(scores: Sequence[ScoreDraws], *, raw: bool) -> tuple[FloatArray, FloatArray]:
     """Return scores of shape [experiment_count], and draws of shape [experiment_count, draw_count]."""
     means = [one.mean(raw=raw) for one in scores]
-    return np.array([value for value, _ in means]), np.array([draws for _, draws in means])
+    # The scatter of few repeats may take a draw below zero, where no score is.
+    return np.array([value for value, _ in means]), np.maximum([draws for _, draws in means], 0.0)
 
 
 def _mean(value: ArrayLike, draws: ArrayLike, own: Interval | None) -> Mean:

@@ -68,7 +68,8 @@ class Point:
         to_reality: Error against reality; None without trials.
         is_reference: Whether it is the converged motion of its family.
         is_on_main_line: Whether only the step differs from the family's usual settings.
-        fronts: Errors, as `to_reality`, of which no cheaper setting of any family has a smaller or equal one.
+        fronts: Errors, as `to_reality`, of which no cheaper setting of any family has a smaller or equal one. A
+            numerical error counts as the family's resolution if it is smaller.
     """
 
     effort: Mapping[str, float]
@@ -354,16 +355,24 @@ def _sufficient_step_s(group: Sequence[ExperimentFamily], limits: Sequence[float
 
 def _with_fronts(families: Sequence[Family]) -> list[Family]:
     """Return the families with their points marked that lie on a front."""
-    every = [point for family in families for point in family.points]
+    every = [(family, point) for family in families for point in family.points if not point.diverged]
     fronts: dict[int, list[str]] = {}
     for error in ERRORS:
         lowest = float("inf")
-        known = [point for point in every if getattr(point, error) is not None and not point.diverged]
-        for point in sorted(known, key=lambda one: (one.cost, getattr(one, error))):
-            if getattr(point, error) < lowest:
-                lowest = getattr(point, error)
+        known = [(value, point) for family, point in every if (value := _shown_error(family, point, error)) is not None]
+        for value, point in sorted(known, key=lambda one: (one[1].cost, one[0])):
+            if value < lowest:
+                lowest = value
                 fronts.setdefault(id(point), []).append(error)
     return [
         replace(one, points=tuple(replace(p, fronts=tuple(fronts.get(id(p), ()))) for p in one.points))
         for one in families
     ]
+
+
+def _shown_error(family: Family, point: Point, error: str) -> float | None:
+    """Return the error of a point; a numerical one is at least the resolution, as the converged motion has 0 itself."""
+    value: float | None = getattr(point, error)
+    if value is None or error != "numerical":
+        return value
+    return max(value, family.resolution or 0.0)

@@ -60,7 +60,7 @@ def transfer(
         str, typer.Option(help="Changes of each constant, in standard uncertainties, as 1,2; 0 for none.")
     ] = "1",
     starts: Annotated[int, typer.Option(min=1, help="Starts in each world, within the start's uncertainty.")] = 3,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts and of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts.")] = 0,
     figure: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture (PNG) to write.")] = None,
     fail_below: Annotated[
         float | None, typer.Option(metavar="PERCENT", help="Exit code 1 when less of the promise is kept.")
@@ -93,7 +93,7 @@ def transfer(
             task, loaded, training, others, starts=starts, seed=seed,
             notify=lambda name: status.update(f"replaying: {plain_text(name)}"),
         )  # fmt: skip
-    report = transfer_report(replays, seed=seed)
+    report = transfer_report(replays)
     if json_lines:
         print_json_lines(transfer_json(report))
     else:

@@ -10,7 +10,7 @@ from pathlib import Path
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.uncertain import UncertainParameter
 from gauge_envs.files import write_whole
-from gauge_envs.scene import Box, RigidBody, Scene, Sphere
+from gauge_envs.scene import Box, Pose, RigidBody, Scene, Sphere
 
 __all__ = ["ConstantRange", "StartRange", "randomization_files", "ranges_of", "write_randomization"]
 
@@ -237,7 +237,9 @@ def _isaac_lab(scene: Scene, ranges: Sequence[ConstantRange | StartRange]) -> It
                 f'            "dynamic_friction_range": {_pair(constants["friction"])},',
                 f'            "restitution_range": {restitution},',
                 '            "num_buckets": 256,',
-                '            "make_consistent": True,  # Dynamic friction is at most the static one.',
+                "            # Isaac Lab draws both frictions on their own; with this the dynamic one is the smaller of the",
+                "            # two, on average a third up its range. For one coefficient, write a function of your own.",
+                '            "make_consistent": True,',
                 "        },",
                 "    )",
             )
@@ -322,7 +324,7 @@ def _maniskill(scene: Scene, ranges: Sequence[ConstantRange | StartRange]) -> It
             "        builder = task.scene.create_actor_builder()",
             f"        builder.add_{shape[0]}, material=material, density=density)",
             "        builder.set_scene_idxs([index])",
-            f"        builder.initial_pose = sapien.Pose(p={list(scene.body(body).pose.position_m)})",
+            f"        builder.initial_pose = sapien.Pose({_pose(scene.body(body).pose)})",
             f'        actors.append(builder.build(name=f"{body}-{{index}}"))',
             f'    return Actor.merge(actors, name="{body}")',
             "",
@@ -331,6 +333,11 @@ def _maniskill(scene: Scene, ranges: Sequence[ConstantRange | StartRange]) -> It
         yield f"# {key}: add at each reset, in `_initialize_episode`, uniform displacements [m]:"
         for one in directions:
             yield f"#   {_displacement(one)}"
+
+
+def _pose(pose: Pose) -> str:
+    """Return the arguments of SAPIEN's pose; its quaternions are w, x, y, z too."""
+    return f"p={list(pose.position_m)}, q={list(pose.quaternion)}"
 
 
 def _drawn(values: dict[str, tuple[float, float]], key: str) -> str:

@@ -244,6 +244,15 @@ def test_the_front_has_no_setting_that_is_dearer_and_not_better() -> None:
     assert not any("to_closed_form" in point.fronts for point in rapier.points)
 
 
+def test_the_last_step_of_a_short_series_is_not_taken_for_exact() -> None:
+    """Its numerical error is 0 by definition; what is known of it is the distance to its neighbour."""
+    (phenomenon,) = tradeoff([*sweep(), *sweep(steps_s=STEPS_S[:2], backend="rapier")]).phenomena
+    mujoco = next(family for family in phenomenon.families if family.backend == "mujoco")
+    finer = [point for point in mujoco.points if (point.step_s or 0.0) < STEPS_S[1]]
+    assert len(finer) > 1
+    assert any("numerical" in point.fronts for point in finer)
+
+
 def test_the_cheapest_setting_within_the_scatter_is_stated() -> None:
     near, far = made(step_s=STEPS_S[1]), made(step_s=STEPS_S[0])
     far = replace(far, score=replace(far.score, rmse_aligned=40.0))

@@ -181,6 +181,16 @@ def test_a_tilted_start_is_not_written_as_independent_ranges() -> None:
     assert "reset_root_state_uniform" not in text["randomized_isaac_lab.py"]
 
 
+def test_a_body_on_a_slope_is_built_with_its_orientation() -> None:
+    """ManiSkill's builder takes a pose; a quaternion of SAPIEN is w, x, y, z, as this package's."""
+    experiment = load_experiment(SLIDE)
+    text = randomization_files(experiment.id, experiment.scene, uncertain_parameters(experiment))
+    (line,) = (one for one in text["randomized_maniskill.py"].splitlines() if "initial_pose" in one)
+    turned = eval(line.partition("q=")[2].rstrip(")"))
+    # The board of SlopeSlider-2 is tilted by 30 degrees.
+    assert 2.0 * math.degrees(math.acos(abs(turned[0]))) == pytest.approx(30.0, abs=1e-6)
+
+
 def test_the_wrapper_for_gymnasium_runs_and_stays_within_its_ranges(tmp_path: Path) -> None:
     experiment = load_experiment(SLIDE)
     parameters = uncertain_parameters(experiment)

@@ -57,9 +57,16 @@ def damping_ratio_of(restitution: float) -> float:
     return float(brentq(lambda z: spring_damper_restitution(z) - restitution, 0.0, LARGEST_DAMPING_RATIO, xtol=1e-12))
 
 
-def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float) -> float:
-    """Return the coefficient with which Coulomb's law gives an acceleration down a slope: (g sin - a) / (g cos)."""
-    return (G * math.sin(slope_rad) - acceleration_m_per_s2) / (G * math.cos(slope_rad))
+def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float, lift_m_per_s2: float = 0.0) -> float:
+    """Return the coefficient with which Coulomb's law gives an acceleration down a slope: (g sin - a) / (g cos + b).
+
+    Args:
+        acceleration_m_per_s2: Acceleration a down the slope.
+        slope_rad: Slope [rad].
+        lift_m_per_s2: Acceleration b off the slope, which adds to the force on the slope. Means over a time will do, if
+            both have the same weights: a body that hops gets its friction from its impacts.
+    """
+    return (G * math.sin(slope_rad) - acceleration_m_per_s2) / (G * math.cos(slope_rad) + lift_m_per_s2)
 
 
 def mujoco_impedance(solimp: tuple[float, float, float, float, float], depth_m: float) -> float:
@@ -192,18 +199,21 @@ class MuJoCoContact:
 
     def _rebound(self, drop_m: float, phase: float) -> float:
         """Return the restitution of a drop, by height, with the engine's steps: velocity first, then position."""
-        h, speed = self.timestep_s, math.sqrt(2.0 * G * drop_m)
-        depth_m = phase * speed * h
+        h, height_m = self.timestep_s, drop_m + phase * math.sqrt(2.0 * G * drop_m) * self.timestep_s
+        # After n steps of the fall the speed is n g h, and the way n (n + 1) g h^2 / 2.
+        count = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * height_m / (G * h**2)) - 1.0)) + 1
+        speed, depth_m = count * G * h, 0.5 * count * (count + 1) * G * h**2 - height_m
+        has_turned = False
         for _ in range(math.ceil(LONGEST_IMPACT_S / h)):
             d = self._impedance(depth_m)
-            share = self._share(d, 1)
             push = G + self._damping(self.solref) * speed + self._stiffness(d) * depth_m
-            if push <= 0.0 and speed < 0.0:
-                break
-            speed += h * (G - share * max(push, 0.0))
+            speed += h * (G - self._share(d, 1) * max(push, 0.0))
             depth_m += h * speed
-            if depth_m < 0.0 or depth_m > DEEPEST_M:
+            if depth_m <= 0.0 or depth_m > DEEPEST_M or (has_turned and speed >= 0.0):
                 break
-        # Without force the height above the ground is that of a throw, with the half step by which positions lag.
-        height_m = speed**2 / (2.0 * G) + 0.5 * h * speed - depth_m if speed < 0.0 else 0.0
-        return math.sqrt(max(height_m, 0.0) / drop_m)
+            has_turned = speed < 0.0
+        if not depth_m <= 0.0:
+            return 0.0
+        # Positions without force lie on a parabola, whose slope is that between two steps.
+        rise = -speed - 0.5 * h * G
+        return math.sqrt(max(0.5 * rise**2 / G - depth_m, 0.0) / height_m) if rise > 0.0 else 0.0

@@ -191,7 +191,10 @@ class Probe:
     timestep_s: float
 
     def slide(self, build: Build, friction: float) -> Slide:
-        """Return the friction of a plate that slides, from its acceleration by Coulomb's law, and how far it hops.
+        """Return the friction of a plate that slides, from its accelerations by Coulomb's law, and how far it hops.
+
+        A plate whose hops turn it about the normal has a smaller value than its contacts: parts of their friction point
+        sideways.
 
         Args:
             build: The contact.
@@ -202,8 +205,9 @@ class Probe:
         for turn_deg in (0.0, TURN_DEG):
             times_s, path_m, lift_m = self._downhill(build, slope, SLIDE_S, turn_deg)
             seen = times_s >= SLIDE_FROM_S
-            acceleration = 2.0 * float(np.polyfit(times_s[seen], path_m[seen], 2)[0])
-            found.append(friction_of_slide(acceleration, slope))
+            # One fit for both, so that both accelerations are means with the same weights.
+            fit = np.polyfit(times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
+            found.append(friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1])))
             lifts_m.append(float(lift_m.max()))
         return Slide(along=found[0], turned=found[1], lift_m=max(lifts_m))
 
@@ -287,7 +291,7 @@ def first_rebound(height_m: NDArray[np.float64], interval_s: float) -> float:
     """Return the restitution of a ball's first rebound, the square root of the heights' ratio.
 
     Positions under constant acceleration lie on a parabola in any scheme with constant steps. Its vertex is the height,
-    also between two samples.
+    also between two samples, and of a ball that still rises at the end.
 
     Args:
         height_m: Height of the ball's lowest point above the ground [m], shape [sample_count], from its release on.
@@ -303,8 +307,9 @@ def first_rebound(height_m: NDArray[np.float64], interval_s: float) -> float:
     down = up[0] + np.flatnonzero(rises[up[0] :] <= 0.0)
     top = int(down[0]) if len(down) else len(height_m) - 1
     highest = float(height_m[top])
-    if 0 < top < len(height_m) - 1:
-        before, at, after = height_m[top - 1 : top + 2]
+    middle = min(top, len(height_m) - 2)
+    if middle > 0:
+        before, at, after = height_m[middle - 1 : middle + 2]
         bend = before - 2.0 * at + after
         # Samples in contact do not lie on the parabola of the flight.
         if abs(bend / (-G * interval_s**2) - 1.0) < 0.05:
