@@ -231,7 +231,7 @@ def _lanes(ray: str | None, workers: int | None, count: int, limits: Limits, mos
     from gauge_envs.runs.sweep.ray_lanes import ray_lanes
 
     lanes: list[Lane] = [WorkerLane(limits) for _ in range(1 if ray else min(count, most))]
-    return lanes if ray is None else [*ray_lanes(ray, workers and min(workers, most), limits)][:most]
+    return lanes if ray is None else [*ray_lanes(ray, workers and min(workers, most), limits)[:most]]
 
 
 def _write_slurm(
