@@ -247,6 +247,7 @@ HUGE = b"(\x8a\x05" + (10**11).to_bytes(5, "little") + b"t"
         b"cnumpy\ndtype\nX\x02\x00\x00\x00f8\x89\x88\x87R(K\x03X\x01\x00\x00\x00<NNNK\x01K\x01K\x3ftb.",
         b"cnumpy.core.numeric\n_frombuffer\n" + HUGE + b"R.",
         b"\x8b\xff\xff\xff\x7f.",
+        b"Nr\xff\xff\xff\x3f.",
         b"[" * 5000,
         b"I" + b"9" * 5000 + b"\n.",
         b"",

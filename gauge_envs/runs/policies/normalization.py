@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import pickletools
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,10 @@ from gauge_envs.files import MEGABYTE, read_regular
 __all__ = ["ObservationStatistics", "UnchangedObservations", "read_normalization"]
 
 MOST_BYTES = 64 * MEGABYTE
+
+
+MOST_OPERATIONS = 1_000_000
+"""Most operations of a file; those of `VecNormalize` have a few hundred."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -134,6 +139,19 @@ class _ArraysOnly(pickle.Unpickler):
         return CLASSES.get((module, name), _Inert)
 
 
+def _check_operations(content: bytes) -> None:
+    """Check a pickle before it is loaded: Python takes gigabytes for a place of its memo that a file makes up.
+
+    Raises:
+        ValueError: It is no pickle, has too many operations, or names such a place.
+    """
+    for count, (operation, argument, _) in enumerate(pickletools.genops(content)):
+        if count > MOST_OPERATIONS:
+            raise ValueError(f"it has more than {MOST_OPERATIONS} operations")
+        if operation.name.endswith("PUT") and not 0 <= int(str(argument)) <= count:
+            raise ValueError("it is damaged")
+
+
 class UnchangedObservations:
     """Statistics of a training that did not normalize observations."""
 
@@ -156,7 +174,9 @@ def read_normalization(file: Path, *, observation_size: int) -> ObservationStati
             that are not finite.
     """
     try:
-        saved = _ArraysOnly(io.BytesIO(read_regular(file, MOST_BYTES))).load()
+        content = read_regular(file, MOST_BYTES)
+        _check_operations(content)
+        saved = _ArraysOnly(io.BytesIO(content)).load()
     except OSError as error:
         raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # A damaged pickle raises errors of many kinds.
