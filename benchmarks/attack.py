@@ -11,7 +11,9 @@ failure. Examples:
 from __future__ import annotations
 
 import argparse
+import io
 import json
+import pickle
 import random
 import resource
 import sys
@@ -19,6 +21,7 @@ import tempfile
 import time
 import traceback
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,6 +33,10 @@ from pxr import Sdf
 
 from gauge_envs import load_experiment
 from gauge_envs.analysis.comparison import compare
+from gauge_envs.checks.conformance import checks
+from gauge_envs.checks.conformance.matrix import MatrixColumn, run_column
+from gauge_envs.checks.conformance.matrix_file import read_columns, write_columns
+from gauge_envs.checks.leaderboard.statement import read_statement
 from gauge_envs.checks.sanity import configuration
 from gauge_envs.checks.sanity.probe.program import document as probe_document
 from gauge_envs.checks.sanity.readers.isaac_gym import isaac_gym_configuration
@@ -47,10 +54,17 @@ from gauge_envs.files import data_folder
 from gauge_envs.references.bands import BandSidecar, read_band
 from gauge_envs.references.tables import read_toml, scoring_folder
 from gauge_envs.report import comparison_markdown
+from gauge_envs.report.conformance_matrix import matrix_markdown
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.policies.normalization import read_normalization
+from gauge_envs.runs.policies.sb3 import load_sb3
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, write_result
+from gauge_envs.runs.sweep.folder import SweepFolder
+from gauge_envs.runs.sweep.query import query_sweep
+from gauge_envs.runs.sweep.spec import load_sweep_file, sweep_spec
 from gauge_envs.scene.usd.reader import from_usd
+from gauge_envs.video import read_camera, read_track
 
 MOST_S = 10.0
 MOST_MEMORY_MB = 1000.0
@@ -106,6 +120,97 @@ ground: {friction: 1.0}
 domain_rand: {randomize_friction: true, friction_range: !!python/tuple [0.5, 1.25]}
 """
 """A configuration in the style of IsaacGym, with aliases, tags and a reference."""
+
+
+SWEEP = """
+backends = ["mujoco"]
+variants = ["SlopeSlider-2-*", "BouncingBall-rubber"]
+parameters = ["calibrated", { "cube.friction" = 0.3 }]
+repeats = 4
+seed = 7
+jitter = { position_m = 0.001, angle_rad = 0.01 }
+[settings]
+timestep_s = [0.0005555555555555556, 0.0002777777777777778]
+[settings.mujoco]
+iterations = [10, 50]
+"""
+
+STATEMENT = """
+format = 1
+engine = "rapier"
+package = "rapier3d"
+version = "0.36.1"
+configuration = "default"
+submitter = "A vendor"
+url = "https://example.org"
+settings = {}
+[left_out]
+"C*" = "no soft bodies"
+"""
+
+CAMERAS = (
+    """
+size_px = [1280, 720]
+[points]
+px = [[400, 600], [900, 600], [800, 300], [500, 300]]
+m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]
+sigma_px = 0.5
+sigma_m = 0.001
+[motion]
+pivot_m = [0.0, 0.15]
+pivot_sigma_m = 0.002
+length_m = 0.138
+""",
+    """
+size_px = [1280, 720]
+[lens]
+matrix = [[765.7, 0, 657.1], [0, 765.7, 346.7], [0, 0, 1]]
+distortion = [0.1006, -0.0986]
+focal_sigma = 0.001
+[pose]
+rvec = [0.846161, 1.8035, -1.530041]
+tvec = [-0.199238, 0.162863, 1.531948]
+position_sigma_m = 0.002
+rotation_sigma_rad = 0.001
+[plane]
+point_m = [0.41, 0.41, 0.214]
+normal = [0, 0, 1]
+up = [0, 1, 0]
+sigma_m = 0.002
+""",
+)
+
+TRACK = "frame,x,y,confidence\n" + "".join(f"{row},{400 + row},{100 + row * row},0.9\n" for row in range(30))
+
+
+class VecNormalize:
+    """Stand-in of the class in files of `VecNormalize.save`."""
+
+
+def statistics() -> bytes:
+    """Return a file of `VecNormalize.save` for an observation of size 5."""
+    saved, saved.obs_rms = VecNormalize(), VecNormalize()
+    saved.obs_rms.mean, saved.obs_rms.var = np.zeros(5), np.ones(5)
+    saved.clip_obs, saved.epsilon = 10.0, 1e-8
+    return pickle.dumps(saved)
+
+
+def sb3_policies() -> list[bytes]:
+    """Return a file of Stable-Baselines3 for 5 observations and 1 action; none without PyTorch."""
+    try:
+        import torch
+    except ImportError:
+        return []
+    hidden, last = torch.nn.Linear(5, 4), torch.nn.Linear(4, 1)
+    named = {"mlp_extractor.policy_net.0.": hidden, "action_net.": last}
+    weights, file = io.BytesIO(), io.BytesIO()
+    torch.save(
+        {prefix + key: one for prefix, layer in named.items() for key, one in layer.state_dict().items()}, weights
+    )
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("data", json.dumps({"policy_class": {"__module__": "stable_baselines3.common.policies"}}))
+        archive.writestr("policy.pth", weights.getvalue())
+    return [file.getvalue()]
 
 
 @dataclass(frozen=True)
@@ -192,7 +297,39 @@ def targets(folder: Path) -> dict[str, Target]:
         stated_origin(file)
         read_trajectory(file, experiment)
 
+    column = MatrixColumn(backend="mujoco", name="PGS", settings={"solver": "PGS"})
+    list(run_column(column, ["free-fall", "foam-start", "slide-plane"], None))
+    matrix = write_columns([column], folder / "column.json").read_bytes()
+    swept = SweepFolder(folder / "swept")
+    swept.create()
+    swept.write(load_result(result_file), "a.json")
+    query_sweep(swept.path, "SELECT 1")
+
+    def store_read(file: Path) -> None:
+        """Read a damaged store beside a result file that is whole: its row must be there."""
+        swept.store_path.write_bytes(file.read_bytes())
+        try:
+            _, rows = query_sweep(swept.path, "SELECT id, outcome FROM results")
+        finally:
+            for left in swept.path.glob("sweep.sqlite*"):
+                left.unlink()
+        assert rows == [(f"GAUGE/{NAME}", "finished")], rows
+
+    def sweep_read(file: Path) -> None:
+        spec = sweep_spec(load_sweep_file(file))
+        spec.episode_count()
+
     return {
+        "sweep": Target(".toml", [SWEEP.encode()], sweep_read, 1.0),
+        "store": Target(".sqlite", [swept.store_path.read_bytes()], store_read, 0.1),
+        "matrix": Target(
+            ".json", [matrix], lambda file: matrix_markdown(read_columns(file), checks(["free-fall"])), 1.0
+        ),
+        "statement": Target(".toml", [STATEMENT.encode()], lambda file: read_statement(file, file.name), 1.0),
+        "camera": Target(".toml", [text.encode() for text in CAMERAS], read_camera, 1.0),
+        "track": Target(".csv", [TRACK.encode()], lambda file: read_track(file, fps=30.0), 1.0),
+        "statistics": Target(".pkl", [statistics()], lambda file: read_normalization(file, observation_size=5), 5.0),
+        "policy": Target(".zip", sb3_policies(), lambda file: load_sb3(file, observation_size=5, action_size=1), 0.5),
         "trial": Target(".json", [trial], trial_read, 2.0),
         "csv": Target(".csv", [table.encode()], trajectory_read, 2.0),
         "npz": Target(".npz", [(folder / name).read_bytes() for name in ("g.npz", "small.npz")], trajectory_read, 2.0),
@@ -245,6 +382,9 @@ def main() -> None:
 
 def attack(name: str, target: Target, given: argparse.Namespace, folder: Path) -> int:
     """Attack one parser and return the number of failures."""
+    if not target.seeds:
+        print(f"{name:10} left out: what writes its files is not installed")
+        return 0
     chance = random.Random(f"{name} {given.seed}")
     count = max(1, round(given.count * target.share))
     failures, refused, slowest_s = 0, 0, 0.0

@@ -342,11 +342,16 @@ def write_whole(file: Path, content: bytes) -> None:
 def replaced_whole(file: Path) -> Iterator[Path]:
     """Yield a path beside a file for its new content, which takes the place of the file at the end.
 
-    After an error the new content is removed, and an older file is unchanged.
+    After an error the new content is removed, and an older file is unchanged. A device or a FIFO is never replaced:
+    root could otherwise put a file in the place of `/dev/null`.
 
     Raises:
         OSError: The new content was not written, or cannot take its place.
     """
+    if file.exists() and not file.is_file():
+        is_folder = file.is_dir()
+        reason = os.strerror(errno.EISDIR) if is_folder else "it is not a regular file"
+        raise OSError(errno.EISDIR if is_folder else errno.EINVAL, reason, str(file))
     part = file.with_name(f".{file.name}.{token_hex(8)}.tmp")
     try:
         yield part

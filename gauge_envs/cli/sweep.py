@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
     from gauge_envs.runs.sweep.spec import SweepSpec
 
 __all__ = ["query", "sweep"]
+
+MOST_DIGITS = 9
+"""Most digits of the numbers of `--shard`."""
 
 
 def sweep(
@@ -116,7 +120,8 @@ def sweep(
         _show_plan(plan, out, count, retry_failed=retry_failed, json_lines=json_lines, wide=wide)
         return
     limits = Limits(time_limit_s, memory_limit_gb, isolate)
-    _run(plan, spec, out, lambda: _lanes(ray, workers, count, limits), part is not None, retry_failed, json_lines)
+    lanes = partial(_lanes, ray, workers, count, limits)
+    _run(plan, spec, out, lanes, part is not None, retry_failed, json_lines)
 
 
 class Format(StrEnum):
@@ -132,15 +137,15 @@ def query(
     sql: Annotated[str, typer.Argument(help="One SELECT statement; the table is results.")],
     form: Annotated[Format, typer.Option("--format", help="Format of the rows.")] = Format.TABLE,
 ) -> None:
-    """Query the results of a folder with SQL, on a connection that cannot write."""
-    from gauge_envs.report.sweep import query_csv, query_table
+    """Query the results of a folder with SQL, which can only read, within 60 s."""
+    from gauge_envs.report.sweep import query_csv, query_records, query_table
     from gauge_envs.runs.sweep.query import query_sweep
 
     columns, rows = query_sweep(folder, sql, notify=_note)
     if form is Format.CSV:
         echo(query_csv(columns, rows), nl=False)
     elif form is Format.JSON:
-        print_json_lines([dict(zip(columns, row, strict=True)) for row in rows])
+        print_json_lines(query_records(columns, rows))
     else:
         print_table(query_table(columns, rows), json_lines=False)
 
@@ -191,7 +196,12 @@ def _with_changes(settings: dict[str, Any], changes: list[str], backends: list[s
         if not dot:
             result[key] = listed
         elif backend in backends:
-            result[backend] = result.get(backend, {}) | {name: listed}
+            own = result.get(backend, {})
+            if not isinstance(own, dict):
+                raise ParameterError(
+                    f"--set {text!r}: settings.{backend} of the sweep file is a list, expected a table of settings"
+                )
+            result[backend] = own | {name: listed}
         else:
             raise ParameterError(f"--set {text!r}: {backend!r} is no engine of this sweep: {', '.join(backends)}")
     return result
@@ -199,7 +209,8 @@ def _with_changes(settings: dict[str, Any], changes: list[str], backends: list[s
 
 def _part(text: str) -> tuple[int, int]:
     number, slash, count = text.partition("/")
-    if not (slash and number.isdecimal() and count.isdecimal()):
+    are_numbers = all(part.isdecimal() and len(part) <= MOST_DIGITS for part in (number, count))
+    if not (slash and are_numbers):
         raise ParameterError(f"--shard {text!r}: expected NUMBER/COUNT, as 0/16")
     return int(number), int(count)
 
@@ -209,12 +220,18 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
-def _lanes(ray: str | None, workers: int | None, count: int, limits: Limits) -> list[Lane]:
+def _lanes(ray: str | None, workers: int | None, count: int, limits: Limits, most: int) -> list[Lane]:
+    """Return the lanes, at most so many as there are tasks.
+
+    Raises:
+        ParameterError: A limit is wrong, or there is no cluster at the address.
+        MissingExtraError: Ray is not installed.
+    """
     from gauge_envs.runs.sweep.lanes import WorkerLane
     from gauge_envs.runs.sweep.ray_lanes import ray_lanes
 
-    lanes: list[Lane] = [WorkerLane(limits) for _ in range(1 if ray else count)]
-    return lanes if ray is None else [*ray_lanes(ray, workers, limits)]
+    lanes: list[Lane] = [WorkerLane(limits) for _ in range(1 if ray else min(count, most))]
+    return lanes if ray is None else [*ray_lanes(ray, workers and min(workers, most), limits)[:most]]
 
 
 def _write_slurm(
@@ -262,7 +279,7 @@ def _run(
     plan: SweepPlan,
     spec: SweepSpec,
     out: Path,
-    lanes: Callable[[], list[Lane]],
+    lanes: Callable[[int], list[Lane]],
     is_part: bool,
     retry_failed: bool,
     json_lines: bool,
@@ -299,7 +316,7 @@ def _run(
 
 def _run_left(
     session: SweepSession,
-    lanes: Callable[[], list[Lane]],
+    lanes: Callable[[int], list[Lane]],
     progress: SweepProgress,
     counts: Counter[tuple[str, Outcome]],
     *,
@@ -308,7 +325,7 @@ def _run_left(
     """Run what is left, and count it."""
     if not session.tasks:
         return
-    with progress, closing(session.run(lanes()[: len(session.tasks)])) as results:
+    with progress, closing(session.run(lanes(len(session.tasks)))) as results:
         for result in results:
             counts[str(result.backend), result.outcome] += 1
             progress.advance(result)

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from gauge_envs.errors import ParameterError
+from gauge_envs.files import json_ready, printable
 from gauge_envs.report.table import Column, Table
 from gauge_envs.report.text import value_text
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.sweep.estimate import Cost, EarlierCosts
 from gauge_envs.runs.sweep.plan import SweepPlan, SweepTask
 
-__all__ = ["cost_text", "duration_text", "outcome_table", "plan_rows", "plan_table", "query_csv", "query_table"]
+__all__ = [
+    "cost_text",
+    "duration_text",
+    "outcome_table",
+    "plan_rows",
+    "plan_table",
+    "query_csv",
+    "query_records",
+    "query_table",
+]
 
 
 def duration_text(seconds: float) -> str:
@@ -99,7 +111,7 @@ def query_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
     numbers = [all(isinstance(row[index], int | float | None) for row in rows) for index in range(len(columns))]
     return Table(
         columns=tuple(
-            Column(str(index), name, value_text, is_number=is_number)
+            Column(str(index), name, lambda value: value_text(_plain(value)), is_number=is_number)
             for index, (name, is_number) in enumerate(zip(columns, numbers, strict=True))
         ),
         rows=[{str(index): value for index, value in enumerate(row)} for row in rows],
@@ -107,12 +119,37 @@ def query_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
 
 
 def query_csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return the answer to a query as CSV with a header."""
+    """Return the answer to a query as CSV with a header.
+
+    Bytes are written in hexadecimal digits, and control characters as escapes: a file of a stranger may hold some,
+    which a terminal would execute.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
+    writer.writerow(map(_csv_value, columns))
+    writer.writerows(map(_csv_value, row) for row in rows)
     return text.getvalue()
+
+
+def query_records(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[dict[str, Any]]:
+    """Return the answer to a query as JSON-ready objects; bytes are written in hexadecimal digits.
+
+    Raises:
+        ParameterError: Two columns have the same name.
+    """
+    if len({*columns}) < len(columns):
+        twice = next(name for name, count in Counter(columns).items() if count > 1)
+        raise ParameterError(f"two columns have the name {twice!r}, and JSON keeps one: name them with AS")
+    return [json_ready({name: _plain(value) for name, value in zip(columns, row, strict=True)}) for row in rows]
+
+
+def _plain(value: Any) -> Any:
+    return value.hex() if isinstance(value, bytes) else value
+
+
+def _csv_value(value: Any) -> Any:
+    value = _plain(value)
+    return "\n".join(map(printable, value.split("\n"))) if isinstance(value, str) else value
 
 
 PLAN_COLUMNS = (

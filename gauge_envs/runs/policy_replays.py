@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -33,6 +34,9 @@ __all__ = [
     "start_overrides",
     "training_world",
 ]
+
+MOST_SIGMAS = 10.0
+"""Largest change of a constant, in standard uncertainties: beyond, no measurement says what a distribution is."""
 
 
 class WorldKind(StrEnum):
@@ -155,11 +159,11 @@ def other_worlds(
             of `engines`.
 
     Raises:
-        ParameterError: A number of standard uncertainties is not positive.
+        ParameterError: A number of standard uncertainties is not positive, or above `MOST_SIGMAS`.
         GaugeError: The training's world cannot be built.
     """
-    if any(not number > 0.0 for number in sigmas):
-        raise ParameterError("sigmas are numbers above 0; both directions are run for each")
+    if any(not 0.0 < number <= MOST_SIGMAS for number in sigmas):
+        raise ParameterError(f"sigmas are numbers above 0, at most {MOST_SIGMAS:g}; both directions are run for each")
     env = make_control_env(
         task, backend=training.backend, settings=training.settings or None, parameters=training.parameters
     )
@@ -264,10 +268,16 @@ def replay(
         notify: Function that gets the name of each world before it runs.
 
     Raises:
+        ParameterError: Two worlds have the same name.
         GaugeError: The world of the training cannot be built or run, or a policy raises an error.
         UnknownNameError: A world's engine does not exist.
         MissingExtraError: A world's engine is not installed.
     """
+    names = Counter(world.name for world in (training, *others))
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise ParameterError(
+            f"two worlds have the name {twice[0]!r}: state each engine, setting and number of sigmas once"
+        )
     for world in others:
         backend(world.backend)
     with closing(_built(task, training, {})) as env:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
-from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
 from gauge_envs.video.plane import Lens, PlaneView, PointPairs, Pose
 
 __all__ = ["read_camera"]
@@ -25,6 +23,9 @@ POSE = {"rvec", "tvec", "position_sigma_m", "rotation_sigma_rad"}
 PLANE = {"point_m", "normal", "up", "sigma_m"}
 MOTION = {"pivot_m", "pivot_sigma_m", "length_m", "release_height_m", "direction"}
 """Keys of the file and of each of its tables."""
+
+LARGEST = 1e300
+"""Bound of numbers: an integer of a file may have more digits than any other type holds."""
 
 LEAST_SPREAD = 0.02
 """Smallest ratio of the shorter to the longer spread of the points: below, they lie on a line and span no plane."""
@@ -45,8 +46,8 @@ def read_camera(path: Path | str) -> PlaneView:
     """
     path = Path(path)
     try:
-        text = read_regular(path, MEGABYTE).decode("utf-8-sig")
-        values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        content = read_regular(path, MEGABYTE).removeprefix(b"\xef\xbb\xbf")
+        values = json_document(content) if path.suffix == ".json" else toml_document(content)
     except (OSError, UnicodeDecodeError) as error:
         raise VideoError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from None
     except ValueError as error:
@@ -163,7 +164,7 @@ class _Table:
             raise VideoError(f"{self.path}: there is no {self._key(key)}; give {shown} numbers")
         try:
             value = np.array(self.values[key], dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             value = np.full(1, np.nan)
         fits = value.ndim == len(shape) and all(s is None or s == n for s, n in zip(shape, value.shape, strict=True))
         if not fits or not np.isfinite(value).all():
@@ -181,6 +182,6 @@ class _Table:
         if key not in self.values and default is not None:
             return default
         value = self.values.get(key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < np.inf:
-            raise VideoError(f"{self.path}: {self._key(key)} is {value!r}; it must be a finite number from 0")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < LARGEST:
+            raise VideoError(f"{self.path}: {self._key(key)} must be a finite number from 0")
         return float(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,9 @@ __all__ = ["Event", "Track", "read_track"]
 
 MOST_TRACK_BYTES = 16 * MEGABYTE
 """Largest size of a track file."""
+
+LAST_FRAME = 10**9
+"""Largest number of a frame."""
 
 COLUMNS = ("frame", "x", "y")
 """Columns that a track file must have; `confidence` is optional."""
@@ -100,15 +104,13 @@ def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFER
         text = read_regular(path, MOST_TRACK_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise VideoError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from None
-    rows = csv.DictReader(io.StringIO(text))
-    missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
-    if missing:
-        raise VideoError(f"{path}: there is no column {', '.join(missing)}; the first line must name frame, x, y")
     found: dict[int, tuple[float, float, float]] = {}
-    for number, row in enumerate(rows, start=2):
+    for number, row in enumerate(_rows(path, text), start=2):
         frame = _number(path, number, "frame", row["frame"])
-        if frame is None or frame != int(frame) or frame < 0:
-            raise VideoError(f"{path}: line {number}: frame is {row['frame']!r}; it must be a whole number from 0")
+        if frame is None or frame != int(frame) or not 0 <= frame <= LAST_FRAME:
+            raise VideoError(
+                f"{path}: line {number}: frame is {row['frame']!r}; it must be a whole number from 0 to {LAST_FRAME}"
+            )
         if int(frame) in found:
             raise VideoError(f"{path}: line {number}: frame {int(frame)} stands there twice")
         x, y = (_number(path, number, name, row[name]) for name in ("x", "y"))
@@ -127,6 +129,22 @@ def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFER
         confidence=np.clip(values[:, 2], 0.0, 1.0),
         size_ratio=np.full(len(frames), np.nan),
     )
+
+
+def _rows(path: Path, text: str) -> Iterator[dict[str, str]]:
+    """Yield the rows of a track.
+
+    Raises:
+        VideoError: The text is no CSV, or lacks a column.
+    """
+    try:
+        rows = csv.DictReader(io.StringIO(text, newline=""))
+        missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
+        if missing:
+            raise VideoError(f"{path}: there is no column {', '.join(missing)}; the first line must name frame, x, y")
+        yield from rows
+    except csv.Error as error:
+        raise VideoError(f"{path}: it is no CSV: {error}") from error
 
 
 def _number(path: Path, line: int, name: str, text: str | None) -> float | None:

@@ -87,7 +87,7 @@ class ContactForm:
     Attributes:
         penetration_m: Depth at rest [m].
         time_constant_s: Twice the inverse of the damping per mass [s], as MuJoCo defines it; None if one step stops the
-            body or more.
+            body or more, or without damping.
         restitution: Mean over the phases of the impact within a step.
         creep_m_s: Speed on a slope below the friction angle [m/s].
     """
@@ -140,7 +140,7 @@ class MuJoCoContact:
         rebounds = self.rebounds(drop_m=drop_m, phase_count=phase_count)
         return ContactForm(
             penetration_m=depth_m,
-            time_constant_s=-2.0 * self.timestep_s / math.log1p(-loss) if loss < 1.0 else None,
+            time_constant_s=-2.0 * self.timestep_s / math.log1p(-loss) if 0.0 < loss < 1.0 else None,
             restitution=sum(rebounds) / phase_count,
             creep_m_s=self._creep_m_s(contact_count, slope_rad),
         )

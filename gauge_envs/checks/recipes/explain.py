@@ -153,7 +153,8 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
 
     Raises:
         MissingExtraError: The engine is not installed.
-        ParameterError: Mass, time step or friction is out of the range that can be measured.
+        ParameterError: Mass, time step or friction is out of the range that can be measured, or a setting is so
+            large or small that the closed form overflows.
     """
     ranges = (
         ("mass", mass_kg, MASS_RANGE_KG, " kg"),
@@ -164,7 +165,12 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
         if not low <= value <= high:
             raise ParameterError(f"{name} {value:g}{unit}: contacts are measured for {low:g} to {high:g}{unit}")
     versions = settings.backend().versions()
-    form = settings.closed_form()
+    try:
+        form = settings.closed_form()
+    except ArithmeticError:
+        raise ParameterError(
+            f"{settings.engine} contact: its equation overflows with these numbers; state them in the engine's units"
+        ) from None
     found: Measured | None = None
     try:
         found = measured(settings, mass_kg)

@@ -95,11 +95,17 @@ def _function(source: str, *, trust: bool) -> Policy:
     if "" not in sys.path:
         sys.path.insert(0, "")
     try:
-        found = getattr(importlib.import_module(name), attribute)
+        module = importlib.import_module(name)
     except ImportError as error:
         raise PolicyError(f"{source}: the module cannot be imported: {error}") from error
+    except (Exception, SystemExit) as error:  # A module of a user may raise anything, and may be a script.
+        raise PolicyError(f"{source}: importing the module raised {type(error).__name__}: {error}") from error
+    try:
+        found = getattr(module, attribute)
     except AttributeError:
         raise PolicyError(f"{source}: module {name!r} has no {attribute!r}") from None
+    except Exception as error:
+        raise PolicyError(f"{source}: reading {attribute!r} raised {type(error).__name__}: {error}") from error
     if not callable(found):
         raise PolicyError(f"{source}: it is a {type(found).__name__}, expected a function of an observation")
     return found
@@ -126,7 +132,7 @@ def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:
             action = np.asarray(policy(observation), dtype=np.float32)
         except PolicyError:
             raise
-        except Exception as error:  # A policy of a stranger may raise anything.
+        except (Exception, SystemExit) as error:  # A policy of a stranger may raise anything.
             raise PolicyError(f"{name}: the policy raised {type(error).__name__}: {error}") from error
         if action.size != int(np.prod(space.shape)):
             raise PolicyError(f"{name}: the action has shape {action.shape}, the task takes {space.shape}")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import pickle
+import pickletools
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +20,9 @@ __all__ = ["ObservationStatistics", "UnchangedObservations", "read_normalization
 
 MOST_BYTES = 64 * MEGABYTE
 
-ARRAYS = {("numpy", "ndarray"), ("numpy", "dtype")} | {
-    (f"numpy.{core}.{module}", name)
-    for core in ("core", "_core")
-    for module, name in (("multiarray", "_reconstruct"), ("multiarray", "scalar"), ("numeric", "_frombuffer"))
-}
-"""Names that a pickle may use: arrays and numbers. Every other name becomes an empty object, whose code is not run."""
+
+MOST_OPERATIONS = 1_000_000
+"""Most operations of a file; those of `VecNormalize` have a few hundred."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,12 +58,98 @@ class _Inert:
             vars(self).update({key: value for key, value in state.items() if isinstance(key, str)})
 
 
+class _Type:
+    """Stand-in of `numpy.dtype`: its code, as `f8`, and its byte order."""
+
+    def __init__(self, code: Any, *_: Any) -> None:
+        self._code, self._order = str(code), "="
+
+    def __setstate__(self, state: Any) -> None:
+        self._order = str(state[1])
+
+    def array(self, data: Any) -> NDArray[Any]:
+        """Return the numbers of bytes, shape [n].
+
+        Raises:
+            ValueError: The type is none of plain numbers, or the bytes do not fit it.
+        """
+        is_plain = re.fullmatch("[<>=|](b1|[iu][1248]|f[248])", self._order + self._code)
+        if not is_plain or not isinstance(data, bytes | bytearray):
+            raise ValueError(f"an array of type {self._order + self._code!r} holds no plain numbers")
+        return np.frombuffer(bytes(data), dtype=self._order.replace("|", "=") + self._code)
+
+
+class _Array:
+    """Stand-in of `numpy.ndarray`, which reads its state when asked. Numpy's own takes any state, and may crash."""
+
+    def __init__(self) -> None:
+        self._state: Any = ()
+
+    def __setstate__(self, state: Any) -> None:
+        self._state = state
+
+    def numbers(self) -> NDArray[np.float64]:
+        """Return the numbers.
+
+        Raises:
+            ValueError: The state is damaged, or the array holds no plain numbers.
+        """
+        try:
+            _, shape, kind, is_fortran, data = self._state
+            numbers: NDArray[np.float64] = kind.array(data).astype(np.float64)
+            return numbers.reshape(shape, order="F" if is_fortran else "C")
+        except (TypeError, AttributeError) as error:
+            raise ValueError(f"an array is damaged: {error}") from error
+
+
+def _reconstructed(*_: Any) -> _Array:
+    return _Array()
+
+
+def _from_buffer(data: Any, kind: Any, shape: Any, order: Any) -> _Array:
+    array = _Array()
+    array.__setstate__((1, shape, kind, order == "F", data))
+    return array
+
+
+def _scalar(kind: Any, data: Any) -> Any:
+    return kind.array(data).item()
+
+
+CLASSES: dict[tuple[str, str], Any] = {
+    ("numpy", "dtype"): _Type,
+    **{
+        (f"numpy.{core}.{module}", name): made
+        for core in ("core", "_core")
+        for module, name, made in (
+            ("multiarray", "_reconstruct", _reconstructed),
+            ("multiarray", "scalar", _scalar),
+            ("numeric", "_frombuffer", _from_buffer),
+        )
+    },
+}
+"""What stands in for the names of a pickle: arrays and numbers. Every other name becomes an empty object."""
+
+
 class _ArraysOnly(pickle.Unpickler):
-    """Unpickler that makes arrays, numbers and texts; objects of all other classes are inert."""
+    """Unpickler that makes arrays, numbers and texts, and runs no code of other packages."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Return a constructor of arrays, or the inert class."""
-        return super().find_class(module, name) if (module, name) in ARRAYS else _Inert
+        """Return a stand-in of arrays, or the inert class."""
+        return CLASSES.get((module, name), _Inert)
+
+
+def _check_operations(content: bytes) -> None:
+    """Check a pickle before it is loaded: Python takes gigabytes for a place of its memo that a file makes up.
+
+    Raises:
+        ValueError: It is no pickle, has too many operations, or names such a place.
+    """
+    for count, (operation, argument, _) in enumerate(pickletools.genops(content)):
+        if count > MOST_OPERATIONS:
+            raise ValueError(f"it has more than {MOST_OPERATIONS} operations")
+        if operation.name.endswith("PUT") and not 0 <= int(str(argument)) <= count:
+            raise ValueError("it is damaged")
 
 
 class UnchangedObservations:
@@ -85,10 +170,13 @@ def read_normalization(file: Path, *, observation_size: int) -> ObservationStati
         observation_size: Size n of the task's observation.
 
     Raises:
-        PolicyError: The file cannot be read, holds no statistics of observations, or those of another size.
+        PolicyError: The file cannot be read, holds no statistics of observations, those of another size, or numbers
+            that are not finite.
     """
     try:
-        saved = _ArraysOnly(io.BytesIO(read_regular(file, MOST_BYTES))).load()
+        content = read_regular(file, MOST_BYTES)
+        _check_operations(content)
+        saved = _ArraysOnly(io.BytesIO(content)).load()
     except OSError as error:
         raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # A damaged pickle raises errors of many kinds.
@@ -99,12 +187,12 @@ def read_normalization(file: Path, *, observation_size: int) -> ObservationStati
     try:
         statistics = values["obs_rms"]
         found = ObservationStatistics(
-            mean=np.asarray(statistics.mean, dtype=np.float64),
-            variance=np.asarray(statistics.var, dtype=np.float64),
+            mean=statistics.mean.numbers(),
+            variance=statistics.var.numbers(),
             clip=float(values["clip_obs"]),
             epsilon=float(values["epsilon"]),
         )
-    except (KeyError, AttributeError, TypeError, ValueError):
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError):
         raise PolicyError(
             f"{file}: expected a file of VecNormalize.save with statistics of an array observation"
         ) from None
@@ -112,4 +200,8 @@ def read_normalization(file: Path, *, observation_size: int) -> ObservationStati
         raise PolicyError(
             f"{file}: statistics of an observation of shape {found.mean.shape}, the task has ({observation_size},)"
         )
+    scale = found.variance + found.epsilon
+    # A comparison with NaN is false.
+    if not (np.isfinite(found.mean).all() and np.isfinite(scale).all() and (scale > 0.0).all() and found.clip > 0.0):
+        raise PolicyError(f"{file}: expected finite means, and positive variances and clip_obs")
     return found

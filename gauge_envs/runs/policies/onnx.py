@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
-from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 
 __all__ = ["load_onnx"]
 
@@ -23,12 +23,14 @@ NUMBERS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 def load_onnx(file: Path, *, observation_size: int) -> Policy:
     """Return the policy of an ONNX file: one input of shape [1, n] or [n]; the first output is the action.
 
+    The network is loaded and run in another process first, which has limits of memory and time.
+
     Args:
         file: The file.
         observation_size: Size n of the task's observation.
 
     Raises:
-        PolicyError: The file is no ONNX network, or its input does not fit the observation.
+        PolicyError: The file is no ONNX network, exceeds a limit, or its input does not fit the observation.
         MissingExtraError: onnxruntime is not installed.
     """
     try:
@@ -39,6 +41,9 @@ def load_onnx(file: Path, *, observation_size: int) -> Policy:
         content = read_regular(file, MOST_BYTES)
     except OSError as error:
         raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
+    refusal = child_refusal(Path(__file__).with_name("onnx_probe.py"), str(observation_size), content=content)
+    if refusal is not None:
+        raise PolicyError(f"{file}: {refusal}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4

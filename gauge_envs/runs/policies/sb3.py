@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 import zipfile
 from collections.abc import Mapping
@@ -15,11 +14,15 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
-from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.files import MEGABYTE, json_document, read_regular
 
 __all__ = ["load_sb3"]
 
 MOST_BYTES = 512 * MEGABYTE
+"""Largest size of a file and of its weights."""
+
+MOST_DATA_BYTES = 16 * MEGABYTE
+"""Largest size of the readable part of a file, which states classes and arguments."""
 
 ACTORS = {
     "mlp_extractor.policy_net.": ("action_net.", "Tanh", False),
@@ -62,18 +65,7 @@ def load_sb3(file: Path, *, observation_size: int, action_size: int, trust: bool
         PolicyError: The file is no policy, needs `trust`, or has other sizes than the task.
         MissingExtraError: PyTorch or Stable-Baselines3 is not installed.
     """
-    try:
-        archive = zipfile.ZipFile(io.BytesIO(read_regular(file, MOST_BYTES)))
-        sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
-        if not {"data", "policy.pth"} <= set(sizes):
-            raise PolicyError(f"{file}: it is no policy of Stable-Baselines3: expected the parts data and policy.pth")
-        if max(sizes["data"], sizes["policy.pth"]) > MOST_BYTES:
-            raise PolicyError(f"{file}: its parts are larger than {MOST_BYTES / MEGABYTE:g} MB")
-        stated, weights = json.loads(archive.read("data")), archive.read("policy.pth")
-    except OSError as error:
-        raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
-    except (zipfile.BadZipFile, ValueError, RuntimeError, NotImplementedError) as error:
-        raise PolicyError(f"{file}: it is no policy of Stable-Baselines3: {error}") from error
+    stated, weights = _parts(file)
     try:
         return _from_weights(file, stated, weights, observation_size, action_size)
     except _NotPlainError as reason:
@@ -83,6 +75,43 @@ def load_sb3(file: Path, *, observation_size: int, action_size: int, trust: bool
                 "runs code that the file holds: add --trust (trust=True) if you trust its author"
             ) from None
     return _with_sb3(file, stated, observation_size)
+
+
+def _parts(file: Path) -> tuple[dict[str, Any], bytes]:
+    """Return the readable part of a file, and its weights.
+
+    Raises:
+        PolicyError: The file cannot be read, is no policy, or a part is too large.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(read_regular(file, MOST_BYTES))) as archive:
+            stated = json_document(_part(archive, "data", MOST_DATA_BYTES))
+            weights = _part(archive, "policy.pth", MOST_BYTES)
+        if not isinstance(stated, dict):
+            raise ValueError(f"data holds a {type(stated).__name__}, expected a JSON object")
+        # PyTorch unpacks the parts of an archive within the archive.
+        with zipfile.ZipFile(io.BytesIO(weights)) as inner:
+            if sum(entry.file_size for entry in inner.infolist()) > MOST_BYTES:
+                raise ValueError(f"policy.pth unpacks to more than {MOST_BYTES // MEGABYTE} MB")
+    except OSError as error:
+        raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # zipfile and zlib raise errors of many kinds for a damaged archive.
+        raise PolicyError(f"{file}: it is no policy of Stable-Baselines3: {error}") from error
+    return stated, weights
+
+
+def _part(archive: zipfile.ZipFile, name: str, most_bytes: int) -> bytes:
+    """Return a part of an archive.
+
+    Raises:
+        ValueError: There is no such part, or it is too large.
+    """
+    if name not in archive.namelist():
+        raise ValueError("expected the parts data and policy.pth")
+    size = archive.getinfo(name).file_size
+    if size > most_bytes:
+        raise ValueError(f"{name} has {size / MEGABYTE:.6g} MB, the limit is {most_bytes / MEGABYTE:g} MB")
+    return archive.read(name)
 
 
 def _from_weights(
@@ -96,14 +125,18 @@ def _from_weights(
         tensors = torch.load(io.BytesIO(weights), map_location="cpu", weights_only=True)
     except Exception as error:  # PyTorch raises errors of many kinds for damaged files.
         raise PolicyError(f"{file}: policy.pth holds no weights: {str(error)[:200]}") from error
-    if not isinstance(tensors, dict) or not all(isinstance(one, torch.Tensor) for one in tensors.values()):
+    if not isinstance(tensors, dict) or not all(
+        isinstance(key, str) and isinstance(one, torch.Tensor) for key, one in tensors.items()
+    ):
         raise PolicyError(f"{file}: policy.pth holds no weights")
     hidden, (last, default, squashed) = _actor(tensors)
     activation = _activation(stated, default)
-    names = sorted({int(key.removeprefix(hidden).partition(".")[0]) for key in tensors if key.startswith(hidden)})
-    layers = [_linear(torch, tensors, f"{hidden}{number}.") for number in names]
-    if last is not None:
-        layers.append(_linear(torch, tensors, last))
+    prefixes = [*_hidden_layers(tensors, hidden), *([] if last is None else [last])]
+    used = [one for key, one in tensors.items() if key.startswith(tuple(prefixes))]
+    # A tensor may repeat one number a billion times, which a layer would then hold.
+    if sum(one.numel() * one.element_size() for one in used) > len(weights):
+        raise PolicyError(f"{file}: its layers have more numbers than policy.pth holds")
+    layers = [_linear(torch, tensors, prefix) for prefix in prefixes]
     sizes = [layers[0].in_features, layers[-1].out_features]
     for size, expected, what in zip(sizes, (observation_size, action_size), ("observation", "action"), strict=True):
         if size != expected:
@@ -142,6 +175,18 @@ def _actor(tensors: Mapping[str, Any]) -> tuple[str, tuple[str | None, str, bool
     raise _NotPlainError("its weights are not those of an MlpPolicy with hidden layers")
 
 
+def _hidden_layers(tensors: Mapping[str, Any], hidden: str) -> list[str]:
+    """Return the prefixes of the hidden layers, in order.
+
+    Raises:
+        _NotPlainError: A layer has no number.
+    """
+    names = {key.removeprefix(hidden).partition(".")[0] for key in tensors if key.startswith(hidden)}
+    if not all(re.fullmatch("[0-9]{1,4}", name) for name in names):
+        raise _NotPlainError(f"its layers {hidden}* are not numbered")
+    return [f"{hidden}{name}." for name in sorted(names, key=int)]
+
+
 def _activation(stated: Mapping[str, Any], default: str) -> str:
     """Return the activation of hidden layers, from the readable part of the file.
 
@@ -171,11 +216,13 @@ def _linear(torch: Any, tensors: Mapping[str, Any], prefix: str) -> Any:
     """Return a linear layer with the weights of a prefix.
 
     Raises:
-        _NotPlainError: They are missing or have no two dimensions.
+        _NotPlainError: They are missing, have no two dimensions, or are no plain numbers.
     """
     weight, bias = tensors.get(f"{prefix}weight"), tensors.get(f"{prefix}bias")
     if weight is None or bias is None or weight.ndim != 2 or bias.shape != weight.shape[:1]:
         raise _NotPlainError(f"layer {prefix.rstrip('.')} is not linear")
+    if not all(one.is_floating_point() and one.layout is torch.strided and not one.is_meta for one in (weight, bias)):
+        raise _NotPlainError(f"layer {prefix.rstrip('.')} holds no plain numbers")
     layer = torch.nn.Linear(weight.shape[1], weight.shape[0])
     layer.load_state_dict({"weight": weight, "bias": bias})
     return layer

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
 
+from gauge_envs.errors import ResultFileError
 from gauge_envs.runs.sweep.folder import SweepFolder
 from gauge_envs.runs.sweep.plan import SweepTask
+from gauge_envs.runs.sweep.store import read_only
 
 __all__ = ["Cost", "EarlierCosts"]
 
@@ -75,14 +78,13 @@ def _measured(folder: SweepFolder) -> list[tuple[str, str, float, float]]:
     """Return experiment, engine, wall time [s] and number of steps of earlier results."""
     if not folder.store_path.exists():
         return []
-    connection = sqlite3.connect(f"{folder.store_path.resolve().as_uri()}?mode=ro", uri=True, timeout=60.0)
     try:
-        return connection.execute(
-            "SELECT replace(id, 'GAUGE/', ''), backend, wall_s, sim_s / timestep_s FROM results "
-            "WHERE outcome = 'finished' AND wall_s > 0 AND sim_s > 0 AND timestep_s > 0"
-        ).fetchall()
-    except sqlite3.DatabaseError:
+        with closing(read_only(folder.store_path)) as connection:
+            return connection.execute(
+                "SELECT replace(id, 'GAUGE/', ''), backend, wall_s, sim_s / timestep_s AS steps FROM results "
+                "WHERE outcome = 'finished' AND wall_s > 0 AND steps BETWEEN 1 AND 1e15 "
+                "AND typeof(wall_s) = 'real' AND typeof(steps) = 'real'"
+            ).fetchall()
+    except (sqlite3.DatabaseError, ResultFileError):
         # A damaged store is made again when the sweep runs.
         return []
-    finally:
-        connection.close()

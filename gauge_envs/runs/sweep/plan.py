@@ -114,8 +114,10 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
     """
     count = spec.episode_count()
     if count > MOST_EPISODES:
+        # Python writes no integer of thousands of digits, which long lists give.
+        shown = f"{count:,}" if count < 10**15 else f"more than {10**15:,}"
         raise ParameterError(
-            f"the sweep has {count:,} episodes, the limit is {MOST_EPISODES:,}: shorten its lists, or split it"
+            f"the sweep has {shown} episodes, the limit is {MOST_EPISODES:,}: shorten its lists, or split it"
         )
     subjects = [_Subject.load(spec, subject, parameters) for subject, parameters in _subjects(spec)]
     _check_parameters(spec, subjects)

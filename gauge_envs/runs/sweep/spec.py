@@ -39,6 +39,9 @@ __all__ = ["MOST_EPISODES", "SweepSpec", "load_sweep_file", "sweep_spec"]
 MOST_EPISODES = 1_000_000
 """Largest number of episodes of a sweep."""
 
+LARGEST_SEED = 2**62
+"""Largest first seed: the store holds seeds in 64 bits, those of the repeats included."""
+
 Text = Annotated[str, Field(min_length=1)]
 
 
@@ -75,7 +78,7 @@ class SweepSpec(_Model):
     presets: Annotated[list[Text], Field(min_length=1)] | None = None
     parameters: Annotated[list[Any], Field(min_length=1)] = ["calibrated"]
     repeats: Annotated[int, Field(ge=1)] = 1
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)] = 0
     jitter: JitterSpec | None = None
     settings: dict[str, Any] = {}
 
@@ -93,6 +96,8 @@ class SweepSpec(_Model):
     def _settings_are_lists(self) -> SweepSpec:
         for name, values in self.settings.items():
             if not isinstance(values, dict):
+                if name in self.backends:
+                    raise ValueError(f"settings.{name}: the name of an engine; a table of settings is expected")
                 _check_values(name, values)
             elif name not in self.backends:
                 raise ValueError(f"settings.{name}: a table of an engine that backends does not list")

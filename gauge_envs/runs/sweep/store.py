@@ -7,8 +7,10 @@ texts: `json_extract(settings, '$.iterations')` reads one entry.
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,12 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.sweep.folder import SweepFolder
 from gauge_envs.runs.sweep.key import KEY_LENGTH
 
-__all__ = ["COLUMNS", "SweepStore"]
+__all__ = ["COLUMNS", "SweepStore", "read_only"]
 
 Notify = Callable[[str], None]
+
+BUSY_LIMIT_S = 60.0
+"""Longest wait for another process that holds the store [s]."""
 
 SQL_TYPES = {"float": "REAL", "int": "INTEGER", "bool": "INTEGER", "str": "TEXT"}
 
@@ -75,6 +80,31 @@ COLUMNS = {
 """Columns of the table `results` and their types. `score` is the normalized score that reports show first."""
 
 
+def read_only(path: Path) -> sqlite3.Connection:
+    """Return a connection to a store that cannot write, and that reads no other file.
+
+    Raises:
+        ResultFileError: It cannot be opened.
+    """
+    _check_regular(path)
+    try:
+        connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_LIMIT_S)
+    except sqlite3.Error as error:
+        raise ResultFileError(f"{path}: cannot be opened: {error}") from error
+    connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+    return connection
+
+
+def _check_regular(path: Path) -> None:
+    """Check that SQLite would open a file: it would wait for ever for the other end of a FIFO.
+
+    Raises:
+        ResultFileError: It is something else.
+    """
+    if path.exists() and not path.is_file():
+        raise ResultFileError(f"{path}: cannot be opened: it is not a regular file")
+
+
 class SweepStore:
     """The store of a folder, opened to be written. Close it, or use it in a `with` statement.
 
@@ -91,6 +121,7 @@ class SweepStore:
     def __init__(self, folder: SweepFolder, notify: Notify) -> None:
         self._folder = folder
         self._notify = notify
+        _check_regular(folder.store_path)
         try:
             self._connection = self._opened()
         except sqlite3.OperationalError as error:
@@ -106,6 +137,18 @@ class SweepStore:
         """Close the store."""
         self._connection.close()
 
+    @contextmanager
+    def _used(self) -> Iterator[None]:
+        """Turn an error of SQLite into one that names the store."""
+        try:
+            with self._connection:
+                yield
+        except sqlite3.Error as error:
+            raise ResultFileError(
+                f"{self._folder.store_path}: cannot be used: {error}; it may be deleted, as it is made again from the "
+                "result files"
+            ) from error
+
     def add(self, result: Result, file: Path) -> None:
         """Add or replace the row of a result file.
 
@@ -114,18 +157,20 @@ class SweepStore:
         """
         row = _row(result, file, self._name(file))
         marks = ", ".join("?" * len(COLUMNS))
-        try:
-            with self._connection:
-                # An episode has one file: a result takes the place of an earlier failure.
-                self._connection.execute("DELETE FROM results WHERE key = ?", [row["key"]])
-                self._connection.execute(f"INSERT OR REPLACE INTO results VALUES ({marks})", [row[c] for c in COLUMNS])
-        except sqlite3.Error as error:
-            raise ResultFileError(f"{self._folder.store_path}: cannot be written: {error}") from error
+        with self._used():
+            # An episode has one file: a result takes the place of an earlier failure.
+            self._connection.execute("DELETE FROM results WHERE key = ?", [row["key"]])
+            self._connection.execute(f"INSERT OR REPLACE INTO results VALUES ({marks})", [row[c] for c in COLUMNS])
 
     def diverged(self, names: Container[str]) -> dict[str, Outcome]:
-        """Return those of some file names whose episodes diverged, with that outcome."""
-        rows = self._connection.execute("SELECT file FROM results WHERE outcome = ?", [Outcome.DIVERGED.value])
-        return {name: Outcome.DIVERGED for (name,) in rows if name in names}
+        """Return those of some file names whose episodes diverged, with that outcome.
+
+        Raises:
+            ResultFileError: The store cannot be read.
+        """
+        with self._used():
+            rows = self._connection.execute("SELECT file FROM results WHERE outcome = ?", [Outcome.DIVERGED.value])
+            return {name: Outcome.DIVERGED for (name,) in rows if name in names}
 
     def synchronise(self) -> int:
         """Make the rows those of the files, and return how many files were read.
@@ -133,13 +178,19 @@ class SweepStore:
         A file whose size and time are those of its row is not read again. A damaged file is moved aside.
 
         Raises:
-            ResultFileError: A row cannot be written.
+            ResultFileError: The store cannot be read or written.
         """
-        rows = self._connection.execute("SELECT file, file_bytes, file_mtime_ns FROM results")
-        known = {name: (size, mtime_ns) for name, size, mtime_ns in rows}
+        with self._used():
+            rows = self._connection.execute("SELECT file, file_bytes, file_mtime_ns FROM results")
+            known = {name: (size, mtime_ns) for name, size, mtime_ns in rows}
         read = 0
         for entry in list(self._folder.files()):
-            file, status = Path(entry.path), entry.stat()
+            file = Path(entry.path)
+            try:
+                status = entry.stat()
+            except OSError:
+                # It was removed since, or is a link to nothing.
+                continue
             if known.pop(self._name(file), None) == (status.st_size, status.st_mtime_ns):
                 continue
             read += 1
@@ -149,12 +200,12 @@ class SweepStore:
                 if not file.exists():
                     raise
                 self._notify(f"{error}; moved to {move_aside(file).name}")
-        with self._connection:
+        with self._used():
             self._connection.executemany("DELETE FROM results WHERE file = ?", [(name,) for name in known])
         return read
 
     def _name(self, file: Path) -> str:
-        return file.relative_to(self._folder.path).as_posix()
+        return _storable(file.relative_to(self._folder.path).as_posix())
 
     def _opened(self) -> sqlite3.Connection:
         path = self._folder.store_path
@@ -178,7 +229,7 @@ def _connected(path: Path) -> sqlite3.Connection:
         _DamagedError: The file is no store, or has other columns.
         sqlite3.OperationalError: It cannot be opened.
     """
-    connection = sqlite3.connect(path, timeout=60.0)
+    connection = sqlite3.connect(path, timeout=BUSY_LIMIT_S)
     try:
         # The files are written safely, and the store can be made again from them.
         connection.execute("PRAGMA synchronous = OFF")
@@ -187,6 +238,9 @@ def _connected(path: Path) -> sqlite3.Connection:
         found = [row[1] for row in connection.execute("PRAGMA table_info(results)")]
         if found != list(COLUMNS):
             raise _DamagedError("the table has the columns of another version")
+        # A trigger or a view of a stranger would run statements of its own.
+        if connection.execute("SELECT 1 FROM sqlite_master WHERE type IN ('trigger', 'view')").fetchone():
+            raise _DamagedError("it has triggers or views, which no sweep makes")
         connection.execute("CREATE INDEX IF NOT EXISTS results_by_key ON results (key)")
         (answer,) = connection.execute("PRAGMA quick_check(1)").fetchone()
         if answer != "ok":
@@ -219,7 +273,7 @@ def _row(result: Result, file: Path, name: str) -> dict[str, Any]:
         row[key] = row[key] if isinstance(row[key], str) else json.dumps(row[key], sort_keys=True)
     status = file.stat()
     stem = name.removesuffix(".json").rpartition(".")[2]
-    return row | {
+    row |= {
         "file": name,
         "key": stem if _is_key(stem) else None,
         "preset": result.settings.get("preset") or result.settings_given.get("preset"),
@@ -230,6 +284,19 @@ def _row(result: Result, file: Path, name: str) -> dict[str, Any]:
         "file_bytes": status.st_size,
         "file_mtime_ns": status.st_mtime_ns,
     }
+    return {key: _storable(value) for key, value in row.items()}
+
+
+def _storable(value: Any) -> Any:
+    """Return a value as SQLite holds it, which has no lone surrogates, no integers above 64 bits and no lists.
+
+    A file of a stranger may hold them.
+    """
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()
+    if isinstance(value, int) and value.bit_length() > 63:
+        return math.inf if value > 0 else -math.inf
+    return value if value is None or isinstance(value, int | float) else json.dumps(value)
 
 
 def _is_key(text: str) -> bool:

@@ -7,11 +7,12 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import pytest
 from typer.testing import CliRunner
 
 from gauge_envs.checks.recipes import Aim, engine_names, engine_settings, find_recipe
-from gauge_envs.checks.recipes.closed_forms import spring_damper_restitution
+from gauge_envs.checks.recipes.closed_forms import ContactForm, spring_damper_restitution
 from gauge_envs.checks.recipes.explain import explain, parsed_contact
 from gauge_envs.checks.recipes.materials import material_pairs
 from gauge_envs.cli.app import app
@@ -126,6 +127,26 @@ def test_twice_the_step_is_noticed_by_the_closed_form() -> None:
 def test_newtons_stiffness_and_damping_are_a_time_constant_and_a_ratio() -> None:
     settings = parsed_contact(engine_settings("newton"), "ke=2500 kd=100 mu=0.5", 0.002)
     assert settings.model_dump()["solref"] == (0.02, 1.0)
+
+
+def closed_form(text: str) -> ContactForm:
+    form = parsed_contact(engine_settings("mujoco"), text, 0.002).closed_form()
+    assert form is not None
+    return form
+
+
+def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one() -> None:
+    # MuJoCo documents the limits; without them the first is a division by zero.
+    assert closed_form("solimp=0 0 0 0 0") == closed_form("solimp=1e-4 1e-4 0 1e-4 1")
+    assert closed_form("solimp=2 2 0.001 0.5 2") == closed_form("solimp=0.9999 0.9999 0.001 0.5 2")
+    assert (mujoco.mjMINIMP, mujoco.mjMAXIMP) == (1e-4, 0.9999)
+    assert closed_form("solref=0 0").time_constant_s is None
+
+
+@pytest.mark.parametrize("text", ["solref=0.02 1e300", "solref=100 1e-300", "solimp=0.9 0.95 0.001 0.5 1e300"])
+def test_numbers_that_no_equation_takes_are_an_error(text: str) -> None:
+    with pytest.raises(ParameterError, match="its equation overflows with these numbers"):
+        explain(parsed_contact(engine_settings("mujoco"), text, 0.002), 2.0)
 
 
 def test_settings_are_explained_on_the_command_line() -> None:

@@ -28,8 +28,8 @@ SETTLE_S = 0.2
 MOST_STIFFNESS = 0.02
 """Largest dimensionless stiffness of a one-step impact. It scatters the restitution by as much between phases."""
 
-MOST_IMPEDANCE = 0.9999
-"""Largest impedance, MuJoCo's own limit."""
+LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999
+"""Range of the impedance, and of its midpoint: MuJoCo's own limits, mjMINIMP and mjMAXIMP."""
 
 TANGENTIAL_SHARES = ((0.7, 0.2), (1.0, 0.3))
 """Share of the sliding speed that friction of a one-step impact takes in a step, below Coulomb's limit, for
@@ -159,7 +159,7 @@ class MuJoCoSettings(ContactSettings):
         """Return what MuJoCo's documented equation gives for one coordinate."""
         contact = MuJoCoContact(
             solref=self.solref,
-            solimp=self.solimp,
+            solimp=_in_force(self.solimp),
             solreffriction=self.solreffriction,
             friction=self.friction,
             impratio=self.impratio,
@@ -172,6 +172,13 @@ class MuJoCoSettings(ContactSettings):
             drop_m=DROP_M,
             phase_count=BALL_COUNT,
         )
+
+
+def _in_force(solimp: tuple[float, float, float, float, float]) -> tuple[float, float, float, float, float]:
+    """Return the impedance that MuJoCo makes of a stated one: function getsolparam in engine_core_constraint.c."""
+    d0, dwidth, width_m, midpoint, power = solimp
+    d0, dwidth, midpoint = (min(max(one, LEAST_IMPEDANCE), MOST_IMPEDANCE) for one in (d0, dwidth, midpoint))
+    return d0, dwidth, max(width_m, 0.0), midpoint, max(power, 1.0)
 
 
 class MuJoCoWarpSettings(MuJoCoSettings):
