@@ -671,8 +671,10 @@ def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:
         recorded_drivers(name, (shorter,))
 
 
-def test_the_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert user_data_folder() == tmp_path / "gauge-data"
+def test_the_folder_follows_the_environment(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, gauge_data_dir: Path
+) -> None:
+    assert user_data_folder() == gauge_data_dir
     monkeypatch.delenv("GAUGE_DATA_DIR")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     monkeypatch.setattr("sys.platform", "linux")
