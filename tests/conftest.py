@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -26,10 +27,17 @@ def pytest_configure() -> None:
     os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
 
 
+@pytest.fixture(scope="session")
+def unused_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Folders that do not exist; to make one for each of thousands of tests would take seconds."""
+    base = tmp_path_factory.mktemp("gauge-data")
+    return (base / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def gauge_data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def gauge_data_dir(unused_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     """The user's data folder, empty for each test."""
-    folder = tmp_path / "gauge-data"
+    folder = next(unused_folders)
     monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
     return folder
 
@@ -57,7 +65,7 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "backend_names", lambda: ("mujoco",))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def rollout() -> Callable[..., tuple[gauge_envs.GaugeEnv, Trajectory, dict]]:
     """Runs one episode with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
 

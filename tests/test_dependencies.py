@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import sys
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,9 @@ NOT_OF_USERS = {"bench", "dev", "docs"}
 """Extras of benchmarks, development and guides; the package imports nothing of theirs."""
 
 
+Files = Mapping[str, tuple[set[str], set[str]]]
+
+
 def canonical(name: str) -> str:
     return name.lower().replace("_", "-")
 
@@ -61,15 +65,12 @@ EXTRAS = {
 
 def imported(text: str) -> tuple[set[str], set[str]]:
     """Distributions that a file imports: all of them, and those that it imports as soon as it is imported itself."""
-    tree = ast.parse(text)
-    later = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) or _for_types(node)
-        for inner in ast.walk(node)
-    }
     everything, at_once = set(), set()
-    for node in ast.walk(tree):
+    waiting: list[tuple[ast.AST, bool]] = [(ast.parse(text), False)]
+    while waiting:
+        node, is_later = waiting.pop()
+        is_later = is_later or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) or _for_types(node)
+        waiting += [(inner, is_later) for inner in ast.iter_child_nodes(node)]
         if isinstance(node, ast.Import):
             tops = {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -78,7 +79,7 @@ def imported(text: str) -> tuple[set[str], set[str]]:
             continue
         names = {canonical(DISTRIBUTION.get(top, top)) for top in tops - sys.stdlib_module_names - {"gauge_envs"}}
         everything |= names
-        at_once |= set() if id(node) in later else names
+        at_once |= set() if is_later else names
     return everything, at_once
 
 
@@ -86,24 +87,28 @@ def _for_types(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
 
 
-FILES = {
-    file.relative_to(PACKAGE).as_posix(): imported(file.read_text(encoding="utf-8")) for file in PACKAGE.rglob("*.py")
-}
+@pytest.fixture(scope="module")
+def files() -> Files:
+    """What each file of the package imports, as of `imported`."""
+    return {
+        file.relative_to(PACKAGE).as_posix(): imported(file.read_text(encoding="utf-8"))
+        for file in PACKAGE.rglob("*.py")
+    }
 
 
-def test_every_import_is_of_a_declared_dependency() -> None:
+def test_every_import_is_of_a_declared_dependency(files: Files) -> None:
     allowed = BASE.union(*EXTRAS.values())
-    assert {file: names - allowed for file, (names, _) in FILES.items() if names - allowed} == {}
+    assert {file: names - allowed for file, (names, _) in files.items() if names - allowed} == {}
 
 
-def test_every_declared_dependency_is_imported_or_has_a_reason() -> None:
-    used = set().union(*(names for names, _ in FILES.values()))
+def test_every_declared_dependency_is_imported_or_has_a_reason(files: Files) -> None:
+    used = set().union(*(names for names, _ in files.values()))
     assert BASE.union(*EXTRAS.values()) - used - set(INDIRECT) == set()
 
 
-def test_extras_are_imported_at_first_use() -> None:
+def test_extras_are_imported_at_first_use(files: Files) -> None:
     extras = set().union(*EXTRAS.values()) - BASE
-    at_once = {file: names & extras for file, (_, names) in FILES.items() if names & extras}
+    at_once = {file: names & extras for file, (_, names) in files.items() if names & extras}
     own = (
         "backends/drake/",
         "backends/genesis/",

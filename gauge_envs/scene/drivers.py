@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector, vector
 
-__all__ = ["CosineProfile", "Driver", "DriverMotion", "Profile", "SampledProfile", "TrapezoidProfile", "mean_velocity"]
+__all__ = ["CosineProfile", "Driver", "DriverMotion", "Profile", "SampledProfile", "TrapezoidProfile"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,14 +280,3 @@ class Driver:
                 arm = np.linalg.norm(np.cross(corners - np.asarray(motion.point_m), motion.axis), axis=1).max()
                 speed += motion.largest_rate * float(arm)
         return speed
-
-
-def mean_velocity(start: Pose, end: Pose, interval_s: float) -> NDArray[np.float64]:
-    """Return the constant velocity that moves a body from one pose to another in an interval.
-
-    Returns:
-        Linear velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [6].
-    """
-    linear = (np.asarray(end.position_m) - np.asarray(start.position_m)) / interval_s
-    angular = (end.rotation * start.rotation.inv()).as_rotvec() / interval_s
-    return np.concatenate([linear, angular])
