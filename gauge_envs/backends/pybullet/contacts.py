@@ -12,7 +12,7 @@ from scipy.optimize import linprog
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Scene
 
-__all__ = ["Surface", "impact_bodies", "products", "surfaces"]
+__all__ = ["Surface", "impact_bodies", "products", "pushing_bodies", "surfaces"]
 
 Pair = tuple[str, str]
 
@@ -170,3 +170,24 @@ def impact_bodies(scene: Scene) -> set[str]:
         if not {first, second} & found:
             found.add(first)
     return found
+
+
+def pushing_bodies(scene: Scene) -> set[str]:
+    """Return fixed and driven bodies of which two or more touch one dynamic body without a rebound.
+
+    Bullet bounds the two directions of friction between two rigid bodies one by one. The direction across a slip then
+    takes up to mu N of what another contact exerts, so a cube on a board does not follow a pusher that slips along its
+    face. Bullet's cone acts on contacts with a body in reduced coordinates. Penetrations of such a body are corrected
+    by velocity, which adds to a rebound, so bodies from which something rebounds are left out.
+    """
+    motions = {body.name: body.motion for body in scene.bodies}
+    touched: dict[str, set[str]] = {}
+    rebounding: set[str] = set()
+    for contact, (first, second) in _pairs(scene):
+        if contact.mode is ContactMode.IMPACT:
+            rebounding.update((first, second))
+            continue
+        for name, other in ((first, second), (second, first)):
+            if motions[name] is Motion.DYNAMIC is not motions[other]:
+                touched.setdefault(name, set()).add(other)
+    return {other for others in touched.values() if len(others) > 1 for other in others} - rebounding

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.chains import add_rope
-from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, surfaces
+from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces
 from gauge_envs.backends.pybullet.engine import pybullet, silent
 from gauge_envs.backends.pybullet.frames import Frame, Handle
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
@@ -72,6 +72,7 @@ class WorldPyBullet(BulletWorld):
         self.handles.clear()
         self.copies.clear()
         self._surfaces = surfaces(self.scene)
+        self._coned = pushing_bodies(self.scene) if self.settings.cone_friction else set()
         self.ropes = {
             rope.name: add_rope(self, rope, cell_m=self.settings.cell_m)
             for rope in self.scene.deformables
@@ -130,12 +131,16 @@ class WorldPyBullet(BulletWorld):
         """Add a free, fixed or driven body."""
         frame = self.frame(body)
         base = self.base_arguments(body, frame)
-        maximal = int(not self.settings.reduced_coordinates)
+        is_coned = body.name in self._coned
+        maximal = int(not (self.settings.reduced_coordinates or is_coned))
         handle = self.add_handle(body, int(self.call("createMultiBody", **base, useMaximalCoordinates=maximal)), -1)
         # A driven body has equal moments of inertia, so that it does not tumble within a step.
         moments = frame.moments if body.motion is Motion.DYNAMIC else [self.scale**2 * DRIVEN_MASS_KG] * 3
         if body.motion is not Motion.FIXED:
             self.set_dynamics(handle, mass=base["baseMass"], localInertiaDiagonal=moments)
+        if is_coned:
+            # The limit on the speed of joints holds for the base too.
+            self.free_joints(handle.body, 0, spherical=())
         if body.motion is Motion.DYNAMIC:
             self._start_base(handle.body, body, frame)
 

@@ -53,7 +53,9 @@ class SettingsPyBullet(SteppedSettings):
         friction_erp: Share of a slip that one step corrects, used with `friction_anchors`.
         global_cfm: Softness of all constraints.
         warm_starting: Share of the last step's contact impulses with which the solver starts.
-        cone_friction: Couple the two directions of friction in a cone; otherwise each one has its own limit.
+        cone_friction: Couple the two directions of friction in a cone; otherwise each one has its own limit. Bullet
+            does this in contacts with a body in reduced coordinates. Fixed and driven bodies of which two or more touch
+            one dynamic body without a rebound are therefore built so.
         friction_anchors: Hold a resting contact at its first point.
         split_impulse: Penetrations that are corrected without a change of velocity: all, only those deeper than 0.04
             units, or none. Bodies in reduced coordinates, on joints or driven, are always corrected by velocity.

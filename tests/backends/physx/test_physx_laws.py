@@ -253,3 +253,34 @@ def test_a_piece_that_physx_simplifies_is_an_error() -> None:
     assert not PHYSX.supports(scene)
     with pytest.raises(UnsupportedSceneError, match="PhysX simplifies a convex piece of 240 vertices"):
         PHYSX.build(scene)
+
+
+def turned_deg(plate: Shape, *, acceleration: float, **settings: object) -> float:
+    """Return by how much a cube has turned after 0.1 s on a plate that accelerates along x [degrees]."""
+    cube = Box(size_m=(0.05, 0.05, 0.05))
+    bodies = (
+        RigidBody(
+            name="cube", shape=cube, motion=Motion.DYNAMIC, pose=Pose(position_m=(0, -0.075, 0.025)), mass_kg=0.09
+        ),
+        RigidBody(name="plate", shape=plate, motion=Motion.KINEMATIC, pose=Pose(position_m=(0, 0, -0.01)), mass_kg=1.0),
+    )
+    contact = Contact(first=("cube",), second=("plate",), friction=0.38, restitution=0.0)
+    simulation = PHYSX.build(Scene(bodies=bodies, contacts=(contact,), duration_s=1.0), settings)
+    change = np.array([acceleration, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for sample in range(18):
+        time_s = sample / 180
+        place = Pose(position_m=(0.5 * acceleration * time_s**2, 0.0, -0.01))
+        simulation.drive("plate", place, change * time_s, change)
+        simulation.advance(1 / 180)
+    row = simulation.body_states(["cube"])[0]
+    simulation.close()
+    return abs(float(np.degrees(Rotation.from_quat(row[3:7], scalar_first=True).as_rotvec()[2])))
+
+
+def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh() -> None:
+    """Pressure and friction are symmetric about the line of motion: a cube must not turn. It slips above 3.7 m/s^2."""
+    disc, slab = Cylinder(radius_m=0.15, length_m=0.02), Box(size_m=(0.3, 0.3, 0.02))
+    assert turned_deg(disc, acceleration=3.0) < 1e-3
+    assert turned_deg(slab, acceleration=4.2) < 1e-2
+    assert turned_deg(disc, acceleration=4.2, persistent_manifolds=False) < 1e-2
+    assert turned_deg(disc, acceleration=4.2) > 0.1

@@ -9,11 +9,11 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.pybullet import backend as backend_module
-from gauge_envs.backends.pybullet.contacts import impact_bodies, products, surfaces
+from gauge_envs.backends.pybullet.contacts import impact_bodies, products, pushing_bodies, surfaces
 from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
 from gauge_envs.backends.pybullet.support import unsupported_features
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
-from gauge_envs.scene import Contact, Motion, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import Contact, ContactMode, Motion, Pose, RigidBody, Scene, Sphere
 
 
 def test_products_of_bodies_are_the_values_of_pairs() -> None:
@@ -99,6 +99,33 @@ def test_rope_in_contact_is_declined() -> None:
 )
 def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(name: str, late: set[str]) -> None:
     assert impact_bodies(load_experiment(name).scene) == late
+
+
+def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone() -> None:
+    motions = {"cube": "dynamic", "ball": "dynamic", "board": "fixed", "bar": "kinematic", "ground": "fixed"}
+    bodies = tuple(
+        RigidBody(
+            name=name, shape=Sphere(radius_m=0.1), pose=Pose(position_m=(0, 0, 0)), motion=Motion(motion), mass_kg=1.0
+        )
+        for name, motion in motions.items()
+    )
+
+    def impact(first: str, second: str) -> Contact:
+        return Contact(first=(first,), second=(second,), friction=0.3, restitution=0.2, mode=ContactMode.IMPACT)
+
+    def found(*contacts: Contact) -> set[str]:
+        return pushing_bodies(Scene(bodies=bodies, contacts=contacts, duration_s=1.0))
+
+    held, pushed = pair_contact("cube", "board", 0.3), pair_contact("cube", "bar", 0.3)
+    assert found(held, pushed, impact("cube", "ground")) == {"board", "bar"}
+    assert found(held, pushed, impact("ball", "bar")) == {"board"}
+    assert found(held, pair_contact("ball", "bar", 0.3)) == set()
+    assert found(held, pair_contact("cube", "ball", 0.3)) == set()
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-3-wood", "Turntable-1-wood", "WallBreaking-wood", "SlopeContact-wood"])
+def test_no_body_of_the_benchmark_needs_the_cone(name: str) -> None:
+    assert pushing_bodies(load_experiment(name).scene) == set()
 
 
 @pytest.mark.parametrize(

@@ -155,6 +155,40 @@ def test_pairs_without_products_have_their_own_friction(motion: Motion) -> None:
         assert distance == pytest.approx(0.5 * 0.3**2 * G * (0.5 - friction * np.cos(np.pi / 6)), rel=0.01)
 
 
+def pushed_cube(friction: float) -> Scene:
+    """A cube on a board, and a bar behind it that is driven."""
+    bodies = (
+        solid("cube", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.025)),
+        solid("board", Box(size_m=(2.0, 2.0, 0.02)), (0.0, 0.0, -0.01), motion=Motion.FIXED),
+        solid("bar", Box(size_m=(0.02, 0.12, 0.03)), (-0.035, 0.0, 0.025), motion=Motion.KINEMATIC),
+    )
+    contact = Contact(first=("cube",), second=("board", "bar"), friction=friction, restitution=0.0)
+    return Scene(bodies=bodies, contacts=(contact,), duration_s=1.0)
+
+
+@pytest.mark.parametrize(("acceleration", "aside"), [(5.0, -0.15), (60.0, -1.2)])
+def test_cube_that_a_bar_pushes_and_slips_along_moves_along_the_edge_of_the_friction_cone(
+    acceleration: float, aside: float
+) -> None:
+    """While the bar slips, m (a, -mu a) is the bar's force less friction along the velocity (1, -mu)."""
+    friction, step = 0.3, 1 / 180
+    scene = pushed_cube(friction)
+    simulation = ENGINE.build(scene)
+    simulation.reset(0)
+    place, velocity = np.array(scene.body("bar").pose.position_m), np.array([0.0, aside, 0.0])
+    change = np.array([acceleration, 0.0, 0.0])
+    for _ in range(9):
+        simulation.drive(
+            "bar", Pose(position_m=tuple(place.tolist())), np.r_[velocity, 0, 0, 0], np.r_[change, 0, 0, 0]
+        )
+        simulation.advance(step)
+        place, velocity = place + (velocity + 0.5 * change * step) * step, velocity + change * step
+    speed = simulation.body_states(["cube"])[0, 7:9]
+    simulation.close()
+    assert speed[0] == pytest.approx(velocity[0], rel=0.002)
+    assert speed[1] / speed[0] == pytest.approx(-friction, rel=0.005)
+
+
 def test_two_bodies_in_one_world_do_not_depend_on_another_world() -> None:
     scene = load_experiment("NonsmoothContact-1-wood").scene
 
