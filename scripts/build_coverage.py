@@ -36,7 +36,7 @@ HEAD = """
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 
 `known` and `sigma` are those of the band in use, or of the withheld band if none is in use. A law of a carried or held
-body covers every frame. A law of a free flight ends at the first contact, and a law of a slide where the body tips over.
+body covers every frame. A law of a free flight ends at the first contact, that of a slide where the body tips over.
 Scores against these two are not normalized, because the published baseline covers the whole motion. `statistics` are
 the statistics of deformation of foam, which are not scored.
 """
