@@ -29,16 +29,16 @@ BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- en
 HEAD = """
 | column | meaning |
 | --- | --- |
-| band | grade of what is scored on; a *withheld* recording, which is used only if you ask for it; `statistics` |
+| band | grade of the band in use; a *withheld* recording, which is used only if you ask for it; `statistics` |
 | known | frames with a known mean, of all frames of the experiment; in brackets, frames known in every coordinate |
 | sigma | source of the scatter: the `trials`, the published `baseline`, or the uncertainty of the `measurement` |
 | driver | source of the motion of the driven body; `-` where nothing is driven |
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 
-`known` and `sigma` are those of the band that is scored on, or else of the withheld one. The law of a carried body
-states every frame. The law of a free flight ends at the first contact, and that of a slide where the body tips over.
-Their scores are not normalized, because the published baseline covers the whole motion. `statistics` are those of the
-deformation of foam, which stand beside the score and never enter it.
+`known` and `sigma` are those of the band in use, or of the withheld band if none is in use. A law of a carried or held
+body covers every frame. A law of a free flight ends at the first contact, that of a slide where the body tips over.
+Scores against these two are not normalized, because the published baseline covers the whole motion. `statistics` are
+the statistics of deformation of foam, which are not scored.
 """
 GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.NONE)
 

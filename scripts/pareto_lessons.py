@@ -75,7 +75,8 @@ def _slide(slide: Phenomenon) -> str:
         f"{_range(errors)} of the real scatter, below the floor of {_range(floors)} that the uncertain friction, start "
         f"and tilt set. The error against reality is {_range(real)} at every step of every engine. MuJoCo's default "
         f"step of 1/{1 / (after.step_s or 1.0):.0f} s lowers the numerical error from {before.numerical:.2g} to "
-        f"{after.numerical:.1g} for {after.cost / before.cost:.2g} times the time, and reality cannot show it."
+        f"{after.numerical:.1g} for {after.cost / before.cost:.2g} times the time. Real trials cannot show this "
+        "difference."
     )
 
 
@@ -105,11 +106,11 @@ def _finer(phenomena: dict[str, Phenomenon]) -> str:
         f"{mujoco_end:.2g}; Newton is closest at {_step(newton)} ({newton.to_closed_form:.2g}) and converges to "
         f"{newton_end:.2g}. PhysX is within 0.0001 from {_step(close[0])} to {_step(close[-1])} and at "
         f"{physx[-1].to_closed_form:.2g} at {_step(physx[-1])}. With the documented defaults of MuJoCo and Newton, "
-        "`out_of_box`, the error against reality of Turntable-3 grows from "
+        "`out_of_box`, the error against reality of Turntable-3 increases from "
         f"{_range(line[0].to_reality for line in ends)} to {_range(line[-1].to_reality for line in ends)} between "
-        f"{_step(ends[0][0])} and {_step(ends[0][-1])}: the coarse step hides a part of the model error. Their ball "
-        f"drop is resolved to {_range(one.resolution for one in drops)} and is {_range(one.model for one in drops)} "
-        "from the exact rebound."
+        f"{_step(ends[0][0])} and {_step(ends[0][-1])}: the error of the coarse step cancels a part of the model "
+        f"error. Their ball drop is resolved to {_range(one.resolution for one in drops)}, and is "
+        f"{_range(one.model for one in drops)} from the exact rebound."
     )
 
 
@@ -126,13 +127,14 @@ def _step_decides_nothing(phenomena: dict[str, Phenomenon]) -> str:
     mended = _known(point.to_reality for point in enough)
     _check(max(mended) < 1.0, "recorded heights mend the ball drop")
     return (
-        "- **No step brings the cradle near reality.** MuJoCo, PhysX and Newton end at "
-        f"{_range(point.to_reality for point in others)} scatters from the real momentum transfer and Drake at "
-        f"{_range(point.to_reality for point in _line([_family(cradle, 'drake')]))}, at every step and number of "
-        f"iterations with which they finished. Rapier goes from {rapier[0].to_reality:.2g} to "
-        f"{rapier[-1].to_reality:.2g} between {_step(rapier[0])} and {_step(rapier[-1])} without a limit that these "
-        f"steps resolve. The ball drop is the same: {_range(drops)} scatters at every step of the default presets, and "
-        f"{max(mended):.2g} or less at a sufficient step with the recorded restitution and heights (parameters "
+        "- **No step brings the cradle near reality.** In the cradle, MuJoCo, PhysX and "
+        f"Newton are {_range(point.to_reality for point in others)} real scatters from the real momentum transfer, and "
+        f"Drake is {_range(point.to_reality for point in _line([_family(cradle, 'drake')]))}, with every step and "
+        "number of iterations at which they did not diverge. The error of Rapier increases from "
+        f"{rapier[0].to_reality:.2g} to {rapier[-1].to_reality:.2g} between {_step(rapier[0])} and {_step(rapier[-1])}"
+        ", and these steps do not resolve a limit. The error of the ball drop is "
+        f"{_range(drops)} at every step of the default presets, and {max(mended):.2g} or less at a sufficient step "
+        "with the recorded restitution and heights (parameters "
         "`recorded`)."
     )
 

@@ -95,8 +95,8 @@ app = typer.Typer(
     cls=_Group,
     name="gauge",
     help="Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark).",
-    epilog="Exit codes: 0 success; 1 a bad outcome, which the help of a command describes; 2 a wrong request; "
-    "130 interrupted.",
+    epilog="Exit codes: 0 done; 1 done, with a failure that the help of the command describes; 2 the request cannot be "
+    "met; 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

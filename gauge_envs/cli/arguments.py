@@ -49,13 +49,13 @@ ParametersOption = Annotated[
 
 DriversOption = Annotated[
     DataSource,
-    typer.Option("--drivers", help="Driven motion: bundled, from the task file; or imported, from imported trials."),
+    typer.Option("--drivers", help="Motion of driven bodies: bundled, from the task file; imported, from real trials."),
 ]
 
 
 ReferenceOption = Annotated[
     DataSource,
-    typer.Option("--reference", help="Reference band: bundled with the package; or imported, from imported trials."),
+    typer.Option("--reference", help="Band to score against: bundled, of the package; or imported, from real trials."),
 ]
 
 
@@ -63,7 +63,7 @@ WithheldOption = Annotated[
     bool,
     typer.Option(
         "--use-withheld",
-        help="Also use reference bands of low quality, which are withheld; gauge show ID gives the reason.",
+        help="Also use reference bands that are withheld; gauge show ID states the reason.",
     ),
 ]
 

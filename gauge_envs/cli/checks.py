@@ -72,12 +72,15 @@ def sanity(
     ] = None,
     pair: Annotated[
         str | None,
-        typer.Option(metavar="GEOM1,GEOM2", help="Contact whose constants are used; by default all those on ground."),
+        typer.Option(
+            metavar="GEOM1,GEOM2",
+            help="Two geoms whose contact constants are used; by default all on the ground.",
+        ),
     ] = None,
     against: Annotated[
         str | None,
         typer.Option(
-            metavar="TARGET", help="Where the policy runs: report what changes from the first target to this."
+            metavar="TARGET", help="Target where the policy runs: report what changes from the first target to it."
         ),
     ] = None,
     only: Annotated[
@@ -97,7 +100,9 @@ def sanity(
     ] = None,
     time_limit_s: Annotated[
         float | None,
-        typer.Option("--time-limit-s", min=0.0, help="Start no simulation after this time; other rows are declined."),
+        typer.Option(
+            "--time-limit-s", min=0.0, help="Start no simulation after this time in s; other rows are declined."
+        ),
     ] = None,
     on_engine: Annotated[
         OtherEngine | None,
@@ -237,26 +242,24 @@ def backend_list(json_lines: Json = False) -> None:
 @backend_app.command("check")
 def backend_check(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME...", help="Backends; one column of the table each.")
+        list[str] | None, typer.Argument(metavar="NAME...", help="Engines; one column of the table each.")
     ] = None,
     only: Annotated[list[str] | None, typer.Option("--only", help="Id or pattern of checks; repeatable.")] = None,
     changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Numerical setting of the backends, as timestep_s=0.0005.")
+        list[str] | None, typer.Option("--set", help="Numerical setting of the engines, as timestep_s=0.0005.")
     ] = None,
     describe: Annotated[
         bool, typer.Option("--list", help="List the checks with their scenes and laws, and run none.")
     ] = False,
     isolate: Annotated[
         bool,
-        typer.Option(
-            "--isolate", help="Run the checks in another process; those of engines of other packages always do."
-        ),
+        typer.Option("--isolate", help="Run the checks in another process; engines of other packages always do."),
     ] = False,
     time_limit_s: Annotated[
-        float | None, typer.Option(help="Time limit of a check in another process [s], 600 by default.")
+        float | None, typer.Option(help="Time limit of a check in another process in s, 600 by default.")
     ] = None,
     memory_limit_gb: Annotated[
-        float | None, typer.Option(help="Limit of the resident memory of that process [GB], on Linux.")
+        float | None, typer.Option(help="Limit of the resident memory of that process in GB, on Linux.")
     ] = None,
     every: Annotated[
         bool,
@@ -272,20 +275,24 @@ def backend_check(
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="PAGE", help="One HTML page: checks in rows, backends in columns, with all commands."),
+        typer.Option(metavar="PAGE", help="One HTML page: checks in rows, engines in columns, with all commands."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="File for the columns of the page, which --from reads.")
     ] = None,
     files: Annotated[
         list[Path] | None,
-        typer.Option("--from", metavar="FILE", help="Columns of another run, not run again; repeatable."),
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="Columns that --out wrote, which are not measured again; repeatable.",
+        ),
     ] = None,
     json_lines: Json = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The table in Markdown, for a README.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
     wide: Wide = False,
 ) -> None:
-    """Check backends against closed forms in small scenes, with a diagnosis of each failure.
+    """Check engines against closed forms in small scenes, with a diagnosis of each failure.
 
     Exit code 1 when a check failed or raised an error. A declined check is no failure. An engine that crashes, exits or
     hangs in another process costs one check. A limit implies --isolate, and so do --all, --report and --out.

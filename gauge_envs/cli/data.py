@@ -125,7 +125,7 @@ def assets_build(
     out: Annotated[Path | None, typer.Option(help="Folder; the checked-in assets/ by default.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 if a file is stale.")] = False,
 ) -> None:
-    """Build every scene as USD, every rigid one as MJCF, and every solid as OBJ, from the task files."""
+    """Build every scene as USD and MJCF, and every solid as OBJ, from the task files."""
     from gauge_envs.experiments.export.assets import assets_folder, build_assets, stale_asset
 
     folder = out or assets_folder()

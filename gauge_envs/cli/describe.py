@@ -28,7 +28,7 @@ def list_(
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
-    """List experiments with their observable, the grade of their reference, and the backends that can run them.
+    """List experiments with their observable, the grade of their reference, and the engines that can run them.
 
     Exit code 1 when a wrong task file was skipped.
     """

@@ -17,7 +17,8 @@ __all__ = ["film"]
 
 def film(
     sources: Annotated[
-        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+        list[Path] | None,
+        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -25,27 +26,27 @@ def film(
             help="Film, MP4, WebP or GIF; with --strip a picture, PNG or WebP. By default film.mp4 or strip.png."
         ),
     ] = None,
-    name: Annotated[str | None, typer.Option("--id", help="Experiment, where the results are of several.")] = None,
+    name: Annotated[str | None, typer.Option("--id", help="Experiment, if the results are of several.")] = None,
     strip: Annotated[
-        int | None, typer.Option(metavar="COUNT", help="Write a still picture instead: so many times in a row.")
+        int | None, typer.Option(metavar="COUNT", help="Draw this number of times in a row instead of a film.")
     ] = None,
     speed: Annotated[float, typer.Option(help="Seconds of the experiment in a second of the film.")] = 1.0,
     fps: Annotated[float, typer.Option(help="Frames per second of the film.")] = 30.0,
     from_s: Annotated[float, typer.Option(help="Time of the first picture in seconds.")] = 0.0,
     to_s: Annotated[float | None, typer.Option(help="Time of the last picture in seconds; the end by default.")] = None,
     hold_s: Annotated[float, typer.Option(help="Time for which the last frame stays in seconds.")] = 1.0,
-    width: Annotated[int, typer.Option(help="Width of the picture of a result in pixels.")] = 480,
-    height: Annotated[int, typer.Option(help="Height of the picture of a result in pixels.")] = 360,
-    columns: Annotated[int | None, typer.Option(help="Results in a row of the film; at most four by default.")] = None,
+    width: Annotated[int, typer.Option(help="Width of a panel in pixels.")] = 480,
+    height: Annotated[int, typer.Option(help="Height of a panel in pixels.")] = 360,
+    columns: Annotated[int | None, typer.Option(help="Panels in a row of the film; at most four by default.")] = None,
     recording: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Video of the real experiment, as the first picture.")
+        Path | None, typer.Option(metavar="FILE", help="Video of the real experiment, as the first panel.")
     ] = None,
     recording_start_s: Annotated[
         float, typer.Option(help="Time in that video at which the experiment starts in seconds.")
     ] = 0.0,
     recording_rate_hz: Annotated[
         float | None,
-        typer.Option(help="Pictures that its camera took in a second, where the video is in slow motion."),
+        typer.Option(help="Pictures that its camera took in a second, if the video is in slow motion."),
     ] = None,
     use_withheld: WithheldOption = False,
 ) -> None:

@@ -26,11 +26,11 @@ def recipe(
     ] = None,
     friction: Annotated[float | None, typer.Option(help="Coefficient of friction, 0.01 to 2.")] = None,
     restitution: Annotated[float | None, typer.Option(help="Rebound over impact speed, 0 to 1.")] = None,
-    penetration: Annotated[float | None, typer.Option(help="Largest depth at rest [m].")] = None,
+    penetration: Annotated[float | None, typer.Option(help="Largest depth at rest in m.")] = None,
     stiffness: Annotated[float | None, typer.Option(help="Weight over depth at rest [N/m].")] = None,
     damping: Annotated[float | None, typer.Option(help="Damping beside the stiffness [N s/m].")] = None,
-    mass: Annotated[float | None, typer.Option(help="Mass of the body [kg].")] = None,
-    timestep: Annotated[float | None, typer.Option(help="Time step of the engine [s].")] = None,
+    mass: Annotated[float | None, typer.Option(help="Mass of the body in kg.")] = None,
+    timestep: Annotated[float | None, typer.Option(help="Time step of the engine in s.")] = None,
     explain: Annotated[
         str | None,
         typer.Option(metavar="TEXT", help="Contact settings of the engine, as 'solref=0.02 1': report what they give."),
@@ -43,9 +43,9 @@ def recipe(
 ) -> None:
     """Give contact settings of an engine for a measured behaviour, with what they reach in simulation.
 
-    With --explain the other way round. The settings are simulated in a slide, a drop, at rest and on a slope; those of
-    a fabric in a strip that hangs and one that droops. Exit code 1 when the simulation diverges. A value that the
-    engine cannot reach is no failure: the nearest one is given, with the reason.
+    With --explain, report the behaviour of given settings. The settings are simulated in a slide, a drop, at rest and
+    on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value
+    that the engine cannot reach is no failure: the nearest one is given, with the reason.
     """
     behaviour = (friction, restitution, penetration, stiffness, damping)
     if list_materials:

@@ -17,7 +17,8 @@ __all__ = ["report"]
 
 def report(
     sources: Annotated[
-        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+        list[Path] | None,
+        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the site; a site in it is replaced.")] = Path("site"),
     replay: Annotated[

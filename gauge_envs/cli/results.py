@@ -23,7 +23,8 @@ __all__ = ["compare", "diagnose", "loaded_files", "plot"]
 
 def plot(
     sources: Annotated[
-        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+        list[Path] | None,
+        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
     pareto: Annotated[
@@ -66,7 +67,8 @@ def _save_pareto(results: Sequence[Result], folder: Path) -> Iterator[Path]:
 
 def compare(
     sources: Annotated[
-        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+        list[Path] | None,
+        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
     ] = None,
     json_lines: Json = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Tables as GitHub Markdown.")] = False,
@@ -107,7 +109,8 @@ def compare(
 
 def diagnose(
     sources: Annotated[
-        list[Path] | None, typer.Argument(metavar="[DIR or FILE]...", help="Result files; results/ by default.")
+        list[Path] | None,
+        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
     ] = None,
     name: Annotated[
         str | None, typer.Option("--id", help="Experiment of trajectory files, as for gauge score.")

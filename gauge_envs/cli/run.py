@@ -45,37 +45,40 @@ __all__ = ["run", "score"]
 def run(
     ids: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[ID or pattern]...", help="As 'SlopeSlider-*'; or experiment files, as crate.toml."),
+        typer.Argument(metavar="[ID or pattern]...", help="Ids or patterns, as 'SlopeSlider-*'; or experiment files."),
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="All experiments that the backend can run.")] = False,
-    backends: Annotated[list[str] | None, typer.Option("--backend", help="Repeatable; mujoco by default.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="All experiments that the engine can run.")] = False,
+    backends: Annotated[
+        list[str] | None, typer.Option("--backend", help="Engine; repeatable; mujoco by default.")
+    ] = None,
     parameters: ParametersOption = None,
     asset: AssetOption = None,
     drivers: DriversOption = DataSource.BUNDLED,
     reference: ReferenceOption = DataSource.BUNDLED,
     use_withheld: WithheldOption = False,
     changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Numerical setting of the backend, as timestep_s=0.0005.")
+        list[str] | None,
+        typer.Option("--set", help="Numerical setting of the engine, as timestep_s=0.0005; repeatable."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     marker_proxy: Annotated[
         str,
         typer.Option(
-            help="Marker proxy on a deformable body: material, its material point; or node, the nearest node (paper)."
+            help="What represents a marker on a deformable body: its material point, or the nearest node (paper)."
         ),
     ] = "material",
     repeats: Annotated[
-        int, typer.Option(min=1, help="Runs of each experiment, from starts with the scatter of real ones.")
+        int, typer.Option(min=1, help="Runs of each experiment, from starts that scatter as real ones do.")
     ] = 1,
     jitter_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard deviation of start positions [mm]; 1.0 with --repeats.")
+        float | None, typer.Option(min=0.0, help="Standard deviation of start positions in mm; 1.0 with --repeats.")
     ] = None,
     jitter_deg: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard deviation of start angles [deg]; 0.5 with --repeats.")
+        float | None, typer.Option(min=0.0, help="Standard deviation of start angles in degrees; 0.5 with --repeats.")
     ] = None,
     uncertainty: Annotated[
         bool,
-        typer.Option("--uncertainty", help="Measure the inputs of the intervals by about 20 further runs; show them."),
+        typer.Option("--uncertainty", help="Measure the sensitivities of this run, by about 20 further runs."),
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
     resume: Annotated[bool, typer.Option(help="Keep results that exist already.")] = False,
@@ -87,11 +90,11 @@ def run(
         ),
     ] = False,
     time_limit_s: Annotated[
-        float, typer.Option(help="Time limit of an experiment in another process, with its repeats [s].")
+        float, typer.Option(help="Time limit of an experiment, with its repeats, in another process in s.")
     ] = 3600.0,
     memory_limit_gb: Annotated[
         float | None,
-        typer.Option(help="Limit of the resident memory of that process [GB], on Linux; implies --isolate."),
+        typer.Option(help="Limit of the resident memory of that process in GB, on Linux; implies --isolate."),
     ] = None,
     json_lines: Json = False,
     wide: Wide = False,
@@ -178,7 +181,7 @@ def run(
 def score(
     file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
     name: Annotated[
-        str | None, typer.Option("--id", help="Experiment, or experiment file; a JSON file may state it itself.")
+        str | None, typer.Option("--id", help="Experiment, or experiment file; not needed if a JSON file states it.")
     ] = None,
     parameters: ParametersOption = None,
     reference: ReferenceOption = DataSource.BUNDLED,

@@ -50,7 +50,9 @@ def sweep(
         Path | None, typer.Argument(metavar="[FILE]", help="Sweep file, TOML; options replace what it states.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the result files and the store.")] = Path("sweep"),
-    backends: Annotated[list[str] | None, typer.Option("--backend", help="Repeatable; mujoco by default.")] = None,
+    backends: Annotated[
+        list[str] | None, typer.Option("--backend", help="Engine; repeatable; mujoco by default.")
+    ] = None,
     variants: Annotated[
         list[str] | None, typer.Option("--variant", help="Id, pattern or experiment file; repeatable.")
     ] = None,
@@ -65,20 +67,24 @@ def sweep(
     repeats: Annotated[int | None, typer.Option(min=1, help="Episodes of each combination.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the first repeat.")] = None,
     jitter_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard deviation of start positions [mm]; 1.0 with repeats.")
+        float | None, typer.Option(min=0.0, help="Standard deviation of start positions in mm; 1.0 with repeats.")
     ] = None,
     jitter_deg: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard deviation of start angles [deg]; 0.5 with repeats.")
+        float | None, typer.Option(min=0.0, help="Standard deviation of start angles in degrees; 0.5 with repeats.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the plan and its cost; run nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show the plan and its estimated cost; run nothing.")
+    ] = False,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Worker processes; one for each processor by default.")
     ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run episodes that failed again.")] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Run episodes again that failed before.")
+    ] = False,
     isolate: Annotated[bool, typer.Option("--isolate", help="Each task in a process of its own.")] = False,
-    time_limit_s: Annotated[float, typer.Option(help="Time limit of a task [s].")] = 3600.0,
+    time_limit_s: Annotated[float, typer.Option(help="Time limit of a task in s.")] = 3600.0,
     memory_limit_gb: Annotated[
-        float | None, typer.Option(help="Limit of the resident memory of a worker [GB], on Linux.")
+        float | None, typer.Option(help="Limit of the resident memory of a worker in GB, on Linux.")
     ] = None,
     ray: Annotated[
         str | None, typer.Option(help="Run on Ray: auto, local, or the address of a cluster.", metavar="ADDRESS")
@@ -88,7 +94,7 @@ def sweep(
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Jobs of the Slurm array.")] = 16,
     part: Annotated[
-        str | None, typer.Option("--shard", help="Run one part of the plan, as 0/16; parts may run at once.")
+        str | None, typer.Option("--shard", help="Run one part of the plan, as 0/16; parts may run at the same time.")
     ] = None,
     json_lines: Json = False,
     wide: Wide = False,
@@ -133,7 +139,7 @@ class Format(StrEnum):
 
 
 def query(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a sweep, or of gauge run.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of gauge sweep or gauge run.")],
     sql: Annotated[str, typer.Argument(help="One SELECT statement; the table is results.")],
     form: Annotated[Format, typer.Option("--format", help="Format of the rows.")] = Format.TABLE,
 ) -> None:

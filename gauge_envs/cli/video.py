@@ -74,7 +74,7 @@ def video_score(
         float | None, typer.Option(help="Frames per second, instead of the rate that a file states.")
     ] = None,
     size: Annotated[
-        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures of a track [px], as 832x480.")
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures of a track in pixels, as 832x480.")
     ] = None,
     camera: Annotated[
         Path | None,
@@ -182,7 +182,7 @@ def video_render(
     ] = None,
     fps: Annotated[float, typer.Option(help="Frames per second; divides 180.")] = 30.0,
     seconds: Annotated[
-        float | None, typer.Option(help="Time after the release [s]; default: the experiment, at most 8 s.")
+        float | None, typer.Option(help="Time after the release in s; by default the experiment, at most 8 s.")
     ] = None,
 ) -> None:
     """Film an episode of an engine as the first frame of its task is seen, so that gauge video score can judge it."""

@@ -43,7 +43,7 @@ def pareto_statements(tradeoff: Tradeoff) -> Iterator[str]:
 
 
 def phenomenon_statements(phenomenon: Phenomenon, tradeoff: Tradeoff) -> Iterator[str]:
-    """Yield what the numbers of a phenomenon say: the cheapest sufficient setting, steps, and what no step mends."""
+    """Yield what the numbers of a phenomenon say: the cheapest sufficient setting, steps, and errors of the model."""
     if phenomenon.unit == "scatter":
         yield _reality(phenomenon, tradeoff)
     known = [family for family in phenomenon.families if family.sufficient_step_s is not None]
@@ -53,13 +53,13 @@ def phenomenon_statements(phenomenon: Phenomenon, tradeoff: Tradeoff) -> Iterato
     unresolved = [family for family in phenomenon.families if family.converged and family.sufficient_step_s is None]
     if unresolved:
         words = [f"{family.name} (resolved to {_number(family.resolution)})" for family in unresolved]
-        yield f"No step is shown to be below {_limit(unresolved)}: {', '.join(words)}."
+        yield f"No step has a numerical error known to be below {_limit(unresolved)}: {', '.join(words)}."
     off = [family for family in phenomenon.families if _is_model_limited(family)]
     if off:
         words = [f"{one.name} {_number(one.model)} (numerical error known to {_number(one.resolution)})" for one in off]
         yield (
-            "No finer step mends these, whose converged motion is off the exact one by more than the parametric floor "
-            f"or the real scatter: {', '.join(words)}."
+            "A finer step does not help these, whose converged motion differs from the exact one by more than the "
+            f"parametric floor or the real scatter: {', '.join(words)}."
         )
 
 
@@ -69,7 +69,7 @@ def _reality(phenomenon: Phenomenon, tradeoff: Tradeoff) -> str:
         family, point = found
         return (
             f"The cheapest setting within the real scatter is {family.name} with {setting_words(point)}, "
-            f"at {_cost(point, tradeoff)}: {_number(point.to_reality)} of the scatter."
+            f"at {_cost(point, tradeoff)}: {_number(point.to_reality)} of the real scatter."
         )
     best = phenomenon.best("to_reality")
     if best is None:
@@ -77,7 +77,7 @@ def _reality(phenomenon: Phenomenon, tradeoff: Tradeoff) -> str:
     family, point = best
     text = (
         f"No setting is within the real scatter. The closest is {family.name} with {setting_words(point)}, at "
-        f"{_number(point.to_reality)} times the scatter"
+        f"{_number(point.to_reality)} times the real scatter"
     )
     if point.numerical is not None and family.resolution is not None:
         text += f"; the numerical error of this setting is {_number(max(point.numerical, family.resolution))}"
@@ -99,12 +99,12 @@ def _limit(families: Iterable[Family]) -> str:
         return "the real scatter"
     known = [floor for floor in floors if floor is not None]
     low, high = _number(min(known)), _number(max(known))
-    return f"the parametric floor, {low if low == high else f'{low} to {high}'} of the scatter"
+    return f"the parametric floor, {low if low == high else f'{low} to {high}'} of the real scatter"
 
 
 def _heading(phenomenon: Phenomenon) -> str:
     names = ", ".join(name.removeprefix("GAUGE/") for name in phenomenon.ids)
-    unit = "the scatter of real trials" if phenomenon.unit == "scatter" else phenomenon.unit
+    unit = "the real scatter" if phenomenon.unit == "scatter" else phenomenon.unit
     worst = ", of the worst experiment" if len(phenomenon.ids) > 1 else ""
     title = TITLES.get(phenomenon.metric, phenomenon.metric)
     return f"{title[0].upper()}{title[1:]} of {names}; errors in units of {unit}{worst}."
@@ -117,7 +117,7 @@ def _table(phenomenon: Phenomenon) -> Table:
         Column("model", "model error", is_number=True),
         Column("sufficient", "sufficient step", is_number=True),
         Column("sufficient_cost", "its cost", is_number=True),
-        Column("cheapest", "cheapest within scatter"),
+        Column("cheapest", "cheapest within real scatter"),
         Column("cheapest_cost", "its cost", is_number=True),
         Column("usual", "default step", is_number=True),
         Column("usual_cost", "its cost", is_number=True),

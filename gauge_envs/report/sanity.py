@@ -41,8 +41,8 @@ __all__ = [
 
 VERDICT_NOTES = {
     Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
-    Verdict.VISIBLE: "outside, by up to 2.5 times the half-width: a careful observer sees the difference",
-    Verdict.WRONG: "farther away, or of another kind: what holds slides, what stays intact diverges",
+    Verdict.VISIBLE: "outside, at most 2.5 half-widths from reality: a careful observer sees the difference",
+    Verdict.WRONG: "farther away, or of another kind: a body slides that should hold, or the run diverges",
     Verdict.DECLINED: "not measured: it does not apply, or the backend cannot build the scene with these settings",
 }
 
@@ -53,8 +53,8 @@ STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bo
 LEGEND = (
     "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge sanity "
     "--list, --wide and --html name the source). Preset: this package's preset for the scene. This: the checked "
-    "configuration; behind the verdict, its difference from reality. Below a row: what is responsible, found by "
-    "putting settings back to the engine's documented default and to this package's preset, and measuring again."
+    "configuration; after the verdict, its difference from reality. Below a row: the responsible setting, found by "
+    "resetting each setting to the engine's documented default and to this package's preset, and measuring again."
 )
 
 

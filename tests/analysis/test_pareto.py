@@ -142,7 +142,7 @@ def test_a_first_order_error_is_numerical() -> None:
     # x is off by a t h / 2, so the distance to the finest step is in proportion to h - h_finest: 15, 7, 3, 1.
     assert np.array(numerical[:-1]) / numerical[3] == pytest.approx([15.0, 7.0, 3.0, 1.0], rel=1e-6)
     assert family.model == pytest.approx(family.resolution, rel=1e-6)
-    assert "No finer step mends" not in " ".join(pareto_statements(tradeoff(sweep())))
+    assert "A finer step does not help" not in " ".join(pareto_statements(tradeoff(sweep())))
 
 
 def test_a_wrong_step_in_the_engine_is_model_error() -> None:
@@ -156,7 +156,8 @@ def test_a_wrong_step_in_the_engine_is_model_error() -> None:
     assert by_step(family, "numerical")[0] == pytest.approx(1.2 * by_step(sound, "numerical")[0], rel=1e-6)
     assert min(by_step(family, "to_closed_form")) > 0.9 * family.model
     assert phenomenon.unit == "scatter"
-    (statement,) = [one for one in pareto_statements(tradeoff(sweep(wrong_step))) if "No finer step mends" in one]
+    statements = pareto_statements(tradeoff(sweep(wrong_step)))
+    (statement,) = [one for one in statements if "A finer step does not help" in one]
     assert "mujoco" in statement
 
 
@@ -260,7 +261,7 @@ def test_the_cheapest_setting_within_the_scatter_is_stated() -> None:
     statement = next(iter(pareto_statements(found)))
     # The real scatter of the wood slide is 18 mm (paper, Table 5).
     assert "cheapest setting within the real scatter is mujoco with a step of 1/360 s" in statement
-    assert "0.5 of the scatter" in statement
+    assert "0.5 of the real scatter" in statement
     assert "| mujoco |" in pareto_markdown(found)
 
 

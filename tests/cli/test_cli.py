@@ -6,7 +6,9 @@ import sys
 
 import pytest
 from interruption import interrupt_in_episode
+from rich.text import Text
 from slide import NAME, SLIDE, write_csv
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
@@ -81,6 +83,21 @@ def test_backend_list(gauge):
 def test_help_is_quick_and_imports_no_engine():
     code = "import sys, gauge_envs.cli; print({'mujoco', 'matplotlib', 'rich.progress'} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "set()"
+
+
+def helps(command):
+    """Texts of the help of a command and of all below it."""
+    yield from (one.help for one in command.params if one.help)
+    yield command.help or ""
+    for inner in getattr(command, "commands", {}).values():
+        yield from helps(inner)
+
+
+def test_help_loses_no_text():
+    """The help is Rich markup, in which `[mm]` is a tag and is not shown."""
+    shown = {text: Text.from_markup(text).plain for text in helps(get_command(app))}
+    assert len(shown) > 100
+    assert {text: plain for text, plain in shown.items() if text != plain} == {}
 
 
 # --- run ---

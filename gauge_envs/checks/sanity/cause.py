@@ -182,7 +182,7 @@ class _Search:
 
     def unexplained(self) -> Cause:
         """Return that only the whole configuration explains the error."""
-        line = f"no {LARGEST_GROUP} settings put back together explain it: " + ", ".join(self._others)
+        line = f"no reset of up to {LARGEST_GROUP} settings explains it: " + ", ".join(self._others)
         return Cause(settings=(), line=line, tried=tuple(self._tried))
 
     def default_is_no_better(self) -> Cause:

@@ -232,7 +232,7 @@ def test_more_than_a_few_are_the_configuration_as_a_whole() -> None:
     # Any two of five suffice, so that putting three back leaves the error, and none has it alone.
     cause = cause_of(lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1, d=1, e=1)
     assert cause is not None and cause.settings == ()
-    assert cause.line == "no 3 settings put back together explain it: a, b, c, d, e"
+    assert cause.line == "no reset of up to 3 settings explains it: a, b, c, d, e"
 
 
 def test_what_the_default_gets_wrong_too() -> None:
