@@ -41,6 +41,17 @@ def failures(columns: Sequence[MatrixColumn]) -> Iterator[str]:
         yield f"- {finding.backend}, `{finding.check}`: {found}. Hints of the check: {hints}"
 
 
+def declined(columns: Sequence[MatrixColumn]) -> Iterator[str]:
+    """Yield a line for each engine and reason for which its backend declines scenes, with the checks."""
+    found: dict[tuple[str, str], dict[str, None]] = {}
+    for column in columns:
+        for finding in column.current().values():
+            for reason in finding.missing:
+                found.setdefault((column.backend, reason), {})[finding.check] = None
+    for (engine, reason), names in sorted(found.items()):
+        yield f"- {engine}: {markdown_text(reason)} ({', '.join(f'`{name}`' for name in names)})"
+
+
 def generate(scoring: Path) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
     columns = read_columns(scoring / "conformance.json")
@@ -48,6 +59,7 @@ def generate(scoring: Path) -> dict[Path, str]:
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     lines = [BEGIN, "", "### Failures of default configurations", "", *failures(columns), ""]
+    lines += ["### Why scenes are declined", "", *declined(columns), ""]
     generated = "\n".join([*lines, matrix_markdown(columns, checks(CANONICAL))])
     return {PAGE: f"{before}{generated}{END}{after}"}
 

@@ -70,6 +70,10 @@ class BackendPoint(Backend):
             subjects.setdefault(reason, []).append(subject)
         return Support(tuple(f"{_first_of(names)} {reason}" for reason, names in subjects.items()))
 
+    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Settings that `build` would use; a sweep finds a wrong one with it before anything runs."""
+        return resolve_settings("point", PRESETS, preset="default", changes=settings).model_dump(mode="json")
+
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationPoint:
         """Build a scene; settings are the fields of `SettingsPoint`."""
         return SimulationPoint(scene, resolve_settings("point", PRESETS, preset="default", changes=settings))

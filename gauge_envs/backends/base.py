@@ -452,7 +452,7 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
     """
     missing = list(support.missing)
     if scene.air is not None and not engine.applies_air:
-        missing.append("the scene has air around its cloth, which this engine does not apply")
+        missing.append("the scene has air around its cloth, which this backend does not apply")
     if scene.body_hinges and not engine.joins_bodies:
         hinge = scene.body_hinges[0]
         missing.append(f"{hinge.first!r} and {hinge.second!r} are joined by a hinge, which this backend does not build")

@@ -308,6 +308,8 @@ def backend_check(
         return
     if not names and not every and not files:
         raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list or --all")
+    if misplaced := [name for name in names or [] if name in {one.id for one in checks()}]:
+        raise ParameterError(f"{misplaced[0]!r} is a check and no backend: repeat the option, as --only {misplaced[0]}")
     if configurations and not every:
         raise ParameterError("--configuration chooses among those of --all: add --all")
     limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s

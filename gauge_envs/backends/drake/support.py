@@ -10,8 +10,8 @@ __all__ = ["unsupported_features"]
 
 REASONS = {
     "Cloth": "Drake has no cloth",
-    "SoftBody": "Drake's volume elements are linear tetrahedra, which lock: a cantilever of 480 of them bends by "
-    "3.63 mm and one of 3840 by 5.43 mm, where theory gives 5.89 mm",
+    "SoftBody": "this backend does not build Drake's volume elements, linear tetrahedra, which lock: a cantilever of "
+    "480 of them bends by 3.63 mm and one of 3840 by 5.43 mm, where theory gives 5.89 mm",
     "Rope": "Drake has no ropes",
     "Rod": "Drake has no elastic rods",
 }

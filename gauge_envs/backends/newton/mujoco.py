@@ -1,9 +1,10 @@
 """Rigid scenes on Newton's MuJoCo solver (MuJoCo Warp), with contacts from Newton's collision pipeline.
 
 The collision detection of MuJoCo Warp is used on request only (`mujoco_contacts`): its normals are inaccurate in single
-precision. Between two boxes they are off by more than a degree in 2 % of the contacts that are 1 to 10 um deep. That
-share is 8 % at a depth of 0.1 to 1 um, and 56 % below. Accelerations of cubes on a slope then scatter by up to 7 %
-about Coulomb's law. Newton's normals are accurate to 0.02 degrees, and the scatter is that of double precision.
+precision. With mujoco_warp 4.0.0, of 400 poses of a cube on a leaning board, up to 0.8 % of the contacts that are 1 to
+10 um deep are off by more than a degree, up to 1.2 % at a depth of 0.1 to 1 um, and 1 to 6 % at 0.01 to 0.1 um, some
+by 90 degrees. A cube with a friction of 0.1 then slides down 30 degrees with 3.80 instead of 4.05 m/s^2. Newton's
+normals are accurate to 0.02 degrees, and that cube has 4.055 m/s^2.
 """
 
 from __future__ import annotations

@@ -241,7 +241,8 @@ PRESETS: dict[str, SettingsNewton] = {
     # constant, as in MuJoCo; with a shorter time constant, sliding cubes hop higher.
     "rigid": SettingsMuJoCoWarp(preset="rigid", timestep_s=1 / 3600),
     # Newton's documented defaults, at the rate of the paper's rigid runs; only masses, shapes and friction come from
-    # the scene.
+    # the scene. One is not Newton's: contacts come from its collision pipeline, whose normals are accurate. The default
+    # of `use_mujoco_contacts` is True.
     "out_of_box": SettingsMuJoCoWarp(
         preset="out_of_box", timestep_s=1 / 180, cone="pyramidal", impratio=1.0, newton_material=True
     ),

@@ -75,7 +75,10 @@ def unsupported_features(scene: Scene, settings: SettingsNewton | None = None) -
     """
     for joint in scene.joints:
         if isinstance(joint, Tether):
-            yield f"{joint.body!r} hangs on a string: Newton's MuJoCo solver has no distance joints"
+            yield (
+                f"{joint.body!r} hangs on a string: Newton's MuJoCo solver has no distance joints, and this backend "
+                "does not build its tendons"
+            )
     settings = settings or settings_for(scene)
     if not scene.deformables:
         if isinstance(settings, SettingsMuJoCoWarp):

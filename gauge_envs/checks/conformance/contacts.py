@@ -283,7 +283,8 @@ SLOW_DROP_M, SLOW_GRAVITY = 0.05, 0.1
     source="Newton's law of restitution",
     unit="1",
     tolerance=Tolerance(absolute=0.01, rationale="twice that of a fast rebound, of which a slow one is the tail"),
-    diagnosis="the engine has a threshold speed below which it does not rebound: set it to 0, or decline restitution",
+    diagnosis="where a fast ball rebounds (rebound-0.5), the engine has a threshold speed below which it does not: set "
+    "it to 0, or decline restitution",
 )
 def _rebound_slow(lab: Lab) -> Measurement:
     return _rebound(lab, 0.5, drop_m=SLOW_DROP_M, gravity=SLOW_GRAVITY)

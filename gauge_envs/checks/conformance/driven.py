@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses
@@ -90,7 +93,19 @@ def _driven_path(lab: Lab) -> Measurement:
     rollout = lab.once(_turntable)
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
-    return driver_error(rollout, rotated + rollout.position("plate")[:, None])
+    found = driver_error(rollout, rotated + rollout.position("plate")[:, None])
+    return found if found.hint else replace(found, hint=_turn_hint(rollout))
+
+
+def _turn_hint(rollout: Rollout) -> str:
+    """Return how far the plate turns in each interval, from where its drive puts it, if that is degrees for radians."""
+    prescribed = Rotation.concatenate([pose.rotation for pose in driver_poses(rollout)])
+    asked = (prescribed[1:] * prescribed[:-1].inv()).magnitude()
+    turned = (rollout.rotation("plate")[1:] * prescribed[:-1].inv()).magnitude()
+    moves = asked > 0.5 * asked.max()
+    ratio = float(np.median(turned[moves] / asked[moves]))
+    wrong = any(abs(ratio / unit - 1.0) < 0.05 for unit in (np.degrees(1.0), np.radians(1.0)))
+    return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
 
 
 CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")

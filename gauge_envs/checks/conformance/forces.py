@@ -251,8 +251,31 @@ def _inertia_check(kind: str) -> None:
         own = np.diag(turned.T @ inertia @ turned) / np.diag(turned.T @ push.inertia @ turned)
         hint = f"its inertia about body x, y, z is {own[0]:.3g}, {own[1]:.3g} and {own[2]:.3g} times what it should be"
         hint += _size_hint(SHAPES[kind], turned.T @ inertia @ turned)
+        hint = _frame_hint(inertia, turned.T @ push.inertia @ turned) or hint
         worst = float(error.flat[int(np.abs(error).argmax())])
         return Measurement(measured=worst / largest, expected=0.0, hint=hint)
+
+
+def _frame_hint(inertia: NDArray[np.float64], own: NDArray[np.float64]) -> str:
+    """Return the wrong frame in which an engine takes an inertia; empty if it is none of the known ones.
+
+    Args:
+        inertia: Inertia in the world, as measured [kg m^2], shape [3, 3].
+        own: Inertia in the body frame, as it should be [kg m^2], shape [3, 3].
+    """
+    right = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation
+    x, y, z, w = right.as_quat()
+    frames = {
+        "its inertia is taken along the axes of the world instead of the body's": Rotation.identity(),
+        "its inertia is rotated from the world to the body instead of back": right.inv(),
+        "its inertia is that of a body whose w, x, y, z was read as x, y, z, w": Rotation.from_quat([w, x, y, z]),
+        "its inertia is that of a body whose x, y, z, w was read as w, x, y, z": Rotation.from_quat([y, z, w, x]),
+    }
+    for text, frame in frames.items():
+        other = frame.as_matrix() @ own @ frame.as_matrix().T
+        if np.abs(inertia - other).max() < 0.02 * np.abs(other).max():
+            return text
+    return ""
 
 
 def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:

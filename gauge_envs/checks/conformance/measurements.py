@@ -52,10 +52,12 @@ def slide_acceleration(measured: float, friction: float) -> Measurement:
     """Return the measurement of a slide on `SLIDE_SLOPE_DEG`; Coulomb's law gives the expected acceleration [m/s^2]."""
     sine, cosine = np.sin(np.radians(SLIDE_SLOPE_DEG)), np.cos(np.radians(SLIDE_SLOPE_DEG))
     effective = (sine - measured / GRAVITY_M_PER_S2) / cosine
+    rules = {"its square: the engine multiplies the values of two bodies": friction**2, "its half": 0.5 * friction}
+    rule = next((f", {text}" for text, value in rules.items() if abs(effective / value - 1.0) < 0.02), "")
     return Measurement(
         measured=measured,
         expected=GRAVITY_M_PER_S2 * (sine - friction * cosine),
-        hint=f"it slides as if the friction were {effective:.3g} instead of {friction:.3g}",
+        hint=f"it slides as if the friction were {effective:.3g} instead of {friction:.3g}{rule}",
     )
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from gauge_envs.checks.conformance.lab import Lab
-from gauge_envs.checks.conformance.measurements import (
-    fall_m,
-)
+from gauge_envs.checks.conformance.measurements import acceleration_m_per_s2
 from gauge_envs.checks.conformance.model import Measurement, Tolerance
 from gauge_envs.checks.conformance.registry import check
 from gauge_envs.checks.conformance.scene_parts import ball, ground
@@ -36,19 +34,25 @@ def _pairs(lab: Lab) -> Rollout:
     "contact-unlisted",
     title="bodies without a listed contact pass through each other",
     scene="three balls of radius 30 mm over a plane; only one of them has a contact with it",
-    measures="smaller fall within 0.5 s of two balls through bodies with which they have no contact",
-    law="g t^2 / 2",
+    measures="smaller acceleration of two balls that fall through bodies with which they have no contact, quadratic "
+    "fit over 0.5 s",
+    law="a = g",
     source="contract (scene.Contact)",
-    unit="m",
+    unit="m/s^2",
     tolerance=Tolerance(relative=0.01, rationale="it is a free fall; any contact force is visible"),
-    diagnosis="the collision filter of the engine lets bodies collide that have no contact in the scene",
+    diagnosis="the collision filter of the engine lets bodies collide that have no contact in the scene; where "
+    "free-fall fails too, it is the fall itself",
 )
 def _contact_unlisted(lab: Lab) -> Measurement:
     rollout = lab.once(_pairs)
-    fallen = {name: fall_m(rollout, name) for name in ("unlisted", "upper")}
-    slow = min(fallen, key=lambda name: fallen[name])
+    # A fit, since after 0.5 s a semi-implicit step of 1/180 s has fallen by 1.1 % more than the law.
+    falls = {
+        name: -acceleration_m_per_s2(rollout.times_s, rollout.position(name)[:, 2]) for name in ("unlisted", "upper")
+    }
+    slow = min(falls, key=lambda name: falls[name])
     what = {"unlisted": "the plane", "upper": "the plane or the other ball"}[slow]
-    return Measurement(measured=fallen[slow], expected=0.5 * G * 0.5**2, hint=f"ball {slow!r} is held by {what}")
+    hint = f"ball {slow!r} is held by {what}" if falls[slow] < 0.9 * G else ""
+    return Measurement(measured=falls[slow], expected=G, hint=hint)
 
 
 @check(

@@ -58,6 +58,12 @@ def _gravity_hint(measured: float, expected: float) -> str:
         return "the acceleration is 1000 times too large: positions are in mm"
     if abs(measured) < 1e-3 * expected:
         return "the body does not fall: gravity is off, or the body is not dynamic or not in the engine's scene"
+    if abs(ratio - 2.0) < 0.02:
+        return "gravity acts twice"
+    # A fall goes with the square of time.
+    for share in (0.5, 2.0):
+        if abs(ratio / share**2 - 1.0) < 0.02:
+            return f"advance() simulates {share:g} times the time it is given: the engine's step is not timestep_s"
     return ""
 
 
@@ -225,7 +231,8 @@ def _pendulum_period(lab: Lab) -> Measurement:
         rationale="EL, the benchmark's energy score, resolves per cent over 100 s; a loss of 1 % in 3 s would dominate "
         "it",
     ),
-    diagnosis="the hinge or the body is damped (joint damping, friction, angular damping), or the integrator is lossy",
+    diagnosis="energy is lost where the hinge or the body is damped (joint damping, friction, angular damping), and "
+    "gained or lost by the integrator where the step is too long",
 )
 def _pendulum_energy(lab: Lab) -> Measurement:
     rollout = lab.once(_pendulum)

@@ -119,11 +119,20 @@ _roll_check(
     source="Coulomb; scene.Plane (body z is the normal)",
     unit="m/s^2",
     tolerance=Tolerance(relative=0.01, rationale="as for a slide on a box"),
-    diagnosis="the plane's orientation is ignored or inverted: its normal is the body's z axis, and it may lean",
+    diagnosis="check the friction cone (a pyramid has less friction between its axes), how friction is combined, and "
+    "that the plane leans: its normal is the body's z axis",
 )
 def _slide_plane(lab: Lab) -> Measurement:
     rollout = _on_plane(lab, Box(size_m=(0.06, 0.03, 0.05)), 0.015, STEEP, SLIDE_FRICTION)
     measured, sine = _down_acceleration(rollout, STEEP), _sine(STEEP)
     expected = G * (sine - SLIDE_FRICTION * float(np.sqrt(1.0 - sine**2)))
-    hint = "the leaning plane is level in the engine" if abs(measured) < 0.02 * expected else ""
-    return Measurement(measured=measured, expected=expected, hint=hint)
+    return Measurement(measured=measured, expected=expected, hint=_slide_hint(measured, sine))
+
+
+def _slide_hint(measured: float, sine: float) -> str:
+    if abs(measured) < 0.02 * G * sine:
+        return "it does not slide: the leaning plane is level in the engine, or friction holds the brick"
+    friction = (sine - measured / G) / float(np.sqrt(1.0 - sine**2))
+    if friction < -0.02:
+        return "it slides faster than without friction: the plane leans otherwise in the engine"
+    return f"it slides as if the friction were {friction:.3g} instead of {SLIDE_FRICTION:.3g}"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.checks.conformance.lab import Lab
 from gauge_envs.checks.conformance.laws import (
@@ -158,7 +160,27 @@ def _angular_velocity(rollout: Rollout) -> Measurement:
         "it is in the body frame": rotations[1:-1].apply(reported),
         "it is in degrees": np.radians(reported),
     }
-    return _vector_error(reported, actual, explanations)
+    found = _vector_error(reported, actual, explanations)
+    return found if found.hint else replace(found, hint=_quaternion_hint(states[:, 3:7], reported))
+
+
+def _quaternion_hint(quaternions: NDArray[np.float64], spin: NDArray[np.float64]) -> str:
+    """Return the wrong convention of quaternions w, x, y, z, [sample_count, 4], to which a spin [rad/s] fits; or ""."""
+    conventions = {
+        "it fits the quaternion with its scalar first and last exchanged: the engine has another order inside": (
+            np.roll(quaternions, 1, axis=1),
+            np.roll(quaternions, -1, axis=1),
+        ),
+        "it fits the inverse of the quaternion: the engine rotates from the world to the body": (
+            quaternions * [1.0, -1.0, -1.0, -1.0],
+        ),
+    }
+    for text, candidates in conventions.items():
+        for candidate in candidates:
+            actual = spin_from_orientations(Rotation.from_quat(candidate, scalar_first=True), SAMPLE_INTERVAL_S)
+            if _vector_error(spin, actual, {}).measured < 3.0:
+                return text
+    return ""
 
 
 @check(

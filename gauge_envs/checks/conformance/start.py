@@ -102,7 +102,8 @@ def _start_velocity(lab: Lab) -> Measurement:
     tolerance=Tolerance(
         absolute=3.0, rationale="it rotates by 180 degrees; the tolerance is that of the free rotation after a hit"
     ),
-    diagnosis="build() and reset() must give each dynamic body the angular velocity of the scene, in the world frame",
+    diagnosis="build() and reset() must give each dynamic body the angular velocity of the scene, in the world frame; "
+    "where start-velocity-reset passes, check the frame of the inertia and the gyroscopic term",
 )
 def _start_spin(lab: Lab) -> Measurement:
     last = lab.once(_thrown_brick).rotation("thrown")[-1]
@@ -175,6 +176,27 @@ def _start_velocity_reset(lab: Lab) -> Measurement:
         reported = simulation.body_states(["thrown"])[0, 7:]
     finally:
         simulation.close()
-    hint = "the ball is at rest after the reset" if not reported.any() else ""
+    hint = _reported_hint(reported)
     error = float(np.abs(reported - [*LINEAR_M_PER_S, *ANGULAR_RAD_PER_S]).max())
     return Measurement(measured=error, expected=0.0, hint=hint)
+
+
+def _reported_hint(reported: NDArray[np.float64]) -> str:
+    """Return what is wrong with velocities that should be those of the scene, shape [6]; empty if it is not known."""
+    if not reported.any():
+        return "the ball is at rest after the reset"
+    found = []
+    for what, values, right in (
+        ("linear", reported[:3], np.array(LINEAR_M_PER_S)),
+        ("angular", reported[3:], np.array(ANGULAR_RAD_PER_S)),
+    ):
+        forms = {
+            "": right,
+            "is in the body frame": POSE.rotation.apply(right, inverse=True),
+            "has the wrong sign": -right,
+            "is in degrees": np.degrees(right),
+            "is in mm/s": 1e3 * right,
+        }
+        text = next((text for text, form in forms.items() if np.allclose(values, form, rtol=1e-3)), "")
+        found += [f"the reported {what} velocity {text}"] if text else []
+    return "; ".join(found)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from gauge_envs.checks.recipes.closed_forms import spring_damper_restitution
+from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 

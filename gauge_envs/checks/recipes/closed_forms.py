@@ -1,4 +1,4 @@
-"""Closed forms of contacts: the unilateral spring and damper, a slide, and MuJoCo's contact constraint."""
+"""Closed forms of contacts: a slide, and MuJoCo's contact constraint."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ from scipy.optimize import brentq
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
 __all__ = [
-    "LARGEST_DAMPING_RATIO",
     "ContactForm",
     "MuJoCoContact",
-    "damping_ratio_of",
     "friction_of_slide",
     "mujoco_impedance",
-    "spring_damper_restitution",
 ]
 
 G = GRAVITY_M_PER_S2
@@ -26,35 +23,6 @@ DEEPEST_M = 1e3
 
 LONGEST_IMPACT_S = 2.0
 """Time after which an impact counts as a rest [s]."""
-
-LARGEST_DAMPING_RATIO = 1e3
-"""Damping ratio that stands for no rebound; the spring and damper then gives a restitution of 2.5e-7."""
-
-
-def spring_damper_restitution(damping_ratio: float) -> float:
-    """Return the restitution of a mass that meets a linear spring and damper which can push and not pull.
-
-    The contact ends when the force is zero, before the spring is at its length. With the damping ratio z this is
-    e = exp(-2 z arccos(z) / sqrt(1 - z^2)), and arcosh and sqrt(z^2 - 1) above 1. Gravity during the impact is left
-    out.
-
-    Source: Schwager and Poeschel, Granular Matter 9 (2007) 465, with the angles combined.
-    """
-    z = damping_ratio
-    if abs(z - 1.0) < 1e-9:
-        return math.exp(-2.0)
-    if z < 1.0:
-        return math.exp(-2.0 * z * math.acos(z) / math.sqrt(1.0 - z * z))
-    return math.exp(-2.0 * z * math.acosh(z) / math.sqrt(z * z - 1.0))
-
-
-def damping_ratio_of(restitution: float) -> float:
-    """Return the damping ratio with which `spring_damper_restitution` is a value; `LARGEST_DAMPING_RATIO` for 0."""
-    if restitution >= 1.0:
-        return 0.0
-    if restitution <= spring_damper_restitution(LARGEST_DAMPING_RATIO):
-        return LARGEST_DAMPING_RATIO
-    return float(brentq(lambda z: spring_damper_restitution(z) - restitution, 0.0, LARGEST_DAMPING_RATIO, xtol=1e-12))
 
 
 def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float, lift_m_per_s2: float = 0.0) -> float:

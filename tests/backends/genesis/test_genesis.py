@@ -35,6 +35,7 @@ pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.genesis.contacts import CONTACT_LIMIT, damping_ratio
+from gauge_envs.backends.genesis.engine import EngineLease, engine
 from gauge_envs.backends.genesis.model import forget_models
 from gauge_envs.backends.genesis.presets import settings_for
 from gauge_envs.backends.genesis.settings import PRESETS
@@ -140,6 +141,39 @@ def test_a_scene_whose_contacts_all_lack_friction_has_none() -> None:
     assert not GENESIS.supports(scene).missing
     with pytest.raises(UnsupportedSceneError):
         GENESIS.build(scene, {"preset": "out_of_box"})
+
+
+def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing() -> None:
+    simulation = GENESIS.build(sliding_scene(), {"preset": "out_of_box"})
+    ours, step_s = simulation._model.solver._options, simulation.settings["timestep_s"]
+    simulation.close()
+    forget_models()
+    gs = engine()
+    lease = EngineLease(32)
+    plain = gs.Scene(show_viewer=False, sim_options=gs.options.SimOptions(dt=step_s))
+    plain.add_entity(gs.morphs.Plane())
+    plain.add_entity(gs.morphs.Box(size=(0.05, 0.05, 0.05), pos=(0.0, 0.0, 0.025)))
+    plain.build()
+    default = plain.sim.rigid_solver._options
+    names = (
+        *("integrator", "constraint_solver", "iterations", "tolerance", "ls_iterations", "ls_tolerance"),
+        *("noslip_iterations", "friction_cone", "contact_resolution", "impratio", "contact_pruning_tolerance"),
+        *("enable_multi_contact", "box_box_detection", "use_gjk_collision"),
+    )
+    both = {name: (getattr(ours, name), getattr(default, name)) for name in names}
+    # Genesis computes its tolerance, which rounds.
+    wrong = {
+        name: pair
+        for name, pair in both.items()
+        if pair[0] != (pytest.approx(pair[1]) if name == "tolerance" else pair[1])
+    }
+    constants = plain.sim.rigid_solver.geoms[-1].get_sol_params().cpu().numpy().ravel()
+    plain.destroy()
+    lease.release()
+    assert wrong == {}
+    preset = PRESETS["out_of_box"]
+    solref = (preset.sustained_timeconst_s, preset.sustained_dampratio, *preset.sustained_impedance)
+    assert constants[:5] == pytest.approx(solref, rel=1e-5)
 
 
 # --- impacts ---------------------------------------------------------------------------------------------------------

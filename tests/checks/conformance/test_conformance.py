@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from gauge_envs.backends import Backend, Simulation, Support, backend, registry
 from gauge_envs.checks.conformance import CheckResult, Status, checks, mutations, run_checks
+from gauge_envs.checks.conformance.forces import EULER_DEG, _frame_hint
 from gauge_envs.checks.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
@@ -48,6 +49,9 @@ class Wrapped(Simulation):
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         return self.inner.body_states(names)
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        self.inner.apply_wrench(body, wrench)
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         return self.inner.nodes(name)
@@ -309,6 +313,26 @@ class CentreOfMassElsewhere(Wrapped):
         self.inner.model.body("brick").ipos[0] += 0.005
 
 
+class HalfTheTime(Wrapped):
+    def advance(self, seconds: float) -> None:
+        self.inner.advance(0.5 * seconds)
+
+
+class DrivenInDegrees(Wrapped):
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        velocity, acceleration = np.array(velocity), np.array(acceleration)
+        velocity[3:], acceleration[3:] = np.degrees(velocity[3:]), np.degrees(acceleration[3:])
+        self.inner.drive(body, pose, velocity, acceleration)
+
+
+def scalar_first_read_last(scene: Scene) -> Scene:
+    bodies = []
+    for one in scene.bodies:
+        x, y, z, w = one.pose.quaternion
+        bodies.append(replace(one, pose=replace(one.pose, quaternion=(w, x, y, z))))
+    return replace(scene, bodies=tuple(bodies))
+
+
 def hinge_moved(scene: Scene) -> Scene:
     joints = [replace(one, anchor_m=(one.anchor_m[0] + 1e-3, *one.anchor_m[1:])) for one in scene.joints]
     return replace(scene, joints=tuple(joints))
@@ -355,6 +379,26 @@ FAULTS: dict[str, tuple[Faulty, str, str]] = {
     "friction 20 % high": (Faulty(with_contacts(friction=lambda mu: 1.2 * mu)), "slide", "friction were 0.36 instead"),
     "friction of the engine": (Faulty(with_contacts(friction=lambda mu: 0.3)), "slide-of-pair", "each pair of bodies"),
     "no static friction": (Faulty(with_contacts(friction=lambda mu: 0.0)), "hold", "creeps"),
+    "friction of both bodies multiplied": (Faulty(with_contacts(friction=lambda mu: mu**2)), "slide", "its square"),
+    "half the time": (Faulty(simulation=HalfTheTime), "free-fall", "simulates 0.5 times the time"),
+    "gravity twice": (
+        Faulty(lambda scene: replace(scene, gravity_m_per_s2=2.0 * scene.gravity_m_per_s2)),
+        "free-fall",
+        "gravity acts twice",
+    ),
+    "quaternion in another order inside": (
+        Faulty(scalar_first_read_last),
+        "inertia-box",
+        "w, x, y, z was read as x, y, z, w",
+    ),
+    "scalar last, spin": (Faulty(simulation=with_states(scalar_last)), "angular-velocity", "another order inside"),
+    "driven in degrees": (Faulty(simulation=DrivenInDegrees), "driven-path", "turns 57.3 times as far"),
+    "spin in the body frame, start": (
+        Faulty(simulation=with_states(spin_in_body_frame)),
+        "start-velocity-reset",
+        "the reported angular velocity is in the body frame",
+    ),
+    "plane that holds": (Faulty(with_contacts(friction=lambda mu: 5.0)), "slide-plane", "friction holds the brick"),
     "gravity upward": (
         Faulty(lambda scene: replace(scene, gravity_m_per_s2=-scene.gravity_m_per_s2)),
         "free-fall",
@@ -505,6 +549,22 @@ def test_a_planted_fault_is_named(fault: str) -> None:
     assert diagnosis in finding.diagnosis
 
 
+@pytest.mark.parametrize(
+    ("words", "wrong"),
+    [
+        ("along the axes of the world", lambda right: Rotation.identity()),
+        ("from the world to the body", lambda right: right.inv()),
+        ("x, y, z, w was read as w, x, y, z", lambda right: Rotation.from_quat(right.as_quat(), scalar_first=True)),
+        ("", lambda right: right * Rotation.from_rotvec([0.0, 0.0, 0.3])),
+    ],
+)
+def test_the_wrong_frame_of_an_inertia_is_named(words: str, wrong: Callable[[Rotation], Rotation]) -> None:
+    own = np.diag([1.5e-4, 3.6e-4, 4.5e-4])
+    frame = wrong(Rotation.from_euler("xyz", EULER_DEG, degrees=True)).as_matrix()
+    found = _frame_hint(frame @ own @ frame.T, own)
+    assert words in found and bool(words) == bool(found)
+
+
 def test_every_check_can_fail() -> None:
     planted = {name for _, name, _ in FAULTS.values()} | {fault.caught_by for fault in mutations.FAULTS.values()}
     assert planted | set(ALSO) == {check.id for check in checks()}
@@ -649,6 +709,12 @@ def gauge(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
 
 
 ONLY = ("--only", "slide", "--only", "cloth-stretch")
+
+
+def test_a_check_among_the_backends_is_named(gauge: Callable[..., Any]) -> None:
+    result = gauge("mujoco", "--only", "free-fall", "slide")
+    assert result.exit_code == 2
+    assert "'slide' is a check and no backend: repeat the option, as --only slide" in result.output
 
 
 def test_command_compares_backends(gauge: Callable[..., Any]) -> None:

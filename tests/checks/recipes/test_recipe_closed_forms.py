@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from gauge_envs.checks.recipes.closed_forms import (
-    damping_ratio_of,
-    friction_of_slide,
-    mujoco_impedance,
-    spring_damper_restitution,
-)
+from gauge_envs.backends.shared.spring_damper import damping_ratio_of, spring_damper_restitution
+from gauge_envs.checks.recipes.closed_forms import friction_of_slide, mujoco_impedance
 from gauge_envs.checks.recipes.engines.mujoco import MuJoCoSettings
 from gauge_envs.checks.recipes.measure import probe_of
 from gauge_envs.checks.recipes.probes import first_rebound

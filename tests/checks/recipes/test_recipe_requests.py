@@ -11,8 +11,9 @@ import mujoco
 import pytest
 from typer.testing import CliRunner
 
+from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.checks.recipes import Aim, engine_names, engine_settings, find_recipe
-from gauge_envs.checks.recipes.closed_forms import ContactForm, spring_damper_restitution
+from gauge_envs.checks.recipes.closed_forms import ContactForm
 from gauge_envs.checks.recipes.explain import explain, parsed_contact
 from gauge_envs.checks.recipes.materials import material_pairs
 from gauge_envs.cli.app import app

@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 from scipy.optimize import brentq
 
+from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.checks.recipes.aim import Aim
-from gauge_envs.checks.recipes.closed_forms import ContactForm, MuJoCoContact, damping_ratio_of
+from gauge_envs.checks.recipes.closed_forms import ContactForm, MuJoCoContact
 from gauge_envs.checks.recipes.engines.base import ContactSettings, numbers_text
 from gauge_envs.checks.recipes.probes import BALL_COUNT, DROP_M, PLATE_CONTACTS, Build, creep_slope_rad
 from gauge_envs.scene import GRAVITY_M_PER_S2, ContactMode

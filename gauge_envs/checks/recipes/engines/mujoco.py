@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator
 
 from gauge_envs.backends.base import Backend
+from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.checks.recipes.aim import Aim
-from gauge_envs.checks.recipes.closed_forms import ContactForm, MuJoCoContact, damping_ratio_of
+from gauge_envs.checks.recipes.closed_forms import ContactForm, MuJoCoContact
 from gauge_envs.checks.recipes.engines.base import ContactSettings, numbers_text
 from gauge_envs.checks.recipes.probes import (
     BALL_COUNT,

@@ -7,8 +7,8 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
+from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.checks.recipes.aim import Aim
-from gauge_envs.checks.recipes.closed_forms import damping_ratio_of
 from gauge_envs.checks.recipes.engines.base import ContactSettings
 from gauge_envs.checks.recipes.probes import Build
 from gauge_envs.scene import GRAVITY_M_PER_S2, ContactMode
