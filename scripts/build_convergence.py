@@ -204,7 +204,7 @@ def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
 
 def summary(tables: Mapping[str, ConvergenceTable]) -> str:
     """Return the tables of all engines by family, in Markdown."""
-    titles = [f"{name}, {unit}" for name in ("half step", "half cell") for unit in ("% of the scatter", "mm")]
+    titles = [f"{name}, {unit}" for name in ("half step", "half cell") for unit in ("% of the real scatter", "mm")]
     lines = [f"| experiment | engine | {' | '.join(titles)} |", "|---|---|---:|---:|---:|---:|"]
     for family in dict.fromkeys(_family(variant.name) for variant in variants()):
         for engine, table in tables.items():

@@ -329,7 +329,7 @@ def _notes(budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, meas
     if band.withheld is not None:
         notes.append(f"the band is withheld from scores: {band.withheld}")
     if len(band.coordinates) < 3 and band.unit == "mm":
-        notes.append(f"the band has {', '.join(band.coordinates)} only; what is off across it is not in the RMSE")
+        notes.append(f"the band has {', '.join(band.coordinates)} only; errors in other directions are not in the RMSE")
     return tuple(notes)
 
 

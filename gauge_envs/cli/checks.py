@@ -64,7 +64,7 @@ def sanity(
     target: Annotated[
         str | None,
         typer.Argument(
-            help="What a policy is trained with: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
+            help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
             "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
             "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
             "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
@@ -113,7 +113,7 @@ def sanity(
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
-    """Report what physics a training configuration gets wrong, and which change mends most.
+    """Report which physics a training configuration gets wrong, and the change that corrects most of it.
 
     Runs measured objects with the numerical settings of the target and of this package's presets, and compares both
     with real trials and laws. Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from

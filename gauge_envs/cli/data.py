@@ -110,7 +110,7 @@ def data_status(
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
-    """Show what each experiment is scored against and driven by, and its baselines beside the published ones."""
+    """Show the reference and the drivers of each experiment, with imported and published baselines."""
     from gauge_envs.dataset.status import status_rows
     from gauge_envs.report.dataset import status_table
 

@@ -41,7 +41,7 @@ def recipe(
     list_materials: Annotated[bool, typer.Option("--list-materials", help="List the pairs and fabrics.")] = False,
     json_lines: Json = False,
 ) -> None:
-    """Give contact settings of an engine for a measured behaviour, with what they reach in simulation.
+    """Give contact settings of an engine for a measured behaviour, and the values that they reach in simulation.
 
     With --explain, report the behaviour of given settings. The settings are simulated in a slide, a drop, at rest and
     on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value

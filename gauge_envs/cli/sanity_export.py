@@ -58,7 +58,7 @@ def sanity_judge(
     json_lines: Json = False,
     wide: Wide = False,
 ) -> None:
-    """Report what physics a simulator gets wrong, from the motion that it wrote for exported scenes.
+    """Report which physics a simulator gets wrong, from the motion that it wrote for exported scenes.
 
     Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from --baseline, or when nothing could be
     measured. A scene without a motion file is declined.

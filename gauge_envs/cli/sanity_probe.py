@@ -16,7 +16,7 @@ __all__ = ["sanity_probe"]
 def sanity_probe(
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write, as gauge_probe.py.")] = None,
 ) -> None:
-    """Print a Python file that writes what a policy is trained with to a file for gauge sanity.
+    """Print a Python file that saves the settings of a training environment for gauge sanity.
 
     Copy it to the training environment, where gauge-envs need not be installed, and run it there: python gauge_probe.py
     TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.

@@ -185,7 +185,7 @@ def video_render(
         float | None, typer.Option(help="Time after the release in s; by default the experiment, at most 8 s.")
     ] = None,
 ) -> None:
-    """Film an episode of an engine as the first frame of its task is seen, so that gauge video score can judge it."""
+    """Make a video of an engine with the view of the first frame of a task, for gauge video score."""
     from gauge_envs.video.render import film
 
     filmed = film(

@@ -496,9 +496,8 @@ def _distance_table(experiments: Sequence[ExperimentComparison], labels: Sequenc
         rows=rows,
         notes=(
             "Distance: Euclidean over all coordinates at a frame, root mean square over the frames that both have. "
-            "Motion: the same of the displacement from the start. Neither says which engine is right.",
-            "Threshold: published mean RMSE of the real trials, which is the distance of a typical one from their "
-            f"mean.{share}",
+            "Motion: the same for the displacement from the start. Neither shows which engine is right.",
+            f"Threshold: published mean RMSE of the single real trials, relative to their mean.{share}",
         ),
     )
 

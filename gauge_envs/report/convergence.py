@@ -29,7 +29,7 @@ def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, 
     Example:
         >>> row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
         >>> convergence_text({"timestep_s": row}, has_cells=True)
-        'half step moves the trajectory by 0.34 % of the scatter; half cell: not measured'
+        'half step moves the trajectory by 0.34 % of the real scatter; half cell: not measured'
     """
     parts = []
     for setting, name in NAMES.items():
@@ -50,7 +50,7 @@ def _amount(row: Mapping[str, Any], *, with_unit: bool) -> str:
     if row["share"] is None:
         amount = f"{quantity_text(row['points_rms_mm'])} mm (rms of the observed points)"
     else:
-        amount = f"{_percent(row['share'])} % of the scatter"
+        amount = f"{_percent(row['share'])} % of the real scatter"
     if not with_unit:
         return amount
     rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])

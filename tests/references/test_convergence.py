@@ -111,7 +111,7 @@ def test_an_engine_without_a_table_was_not_measured() -> None:
 def test_commands_show_what_was_measured(tmp_path: Path) -> None:
     share = bundled("mujoco").of("SlopeSlider-2-wood")["timestep_s"].share
     assert share is not None
-    expected = f"half step moves the trajectory by {100 * share:.2g} % of the scatter"
+    expected = f"half step moves the trajectory by {100 * share:.2g} % of the real scatter"
     shown = CliRunner().invoke(app, ["show", "SlopeSlider-2-wood"]).output
     assert expected in " ".join(shown.split())
     ran = CliRunner().invoke(app, ["run", "SlopeSlider-2-wood", "--out", str(tmp_path)]).output
