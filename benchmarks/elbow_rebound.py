@@ -36,8 +36,9 @@ INTERVAL_S = PARTS * FINE_S
 """Interval of simulated samples, a multiple of all time steps; recorded frames are 1/148 s apart."""
 
 TOUCH_M, JUMP_M_PER_S, LEAST_GAIN_M_PER_S = 0.004, 0.15, 0.05
-"""Height and gain of normal speed in a fine interval from which on a corner is in an impact, and gain at its end: one of
-45 m/s^2, above that of a corner that turns freely with 20 rad/s."""
+"""Height and gain of normal speed in a fine interval from which on a corner is in an impact, and gain at its end.
+
+The last is 45 m/s^2, above the acceleration of a corner that turns freely with 20 rad/s."""
 
 DURATION_S = 0.4
 """Time within which a first impact is looked for [s]."""
