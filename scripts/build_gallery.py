@@ -229,7 +229,7 @@ def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
     report, limit = info["limit"], info["limit"].limit
     chosen = (0, len(pictures) // 2, len(pictures) - 1)
     unit = "" if limit.unit == "1" else f" {limit.unit}"
-    note = f"{limit.quantity}: reached {report.reached:.3f}, limit {limit.value:.3f} +- {limit.sigma:.3f}{unit}"
+    note = f"{limit.quantity} {report.reached:.3f}, limit {limit.value:.3f} +- {limit.sigma:.3f}{unit}"
     return [pictures[index] for index in chosen], [index / FRAME_RATE_HZ for index in chosen], note
 
 
@@ -373,7 +373,7 @@ def draw_unscored(entry: Entry, results: Path, out: Path) -> str:
 def draw_control(name: str, out: Path) -> str:
     """Draw the strip of a control task, and return its sentences."""
     pictures, times_s, note = controlled(name)
-    share = f"{CONTROL_FRACTION:.0%}"
+    share = f"{100.0 * CONTROL_FRACTION:.0f} %"
     text = PanelText(title="MuJoCo", detail=f"policy of the law, {share} of its limit", note=note)
     caption = Caption(title=name, subtitle="Control task with a known optimum", reference="", simulated="")
     save_still(strip_picture([pictures], [text], caption, [f"{time_s:.2f} s" for time_s in times_s]), out)

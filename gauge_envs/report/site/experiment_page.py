@@ -135,18 +135,25 @@ def _scores(site: Site, one: ExperimentComparison) -> Html:
     names = one.metrics()
     if not names:
         return Html("")
+    primary = COMPARED_METRICS[one.primary]
+    percentiles = [None if cell is None else cell.percentile(primary) for cell in one.cells]
+    has_trials = any(percentile is not None for percentile in percentiles)
     rows: list[list[str | Html]] = []
-    for index, cell in enumerate(one.cells):
-        percentile = None if cell is None else cell.percentile(COMPARED_METRICS[one.primary])
-        closer = "-" if percentile is None else f"{percentile:.0f} %"
-        rows.append([site.configuration_link(index), *(score_cell(one, cell, name) for name in names), closer])
+    for index, (cell, percentile) in enumerate(zip(one.cells, percentiles, strict=True)):
+        rows.append([site.configuration_link(index), *(score_cell(one, cell, name) for name in names)])
+        if has_trials:
+            rows[-1].append("-" if percentile is None else f"{percentile:.0f} %")
     for engine, title in ENGINE_TITLES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
-            rows.append([f"{title}, paper", *("-" if value is None else score_text(value) for value in values), ""])
-    titles = ("", *(TITLES[name] for name in names), "real trials closer")
+            texts = ("-" if value is None else score_text(value) for value in values)
+            rows.append([f"{title}, paper", *texts, *([""] if has_trials else [])])
+    titles = ["", *(TITLES[name] for name in names)]
     note = "Scores over the mean score of the real trials; without one, in the unit of the metric. In brackets: 95 % "
-    note += "interval. Real trials closer: share of the real trials that are closer to their mean."
+    note += "interval."
+    if has_trials:
+        titles.append("real trials closer")
+        note += " Real trials closer: share of the real trials that are closer to their mean."
     return join([element("h2", "Scores"), table(titles, rows), element("p", note, class_="small")])
 
 

@@ -304,3 +304,8 @@ def test_a_page_says_when_its_reference_ends(site: Path) -> None:
     # The law of a fall holds until the first contact, after frame 3 of 10.
     assert "It ends at 0.10 s." in Page(site / "experiment-NonsmoothContact-3-wood.html").text
     assert "It ends" not in Page(site / "experiment-SlopeSlider-2-wood.html").text
+
+
+def test_the_share_of_closer_trials_is_shown_where_there_are_trials(site: Path) -> None:
+    assert "real trials closer" in Page(site / "experiment-SlopeSlider-2-wood.html").text
+    assert "closer" not in Page(site / "experiment-NonsmoothContact-3-wood.html").text
