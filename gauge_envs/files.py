@@ -30,6 +30,7 @@ __all__ = [
     "MEGABYTE",
     "MOST_TOML_BYTES",
     "check_json_size",
+    "check_replaceable",
     "child_refusal",
     "data_folder",
     "file_folders",
@@ -326,6 +327,18 @@ def _versions() -> dict[str, str]:
     return packages | {"python": platform.python_version()}
 
 
+def check_replaceable(file: Path) -> None:
+    """Check that a new file may take the place of what is there.
+
+    Raises:
+        OSError: A folder, a device or a FIFO is there.
+    """
+    if file.is_dir():
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
+    if file.exists() and not file.is_file():
+        raise OSError(errno.EINVAL, "it is not a regular file", str(file))
+
+
 def write_whole(file: Path, content: bytes) -> None:
     """Write a file whole or not at all: a reader finds the old content or the new one.
 
@@ -348,10 +361,7 @@ def replaced_whole(file: Path) -> Iterator[Path]:
     Raises:
         OSError: The new content was not written, or cannot take its place.
     """
-    if file.exists() and not file.is_file():
-        is_folder = file.is_dir()
-        reason = os.strerror(errno.EISDIR) if is_folder else "it is not a regular file"
-        raise OSError(errno.EISDIR if is_folder else errno.EINVAL, reason, str(file))
+    check_replaceable(file)
     part = file.with_name(f".{file.name}.{token_hex(8)}.tmp")
     try:
         yield part

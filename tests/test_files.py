@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +28,18 @@ def test_a_failed_write_leaves_the_old_content(tmp_path: Path, monkeypatch: pyte
     monkeypatch.undo()
     write_whole(file, b"new")
     assert file.read_bytes() == b"new"
+
+
+def test_a_file_takes_the_place_of_no_device_and_no_folder(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    (tmp_path / "device").symlink_to(os.devnull)
+    for file in (pipe, tmp_path / "device"):
+        with pytest.raises(OSError, match="it is not a regular file"):
+            write_whole(file, b"new")
+    with pytest.raises(IsADirectoryError):
+        write_whole(tmp_path, b"new")
+    assert pipe.is_fifo() and sorted(tmp_path.iterdir()) == [tmp_path / "device", pipe]
 
 
 class Circle(BaseModel):

@@ -29,7 +29,7 @@ from gauge_envs.cli.results import compare, diagnose, plot
 from gauge_envs.cli.run import run, score
 from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
 from gauge_envs.cli.sanity_probe import sanity_probe
-from gauge_envs.cli.streams import reserved_stdout
+from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
 from gauge_envs.cli.sweep import query, sweep
 from gauge_envs.cli.video import video_app
 from gauge_envs.errors import GaugeError
@@ -127,4 +127,5 @@ for group in (app, backend_app, assets_app, data_app, video_app, leaderboard_app
 def main() -> None:
     """Run the `gauge` command in this process."""
     handle_interrupts()
+    open_closed_streams()
     app()

@@ -21,7 +21,7 @@ from gauge_envs.cli.output import (
     progress_bar,
     stderr_console,
 )
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
     from gauge_envs.checks.conformance.matrix import MatrixColumn
@@ -58,6 +58,22 @@ class MatrixOutput:
                 "--all and --from write a matrix: give --report PAGE.html, --out FILE.json, --markdown or --json"
             )
 
+    def check_places(self) -> None:
+        """Check that the files can be written, before checks run that may take hours.
+
+        Raises:
+            ResultFileError: One cannot be written.
+        """
+        from gauge_envs.files import check_replaceable
+        from gauge_envs.runs.batch import check_writable
+
+        for file in filter(None, (self.file, self.report)):
+            try:
+                check_replaceable(file)
+            except OSError as error:
+                raise ResultFileError(f"{file}: cannot be written: {error.strerror}") from error
+            check_writable(file.parent)
+
 
 def check_matrix(
     names: Sequence[str],
@@ -89,6 +105,7 @@ def check_matrix(
     from gauge_envs.report.conformance_page import save_conformance_page
     from gauge_envs.runs.isolation import Worker
 
+    output.check_places()
     new: list[MatrixColumn] = []
     if names or every:
         with Worker(*limits) as importer:

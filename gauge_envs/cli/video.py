@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,7 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 from gauge_envs.errors import ParameterError, VideoError
+from gauge_envs.files import write_whole
 
 if TYPE_CHECKING:
     from gauge_envs.video import PlaneView, Track
@@ -114,7 +116,6 @@ def video_score(
             track = track_object(source, chosen, first_frame=first_frame)
         result = score_track(track, chosen, name=str(path), camera=view)
         if overlay is not None:
-            overlay.mkdir(parents=True, exist_ok=True)
             written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
             stderr_console().print(plain_text(str(written)), soft_wrap=True)
         if json_lines:
@@ -165,7 +166,11 @@ def video_report(
         raise typer.Exit(EXIT_FAILED)
     page = save_video_page(results, files, out)
     lines = [json.dumps({"model": model, **result.to_dict()}) for (model, _), result in results.items()]
-    (out / "results.json").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    file = out / "results.json"
+    try:
+        write_whole(file, ("\n".join(lines) + "\n").encode())
+    except OSError as error:
+        raise VideoError(f"{file}: cannot be written: {error.strerror or error}") from error
     echo(page)
     if broken:
         raise typer.Exit(EXIT_FAILED)
@@ -208,7 +213,7 @@ def _size(text: str | None) -> tuple[int, int]:
     if text is None:
         return REFERENCE_SIZE_PX
     parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
+    if len(parts) != 2 or not all(re.fullmatch("[1-9][0-9]{0,4}", part) for part in parts):
         raise ParameterError(f"--size {text!r}: give width and height in pixels, as 832x480")
     return int(parts[0]), int(parts[1])
 

@@ -150,9 +150,11 @@ def _tables(check: LeaderboardCheck) -> list[Table]:
             "and over the experiments that all have; nothing is averaged across grades.",
         ),
     )
+    if not comparison.experiments:
+        return [standing]
     # Wall times are those of the submitters' machines, which no trajectory proves.
     kept = [table for table in comparison_tables(comparison) if not table.title.startswith(("Cost", "Summary"))]
-    return [standing, *kept] if comparison.experiments else [standing]
+    return [standing, *kept]
 
 
 def _left_out_text(reasons: dict[str, str]) -> str:

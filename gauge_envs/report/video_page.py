@@ -86,7 +86,8 @@ def save_video_page(
     path = out / "index.html"
     try:
         out.mkdir(parents=True, exist_ok=True)
-        path.write_text(video_page(results, files), encoding="utf-8")
+        # The name of a file of a stranger may be no Unicode.
+        path.write_text(video_page(results, files), encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise ResultFileError(f"{path}: cannot be written: {error.strerror}") from error
     return path

@@ -20,7 +20,7 @@ MARKED = (60, 60, 230)
 
 
 def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
-    """Write a video with the track, and return its path.
+    """Write a video with the track, and return its path; its folder is created.
 
     Args:
         source: The video that was scored.
@@ -31,6 +31,10 @@ def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
         VideoError: The file cannot be written.
     """
     cv2 = opencv()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise VideoError(f"{path}: cannot be written: {error.strerror or error}") from error
     writer = None
     for picture in drawn_frames(source, result):
         if writer is None:

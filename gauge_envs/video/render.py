@@ -22,6 +22,7 @@ from gauge_envs.envs.rendering.flat import FlatView
 from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.errors import ParameterError, UnsupportedSceneError, VideoError
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.files import write_whole
 from gauge_envs.scene import Hinge, RigidBody, Scene
 from gauge_envs.scene import Motion as BodyMotion
 from gauge_envs.scene.jitter import swung
@@ -86,7 +87,10 @@ class Film:
         """
         cv2 = opencv()
         size = (self.pictures[0].shape[1], self.pictures[0].shape[0])
-        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise VideoError(f"{path}: cannot be written: {error.strerror or error}") from error
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), self.fps, size)
         if not writer.isOpened():
             raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
@@ -96,7 +100,10 @@ class Film:
         places = zip(self.track.frames, self.track.points_px, strict=True)
         rows = [f"{frame},{x:.4f},{y:.4f}" for frame, (x, y) in places]
         table = path.with_suffix(".track.csv")
-        table.write_text("\n".join(["frame,x,y", *rows]) + "\n", encoding="utf-8")
+        try:
+            write_whole(table, ("\n".join(["frame,x,y", *rows]) + "\n").encode())
+        except OSError as error:
+            raise VideoError(f"{table}: cannot be written: {error.strerror or error}") from error
         return table
 
 

@@ -132,3 +132,16 @@ def test_a_missing_folder_gives_exit_code_2(gauge: Callable[..., Any], tmp_path:
     done = gauge("leaderboard", "check", tmp_path / "absent")
     assert done.exit_code == 2
     assert "cannot be listed" in done.output
+
+
+@pytest.mark.parametrize("options", [[], ["--json"], ["--markdown"], ["--out", "site"]])
+def test_a_leaderboard_without_a_valid_submission_has_an_empty_table(
+    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "board" / "mujoco" / "1.0" / "default"
+    folder.mkdir(parents=True)
+    (folder / "submission.toml").write_text("format = 2")
+    result = CliRunner().invoke(app, ["leaderboard", "table", "board", *options])
+    assert result.exit_code == 1 and isinstance(result.exception, SystemExit)
+    assert "left out:" in result.stderr

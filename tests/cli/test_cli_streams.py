@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -213,3 +214,17 @@ def test_ctrl_c_counts_where_a_library_drops_it(tmp_path: Path) -> None:
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
         assert (done.returncode, done.stderr) == (130, "interrupted\n"), body
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_command_runs_without_its_streams(closed: str, tmp_path: Path) -> None:
+    command = " ".join([shlex.join([*COMMAND, "list", NAME, "--json"]), closed])
+    done = subprocess.run(
+        ["sh", "-c", command],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert (NAME in done.stdout) == (" >&-" not in f" {closed}")

@@ -170,9 +170,10 @@ def _subjects(spec: SweepSpec) -> Iterator[tuple[Any, Parameters]]:
 
 
 def _check_parameters(spec: SweepSpec, subjects: Sequence[_Subject]) -> None:
-    """Raise an error for parameters that no experiment takes."""
-    for parameters in spec.parameters:
-        refusals = [subject.refusal for subject in subjects if subject.parameters == parameters]
+    """Raise an error for parameters that no experiment takes; the subjects are in the order of `_subjects`."""
+    count = len(spec.parameters)
+    for number in range(count):
+        refusals = [subject.refusal for subject in subjects[number::count]]
         if refusals[0] is not None and None not in refusals:
             raise refusals[0]
 

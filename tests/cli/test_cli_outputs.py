@@ -1,0 +1,58 @@
+"""Outputs that cannot be written, and requests that cannot be met, are errors before anything runs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+
+
+def gauge(*arguments: Any) -> Any:
+    return CliRunner(env={"COLUMNS": "200"}).invoke(app, list(map(str, arguments)))
+
+
+@pytest.fixture
+def no_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every check an error of the test."""
+
+    def fail(*_: object) -> None:
+        raise AssertionError("a check ran")
+
+    monkeypatch.setattr("gauge_envs.checks.conformance.matrix.run_column", fail)
+
+
+@pytest.mark.usefixtures("no_check")
+@pytest.mark.parametrize("option", ["--out", "--report"])
+def test_a_matrix_has_its_place_before_its_checks_run(option: str, tmp_path: Path) -> None:
+    pipe, file = tmp_path / "pipe", tmp_path / "file"
+    os.mkfifo(pipe)
+    file.touch()
+    for place, reason in (
+        (tmp_path, "cannot be written: Is a directory"),
+        (pipe, "cannot be written: it is not a regular file"),
+        (file / "matrix", "cannot be written"),
+    ):
+        result = gauge("backend", "check", "mujoco", "--all", "--only", "free-fall", option, place)
+        assert result.exit_code == 2, result.output
+        assert reason in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--sigmas", "inf"], "sigmas are numbers above 0, at most 10"),
+        (["--sigmas", "1e300"], "sigmas are numbers above 0, at most 10"),
+        (["--sigmas", "nan"], "sigmas are numbers above 0, at most 10"),
+        (["--sigmas", "1,1"], "two worlds have the name 'mujoco, "),
+        (["--to", "mujoco:"], "two worlds have the name 'mujoco, "),
+    ],
+)
+def test_worlds_of_a_transfer_are_checked_before_they_run(options: list[str], reason: str) -> None:
+    common = ["numpy:mean", "--trust", "--task", "Pendulum-Limit-metal", "--to", "mujoco", "--starts", "1"]
+    result = gauge("transfer", *common, *options)
+    assert result.exit_code == 2 and reason in result.stderr, result.output
