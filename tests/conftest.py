@@ -65,7 +65,7 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "backend_names", lambda: ("mujoco",))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def rollout() -> Callable[..., tuple[gauge_envs.GaugeEnv, Trajectory, dict]]:
     """Runs one episode with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
+from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import ShapeError, TrajectoryFileError
 from gauge_envs.evaluation.deformation import DeformationScore, deformation_reference, score_deformation
 from gauge_envs.evaluation.metrics import trajectory_rmse
@@ -116,14 +118,19 @@ def test_a_score_survives_json() -> None:
 # Against simulations
 
 
-def markers_of(rollout: Callable, name: str, **options: object) -> np.ndarray:
-    return rollout(name, marker_proxy="material", **options)[1].markers_m
+@pytest.fixture(scope="module")
+def episode(rollout: Callable) -> tuple[Trajectory, dict[str, Any]]:
+    """Trajectory and last info of the calibrated foam."""
+    _, trajectory, info = rollout(NAME, marker_proxy="material")
+    return trajectory, info
 
 
-def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(rollout: Callable) -> None:
+def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(
+    rollout: Callable, episode: tuple[Trajectory, dict[str, Any]]
+) -> None:
     """Synthetic trials of the calibrated foam, dots placed 0.8 mm off, 0.1 mm of noise; see docs/scores.md."""
-    right = markers_of(rollout, NAME)
-    wrong = markers_of(rollout, NAME, parameters={"foam.poisson_ratio": 0.05})
+    right = episode[0].markers_m
+    wrong = rollout(NAME, marker_proxy="material", parameters={"foam.poisson_ratio": 0.05})[1].markers_m
     random = np.random.default_rng(8)
     off = 0.8e-3 * random.normal(size=REST_M.shape)
     placed = right + np.einsum("fij,mj->fmi", affine_map(right[0], right).gradient, off)
@@ -153,8 +160,8 @@ def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(rollout: C
     assert abs(scores[1] / scores[0] - 1.0) < 0.05
 
 
-def test_info_and_result_hold_the_statistics(rollout: Callable, tmp_path: Path) -> None:
-    _, trajectory, info = rollout(NAME, marker_proxy="material")
+def test_info_and_result_hold_the_statistics(episode: tuple[Trajectory, dict[str, Any]], tmp_path: Path) -> None:
+    trajectory, info = episode
     found = info["deformation"]
     assert found == score_deformation(EXPERIMENT, trajectory.markers_m)
     assert info["score"].grade == "none"

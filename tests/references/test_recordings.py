@@ -74,12 +74,11 @@ def test_checked_in_bands_are_current() -> None:
 
 
 def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, capsys) -> None:
-    arguments = ["--check", "--scoring", str(scoring)]
-    assert build_recordings.main(arguments) == 0
     (scoring / "bands" / "Pendulum-metal.toml").unlink()
     facts = scoring / "facts" / "recordings" / "slope_slider.csv"
     facts.write_text(facts.read_text(encoding="utf-8").replace("85.53", "86.53"), encoding="utf-8")
-    assert build_recordings.main(arguments) == 1
+    # What the copy shares with the repository is current, or the list would be longer.
+    assert build_recordings.main(["--check", "--scoring", str(scoring)]) == 1
     stale = capsys.readouterr().err.splitlines()
     assert [line.split(" is not current")[0].rsplit("/", 1)[1] for line in stale] == [
         "SlopeSlider-3-metal.csv",

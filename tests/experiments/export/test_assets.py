@@ -133,9 +133,9 @@ def test_command_lists_what_each_file_shows() -> None:
 # --- USD: what was written is the scene ------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=ALL)
+@pytest.fixture(params=ALL, scope="module")
 def pair(request: pytest.FixtureRequest) -> tuple[Usd.Stage, object]:
-    """A checked-in layer, opened, and the experiment that it shows."""
+    """A checked-in layer, opened once for all tests that read it, and the experiment that it shows."""
     stage = Usd.Stage.Open(str(assets_folder() / "usd" / f"{request.param}.usda"))
     return stage, load_experiment(request.param)
 
