@@ -103,8 +103,16 @@ def make_environment(folder: Path, *, python: Path, wheel: Path, extras: Sequenc
     return folder / "bin"
 
 
+def _variables() -> dict[str, str]:
+    """Return the environment variables without those of Python.
+
+    Where PYTHONPATH leads to another copy of the same version, pip installs nothing and succeeds.
+    """
+    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+
+
 def _run(command: list[str], limit_s: float | None = None) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=limit_s)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=limit_s, env=_variables())
     if done.returncode:
         raise SystemExit(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")
 
@@ -140,7 +148,8 @@ def _test(
 
 def _pytest(commands: Path, tests: Sequence[str], checkout: Path) -> int:
     # The command `pytest`, unlike `python -m pytest`, leaves the working directory out of the path.
-    return subprocess.run([str(commands / "pytest"), "-n", "2", *tests], cwd=checkout, check=False).returncode
+    command = [str(commands / "pytest"), "-n", "2", *tests]
+    return subprocess.run(command, cwd=checkout, check=False, env=_variables()).returncode
 
 
 def _versions(python: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import venv
@@ -40,7 +41,11 @@ def test_wheel_carries_the_data(wheel: Path) -> None:
 def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
     venv.create(tmp_path / "venv", with_pip=True)
     python = tmp_path / "venv" / "bin" / "python"
-    subprocess.run([python, "-m", "pip", "install", "--quiet", str(wheel)], check=True, capture_output=True)
+    # Where PYTHONPATH leads to another copy with the same version, pip installs nothing and succeeds.
+    variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    subprocess.run(
+        [python, "-m", "pip", "install", "--quiet", str(wheel)], check=True, capture_output=True, env=variables
+    )
     script = (
         "import sys, gymnasium, gauge_envs\n"
         "env = gymnasium.make('GAUGE/BouncingBall-rubber'); env.reset(seed=0)\n"
@@ -60,7 +65,12 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel: Path, 
         [python, "-I", "-c", "import gymnasium; gymnasium.make('HalfCheetah-v5').reset()"], cwd=tmp_path, check=True
     )
     listed = subprocess.run(
-        [tmp_path / "venv" / "bin" / "gauge", "list"], cwd=tmp_path, capture_output=True, text=True, check=True
+        [tmp_path / "venv" / "bin" / "gauge", "list"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        env=variables,
     )
     assert "75 ids in 22 families" in listed.stdout
 
