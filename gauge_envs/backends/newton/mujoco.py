@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstants, carried_constants, pair_constants
 from gauge_envs.backends.newton.kernels import bodies_to_joints
+from gauge_envs.backends.newton.pipeline import collision_pipeline
 from gauge_envs.backends.newton.rigid import RigidIndex, keep_apart
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper
@@ -114,7 +115,7 @@ class StepperMuJoCo(Stepper):
                 njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count + ROWS_PER_WELD * len(driven) or None,
             )
         has_pipeline = pair_count and not settings.mujoco_contacts
-        self._pipeline = newton.CollisionPipeline(model) if has_pipeline else None
+        self._pipeline = collision_pipeline(model) if has_pipeline else None
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
         # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.

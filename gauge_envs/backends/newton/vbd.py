@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.kernels import predict
 from gauge_envs.backends.newton.pins import Pin, PinnedParticles
+from gauge_envs.backends.newton.pipeline import collision_pipeline
 from gauge_envs.backends.newton.stability import ITERATIONS_PER_RATIO
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import SurfaceContacts
@@ -235,7 +236,7 @@ class StepperVBD(Stepper):
             model.shape_material_kd.fill_(contact_damping_n_s_per_m)
         self._pipeline = None
         if contacts.touched or self._integrates_bodies:
-            self._pipeline = newton.CollisionPipeline(
+            self._pipeline = collision_pipeline(
                 model, soft_contact_gap=contact_gap_m, enable_rigid_soft_full_surface_contact=full_surface
             )
             if passing is not None and len(passing):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 
@@ -165,6 +166,20 @@ def test_inertia_of_a_union_is_that_of_its_pieces_about_their_common_centre() ->
     assert centre == pytest.approx(np.zeros(3), abs=1e-12)
     assert matrix == pytest.approx(mass_properties(Box(size_m=(0.2, 0.1, 0.04)), 2.0)[1], abs=1e-12)
     assert mass_properties(ConvexUnion(pieces_m=pieces[:1]), 2.0)[0] == pytest.approx([-0.035, 0.0, 0.0])
+
+
+def test_models_share_the_kernels_of_their_collision_pipelines() -> None:
+    """Newton would make them for each model, which takes longer than all the rest of it; outside, Newton still does."""
+    narrow_phase = importlib.import_module("newton._src.geometry.narrow_phase")
+    own = narrow_phase.create_narrow_phase_primitive_kernel
+    kernels = [
+        NEWTON.build(
+            load_experiment(f"SlopeSlider-2-{material}").scene
+        )._stepper._pipeline.narrow_phase.primitive_kernel
+        for material in ("wood", "metal")
+    ]
+    assert kernels[0] is kernels[1]
+    assert narrow_phase.create_narrow_phase_primitive_kernel is own
 
 
 def test_settings_are_checked_and_named() -> None:
