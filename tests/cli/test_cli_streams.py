@@ -82,7 +82,7 @@ def test_progress_has_a_line_for_each_episode_without_a_terminal(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("arguments", [["list", "--json"], ["list"], ["run", NAME, "--json"], ["backend", "list"]])
+@pytest.mark.parametrize("arguments", [["materials", "--json"], ["list"], ["run", NAME, "--json"]])
 def test_a_full_device_is_an_error_without_a_traceback(tmp_path: Path, arguments: list[str]) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
