@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import traceback
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +21,7 @@ from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = ["DeclinedError", "DivergedError", "NotFiniteError", "Rollout", "record", "states_now"]
+__all__ = ["DeclinedError", "DivergedError", "NotFiniteError", "Rollout", "raised_at", "record", "states_now"]
 
 
 class DeclinedError(GaugeError):
@@ -191,6 +193,14 @@ def _read(simulation: Simulation, scene: Scene, observer: ObserverMarkers | None
     )
 
 
+def raised_at(error: Exception) -> str:
+    """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an error on purpose."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if isinstance(error, GaugeError) or not frames:
+        return ""
+    return f" ({frames[-1].name}, {Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+
+
 def _advance(simulation: Simulation, paths: DriverPaths, index: int, interval_s: float) -> None:
     try:
         paths.advance(simulation, index)
@@ -198,7 +208,7 @@ def _advance(simulation: Simulation, paths: DriverPaths, index: int, interval_s:
     except Exception as error:
         reason = " ".join(str(error).split())
         raise DivergedError(
-            f"after {index * interval_s:.3g} s the engine raises {type(error).__name__}: {reason}"
+            f"after {index * interval_s:.3g} s the engine raises {type(error).__name__}: {reason}{raised_at(error)}"
         ) from error
 
 

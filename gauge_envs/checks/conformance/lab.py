@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import check_drive_interval
-from gauge_envs.checks.rollout import DeclinedError, Rollout, record
+from gauge_envs.checks.rollout import DeclinedError, Rollout, raised_at, record
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.episodes import settings_record
 from gauge_envs.scene import Scene
@@ -65,7 +65,9 @@ class Lab:
                 raise DeclinedError((str(error),)) from error
             if self._settings and isinstance(error, ParameterError):
                 raise RefusedSettingsError(str(error)) from error
-            raise BuildError(f"supports() was true, but build() raised {type(error).__name__}: {error}") from error
+            raise BuildError(
+                f"supports() was true, but build() raised {type(error).__name__}: {error}{raised_at(error)}"
+            ) from error
         self.settings_in_force = dict(simulation.settings)
         return simulation
 

@@ -16,7 +16,7 @@ from gauge_envs.backends.registry import versions_of
 from gauge_envs.checks.conformance.lab import Lab, RefusedSettingsError
 from gauge_envs.checks.conformance.model import Check, CheckResult, Status
 from gauge_envs.checks.conformance.registry import checks
-from gauge_envs.checks.rollout import DeclinedError, NotFiniteError
+from gauge_envs.checks.rollout import DeclinedError, NotFiniteError, raised_at
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
 
@@ -153,7 +153,7 @@ def _measured(lab: Lab, one: Check) -> tuple[dict[str, Any], bool]:
     # Any exception of a backend is a result, and the next check may still pass.
     except Exception as error:
         finite = not isinstance(error, NotFiniteError)
-        return {"status": Status.ERROR, "diagnosis": f"{type(error).__name__}: {error}"}, finite
+        return {"status": Status.ERROR, "diagnosis": f"{type(error).__name__}: {error}{raised_at(error)}"}, finite
     expected, measured = float(measurement.expected), float(measurement.measured)
     width = one.tolerance.width(expected)
     passed = math.isfinite(measured) and abs(measured - expected) <= width

@@ -611,6 +611,17 @@ class NotFinite(Wrapped):
         return np.full((len(names), 13), np.nan)
 
 
+class RaisesInAdvance(Wrapped):
+    def advance(self, seconds: float) -> None:
+        raise KeyError("brick")
+
+
+def test_an_error_of_the_engine_has_its_place() -> None:
+    (finding,) = run_checks(Faulty(simulation=RaisesInAdvance), only=["free-fall"])
+    assert finding.status is Status.ERROR
+    assert "KeyError: 'brick' (advance, test_conformance.py, line" in finding.diagnosis
+
+
 def test_what_is_declined_is_no_failure_and_has_its_reasons() -> None:
     findings = {one.check: one for one in run_checks(Declines(), only=["cloth-stretch", "free-fall"])}
     assert findings["free-fall"].status is Status.PASS
