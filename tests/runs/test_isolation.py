@@ -167,12 +167,11 @@ def take_memory(gigabytes: float) -> None:
 
 
 def test_a_memory_limit_ends_the_call_and_not_the_program() -> None:
-    start = time.monotonic()
-    with Worker(30.0, memory_limit_gb=0.5) as worker:
+    # The message tells the memory limit from the time limit, so a slow machine needs no bound of its own.
+    with Worker(120.0, memory_limit_gb=0.5) as worker:
         with pytest.raises(CrashError, match=r"the engine exceeded the memory limit of 0\.5 GB"):
             worker.call(take_memory, 1.0)
         assert worker.call(os.getpid) > 0
-    assert time.monotonic() - start < 15.0
 
 
 def test_a_run_under_a_memory_limit_goes_on(installed: Callable[..., None]) -> None:
