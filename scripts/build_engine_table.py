@@ -3,6 +3,7 @@
     python scripts/build_engine_table.py --results DIR                  measures what DIR lacks, then writes both files
     python scripts/build_engine_table.py --results DIR --engine rapier  measures this engine only; ranks stay
     python scripts/build_engine_table.py --results DIR --grades         runs what the ranks need; writes the ranks only
+    python scripts/build_engine_table.py --again CHECK                  runs a check again in all configurations
     python scripts/build_engine_table.py --docs                         writes the page from `scoring/engines.json`
     python scripts/build_engine_table.py --check                        fails if the page is not current
 
@@ -12,6 +13,8 @@ stopped at any time. Wall times are ratios to MuJoCo's default preset, which run
 Ranks compare all configurations, whose result files must be in DIR together. `--grades` measures no cost and no checks,
 so that a new engine joins the ranks without a second measurement of the others. An engine of another environment runs
 there, with `--engine` and the same DIR; ranks are written where all configurations are complete.
+
+`--again` is for a conformance check that changed: it moves the check between the passed, failed and declined ones.
 """
 
 from __future__ import annotations
@@ -287,6 +290,24 @@ def merged(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, A
     }
 
 
+def checked_again(configuration: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a configuration with the present outcome of one check, which all configurations had measured."""
+    (result,) = run_checks(
+        configuration["engine"], settings=settings_of(configuration["engine"], configuration["preset"]), only=[name]
+    )
+    print(f"{name_of(configuration['engine'], configuration['preset'])}: {name} {result.status}, {result.measured}")
+    known = configuration["conformance"]
+    before = next((key for key in ("failed", "declined") if name in known[key]), "passed")
+    now = {"fail": "failed", "error": "failed", "declined": "declined", "pass": "passed"}[result.status]
+    if now == before:
+        return dict(configuration)
+    passed = known["passed"] + (now == "passed") - (before == "passed")
+    failed, declined = (
+        [one for one in known[key] if one != name] + [name] * (now == key) for key in ("failed", "declined")
+    )
+    return {**configuration, "conformance": {"passed": passed, "failed": failed, "declined": declined}}
+
+
 def folder_of(results: Path, engine: str, preset: str) -> Path:
     """Return the folder of a configuration."""
     return results / "-".join(filter(None, (engine, preset)))
@@ -435,6 +456,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     mode = parser.add_mutually_exclusive_group(required=True)
     mode.add_argument("--results", type=Path, help="folder of the results")
+    mode.add_argument("--again", metavar="CHECK", help="conformance check to run again")
     mode.add_argument("--docs", action="store_true", help="write the page from the data file")
     mode.add_argument("--check", action="store_true", help="fail if the page is not current")
     parser.add_argument("--engine", action="append", help="measure this engine only; repeatable")
@@ -455,6 +477,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         present = [one for one in every if (folder_of(options.results, *one) / "conformance.jsonl").is_file()]
         known = json.loads(DATA.read_text(encoding="utf-8"))
         data = json_ready(merged(known, gather(options.results, present)))
+        write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
+    elif options.again:
+        data = json.loads(DATA.read_text(encoding="utf-8"))
+        data["configurations"] = [
+            checked_again(one, options.again) if one["engine"] in (options.engine or ENGINES) else one
+            for one in data["configurations"]
+        ]
         write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
     text = PAGE.read_text(encoding="utf-8")
     new = written(text, json.loads(DATA.read_text(encoding="utf-8")))
