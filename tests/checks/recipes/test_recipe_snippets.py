@@ -58,7 +58,7 @@ def test_a_plain_loop_with_twice_the_step_is_noticed() -> None:
 
 @pytest.mark.parametrize(
     ("right", "wrong"),
-    [('friction="0.4 0.4', 'friction="40 40'), ("-800", "-0.8")],
+    [('friction="0.404329 0.404329', 'friction="40.4329 40.4329'), ("-800", "-0.8")],
     ids=["friction in per cent", "damping per millisecond"],
 )
 def test_a_snippet_with_a_wrong_unit_is_noticed(right: str, wrong: str) -> None:
