@@ -163,16 +163,15 @@ def test_a_time_limit_is_positive_and_finite(limit_s: float) -> None:
 
 def take_memory(gigabytes: float) -> None:
     held = bytearray(int(gigabytes * 1e9))
-    time.sleep(20.0 + 0.0 * len(held))
+    time.sleep(600.0 + 0.0 * len(held))
 
 
 def test_a_memory_limit_ends_the_call_and_not_the_program() -> None:
-    start = time.monotonic()
-    with Worker(30.0, memory_limit_gb=0.5) as worker:
+    # The time limit, which a start on a busy machine must stay below, has another message.
+    with Worker(120.0, memory_limit_gb=0.5) as worker:
         with pytest.raises(CrashError, match=r"the engine exceeded the memory limit of 0\.5 GB"):
             worker.call(take_memory, 1.0)
         assert worker.call(os.getpid) > 0
-    assert time.monotonic() - start < 15.0
 
 
 def test_a_run_under_a_memory_limit_goes_on(installed: Callable[..., None]) -> None:
