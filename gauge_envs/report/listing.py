@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from gauge_envs.backends import backend_names, is_bundled, support_of, versions_of
+from gauge_envs.backends import backend, backend_names, is_bundled, support_of, versions_of
 from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import Experiment
@@ -37,11 +37,11 @@ def list_rows(
         isolate: Whether backends outside this package answer in a process of their own.
         notify: Receives one sentence for each backend that does not work.
     """
-    variants = list(variants)
-    lacking = {name: _lacking(name, variants, isolate=isolate, notify=notify) for name in backend_names()}
+    experiments = {variant: load_experiment(variant) for variant in variants}
+    scenes = list(experiments.values())
+    lacking = {name: _lacking(name, scenes, isolate=isolate, notify=notify) for name in backend_names()}
     rows = []
-    for index, variant in enumerate(variants):
-        experiment = load_experiment(variant)
+    for index, (variant, experiment) in enumerate(experiments.items()):
         rows.append(
             {
                 "id": variant.id,
@@ -58,28 +58,32 @@ def list_rows(
 
 
 def _lacking(
-    name: str, variants: Sequence[Variant], *, isolate: bool, notify: Callable[[str], None] | None
+    name: str, experiments: Sequence[Experiment], *, isolate: bool, notify: Callable[[str], None] | None
 ) -> list[list[str]]:
-    """Return what a backend lacks for each variant, or its error."""
+    """Return what a backend lacks for each experiment, or its error."""
     try:
         if not isolate or is_bundled(name):
-            lacks, fault = _lacks_of_each(name, variants)
+            lacks, fault = _lacks_of_each(name, experiments)
         else:
             with Worker(QUERY_LIMIT_S) as worker:
-                lacks, fault = worker.call(_lacks_of_each, name, variants)
+                lacks, fault = worker.call(_lacks_of_each, name, experiments)
     except GaugeError as error:
         fault = f"backend {name!r}: {error}"
-        lacks = [[fault]] * len(variants)
+        lacks = [[fault]] * len(experiments)
     if fault is not None and notify is not None:
         notify(fault)
     return lacks
 
 
-def _lacks_of_each(name: str, variants: Sequence[Variant]) -> tuple[list[list[str]], str | None]:
-    """Return what a backend lacks for each variant, and the first error that it raised, or None."""
+def _lacks_of_each(name: str, experiments: Sequence[Experiment]) -> tuple[list[list[str]], str | None]:
+    """Return what a backend lacks for each experiment, and the first error that it raised, or None."""
+    try:
+        backend(name)
+    except GaugeError as error:
+        # No scene changes that; to look for the engine again takes longer than its answer would.
+        return [[str(error)]] * len(experiments), None if isinstance(error, MissingExtraError) else str(error)
     lacks, fault = [], None
-    for variant in variants:
-        experiment = load_experiment(variant)
+    for experiment in experiments:
         try:
             lacks.append(list(support_of(name, experiment.scene, experiment.model_file).missing))
         except GaugeError as error:
