@@ -63,3 +63,9 @@ def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys: pytest.CaptureFix
     for text in (Path("a\x1b[2J") / os.fsdecode(b"\xff"), "two\nlines\tä"):
         echo(text)
     assert capsys.readouterr().out == "a\\x1b[2J/\\udcff\ntwo\nlines\tä\n"
+
+
+@pytest.mark.parametrize("fraction", ["inf", "nan", "-1"])
+def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
+    result = gauge("envelope", "Pendulum-Limit-metal", "--samples", "2", "--fraction", fraction)
+    assert result.exit_code == 2 and isinstance(result.exception, SystemExit)
