@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +34,9 @@ __all__ = [
     "stderr_console",
     "stdout_console",
 ]
+
+UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+"""Control characters but tabs and ends of lines, and lone surrogates."""
 
 PIPE_WIDTH = 140
 """Width of tables where there is no terminal [characters]; rich would take 80."""
@@ -105,13 +109,15 @@ def progress_bar(console: Console) -> Any:
 
 
 def echo(text: object, *, nl: bool = True) -> None:
-    """Print a text on stdout as a result of the command.
+    """Print a text on stdout as a result of the command, with control characters and lone surrogates as escapes.
+
+    Names of files may hold them: a terminal would execute the first, and no encoding has the second.
 
     Args:
         text: The text.
         nl: Whether to end the line.
     """
-    typer.echo(text, file=result_stream(), nl=nl)
+    typer.echo(UNSAFE.sub(lambda found: printable(found[0]), str(text)), file=result_stream(), nl=nl)
 
 
 def print_json_lines(rows: Sequence[Mapping[str, Any]]) -> None:

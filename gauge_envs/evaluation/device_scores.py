@@ -68,7 +68,7 @@ def score_recording(
         As `score_worlds` returns them.
 
     Raises:
-        ShapeError: The shapes do not agree.
+        ShapeError: The shapes do not agree, the positions are no 64-bit floats, or a row is the number of no body.
         MissingExtraError: Warp is not installed.
     """
     positions = device_array(positions_m)
@@ -85,6 +85,11 @@ def score_recording(
             f"positions have shape {tuple(positions.shape)} with {len(rows)} observed bodies; [{needed} or more, "
             f"{world_count}, body_count, 3] and {band.projection.shape[1] // 3} observed bodies are needed"
         )
+    # A kernel reads what is there: outside of the array, or halves of numbers.
+    if positions.dtype is not wp.float64:
+        raise ShapeError(f"positions are of type {positions.dtype.__name__}, expected 64-bit floats")
+    if not all(0 <= row < positions.shape[2] for row in rows):
+        raise ShapeError(f"rows are {list(rows)}, expected numbers of the {positions.shape[2]} bodies, from 0")
     known = np.isfinite(band.mean)
     frames = np.flatnonzero(known.any(axis=1))
     with wp.ScopedDevice(positions.device):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -38,10 +39,18 @@ class LawPolicy:
         fraction: Share of the law's limit that it uses.
         informed: Whether it knows the constants of each world. Otherwise it takes the actions that it takes with the
             calibrated constants.
+
+    Raises:
+        ParameterError: The share is negative or not finite.
     """
 
     fraction: float = 0.95
     informed: bool = False
+
+    def __post_init__(self) -> None:
+        # A comparison with NaN is false.
+        if not 0.0 <= self.fraction < math.inf:
+            raise ParameterError(f"fraction is {self.fraction:g}, expected a finite share of the limit from 0")
 
     @property
     def title(self) -> str:

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
+from gauge_envs.cli.output import echo
 
 
 def gauge(*arguments: Any) -> Any:
@@ -56,3 +57,15 @@ def test_worlds_of_a_transfer_are_checked_before_they_run(options: list[str], re
     common = ["numpy:mean", "--trust", "--task", "Pendulum-Limit-metal", "--to", "mujoco", "--starts", "1"]
     result = gauge("transfer", *common, *options)
     assert result.exit_code == 2 and reason in result.stderr, result.output
+
+
+def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys: pytest.CaptureFixture[str]) -> None:
+    for text in (Path("a\x1b[2J") / os.fsdecode(b"\xff"), "two\nlines\tä"):
+        echo(text)
+    assert capsys.readouterr().out == "a\\x1b[2J/\\udcff\ntwo\nlines\tä\n"
+
+
+@pytest.mark.parametrize("fraction", ["inf", "nan", "-1"])
+def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
+    result = gauge("envelope", "Pendulum-Limit-metal", "--samples", "2", "--fraction", fraction)
+    assert result.exit_code == 2 and isinstance(result.exception, SystemExit)

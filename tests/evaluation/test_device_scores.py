@@ -133,3 +133,15 @@ def test_positions_of_another_shape_are_refused(change: str) -> None:
     counts = counts[1:] if change == "worlds" else counts
     with pytest.raises(ShapeError, match="are needed"):
         score_recording(experiment, band, positions_m=positions, rows=rows, sample_counts=counts)
+
+
+@pytest.mark.parametrize(
+    ("rows", "kind", "reason"),
+    [([7], np.float64, "numbers of the"), ([-1], np.float64, "numbers of the"), ([0], np.float32, "64-bit floats")],
+)
+def test_a_kernel_never_reads_outside_of_the_positions(rows: list[int], kind: type, reason: str) -> None:
+    experiment = load_experiment("SlopeSlider-2-wood")
+    band = reference_band(experiment)
+    positions, counts = recorded(experiment, band)
+    with pytest.raises(ShapeError, match=reason):
+        score_recording(experiment, band, positions_m=positions.astype(kind), rows=rows, sample_counts=counts)
