@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-import onnxruntime
 
 __all__: list[str] = []
 
@@ -21,6 +20,8 @@ NUMBERS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 def main(content: bytes, observation_size: int) -> None:
     """Load and run a network; an input that fits no observation is left to the caller."""
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
