@@ -23,7 +23,12 @@ from gauge_envs.scene import Scene
 
 
 def pytest_configure() -> None:
-    """Nobody's imported data takes part: not while tests are collected, and not in the programs that they start."""
+    """Set what the tests and the programs that they start have in common.
+
+    Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
+    the threads of several processes wait for one another in a loop, which triples the time of some tests.
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
 
 

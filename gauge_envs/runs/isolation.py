@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -39,6 +39,9 @@ PARENT_LOOK_S = 1.0
 GRACE_S = 10.0
 """Time after its limit at which a process ends itself, if its parent is gone [s]."""
 
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+"""What OpenMP and the libraries of linear algebra read."""
+
 Parameters = ParamSpec("Parameters")
 Value = TypeVar("Value")
 
@@ -54,12 +57,20 @@ class Worker:
         time_limit_s: Time limit of each call, with the start of the process [s].
         memory_limit_gb: Limit of the resident memory of the process [GB], or None. Memory of its children and of a GPU
             does not count.
+        single_thread: Whether libraries compute with one thread, unless the environment states a number. It is for
+            processes that share the cores: threads of linear algebra wait for one another in a loop.
 
     Raises:
         ParameterError: A limit is not positive, or this system does not report the memory of a process.
     """
 
-    def __init__(self, time_limit_s: float = TIME_LIMIT_S, memory_limit_gb: float | None = None) -> None:
+    def __init__(
+        self,
+        time_limit_s: float = TIME_LIMIT_S,
+        memory_limit_gb: float | None = None,
+        *,
+        single_thread: bool = False,
+    ) -> None:
         # A comparison with NaN is false.
         if not 0.0 < time_limit_s <= threading.TIMEOUT_MAX:
             raise ParameterError(f"time limit is {time_limit_s} s, expected a positive number of seconds")
@@ -70,6 +81,7 @@ class Worker:
                 raise ParameterError("a memory limit needs /proc, which Linux alone has: leave it out on this system")
         self._time_limit_s = time_limit_s
         self._memory_limit_gb = memory_limit_gb
+        self._environment: Mapping[str, str] = ONE_THREAD if single_thread else {}
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -91,7 +103,7 @@ class Worker:
             GaugeError: The function raised an error; the message is that error's.
         """
         task = pickle.dumps((self._time_limit_s + GRACE_S, function, args, kwargs))
-        process = self._process = self._process or _start()
+        process = self._process = self._process or _start(self._environment)
         assert process.stdin is not None and process.stdout is not None
         watch = _Watch(process, self._time_limit_s, self._memory_limit_gb)
         try:
@@ -123,14 +135,14 @@ class Worker:
                         stream.close()
 
 
-def _start() -> subprocess.Popen[bytes]:
-    """Start a process with the import path of this one."""
+def _start(environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """Start a process with the import path of this one, and with variables that its environment may lack."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)  # noqa: PTH109
     return subprocess.Popen(
         [sys.executable, "-P", "-c", f"from {__name__} import serve; serve()"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": path},
+        env={**environment, **os.environ, "PYTHONPATH": path},
         # The parent alone handles Ctrl-C, and can end everything that the process has started.
         start_new_session=True,
     )

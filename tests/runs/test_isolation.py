@@ -36,6 +36,19 @@ def test_results_have_the_same_bits_in_another_process() -> None:
     assert list(map(plain, here)) == list(map(plain, there))
 
 
+def test_a_process_that_shares_the_cores_has_one_thread_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for stated in (None, "4"):
+        if stated is None:
+            monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+        else:
+            monkeypatch.setenv("OMP_NUM_THREADS", stated)
+        for single in (True, False):
+            with Worker(single_thread=single) as worker:
+                found.append(worker.call(os.getenv, "OMP_NUM_THREADS"))
+    assert found == ["1", None, "4", "4"]
+
+
 @pytest.mark.parametrize(
     ("name", "isolate", "cause"),
     [

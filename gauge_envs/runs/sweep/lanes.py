@@ -62,7 +62,7 @@ class WorkerLane:
     """
 
     def __init__(self, limits: Limits) -> None:
-        self._worker = Worker(limits.time_limit_s, limits.memory_limit_gb)
+        self._worker = Worker(limits.time_limit_s, limits.memory_limit_gb, single_thread=True)
         self._isolate = limits.isolate
         self._backend = ""
         self._is_closed = False
