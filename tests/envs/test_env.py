@@ -117,7 +117,9 @@ def test_same_seed_gives_the_same_trajectory_bit_for_bit(name: str, rollout) -> 
     assert np.array_equal(first.bodies, second.bodies)
 
 
-@pytest.mark.parametrize("name", ["NewtonsCradle-metal", "WallBreaking-wood", "Pendulum-metal"])
+@pytest.mark.parametrize(
+    "name", ["NewtonsCradle-metal", pytest.param("WallBreaking-wood", marks=pytest.mark.slow), "Pendulum-metal"]
+)
 def test_reset_repeats_the_trajectory_of_the_long_ones(name: str) -> None:
     env = gymnasium.make(f"GAUGE/{name}")
     trajectories = []

@@ -32,7 +32,11 @@ def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
         ("contact-crash", "the engine's process died with signal 11 (segmentation fault)"),
         ("contact-exit", "SystemExit: 5"),
         ("contact-hard-exit", "the engine ended its process with exit code 6"),
-        ("contact-hang", "the engine did not finish within the time limit of 10 s and was stopped"),
+        pytest.param(
+            "contact-hang",
+            "the engine did not finish within the time limit of 10 s and was stopped",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_an_engine_that_dies_costs_one_check(installed: Callable[..., None], name: str, cause: str) -> None:

@@ -189,6 +189,7 @@ def test_default_of_lines_and_hanging_cloth() -> None:
     assert found["cloth-sag"].value == pytest.approx(one("cloth-sag").reality.value, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_step_that_stretches_a_rope_is_found() -> None:
     measurements, rope = Measurements(MUJOCO), one("rope-length")
     settings = {"timestep_s": 0.005, "integrator": "Euler"}

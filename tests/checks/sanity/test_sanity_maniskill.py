@@ -235,6 +235,7 @@ def test_a_wrong_value_is_named(values: dict[str, Any], message: str) -> None:
         maniskill_configuration({**PICK_CUBE, **values}, name="PickCube-v1", source="test")
 
 
+@pytest.mark.slow
 def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_threshold() -> None:
     report = check(maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test"), only=["period,rebound-slow"])
     rows = {row.phenomenon: row for row in report.rows}
