@@ -138,8 +138,9 @@ class Worker:
 def _start(environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
     """Start a process with the import path of this one, and with variables that its environment may lack."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)  # noqa: PTH109
+    # Unbuffered (-u), also in C: what an engine prints before it dies is the cause that its author looks for.
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", f"from {__name__} import serve; serve()"],
+        [sys.executable, "-u", "-P", "-c", f"from {__name__} import serve; serve()"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={**environment, **os.environ, "PYTHONPATH": path},

@@ -39,11 +39,12 @@ def interrupts_reach_children() -> Iterator[None]:
 
 @pytest.fixture
 def environment(tmp_path: Path) -> dict[str, str]:
-    """Environment of a process in which hostile backends are installed."""
+    """Environment of a process in which hostile backends are installed, and in which output is buffered."""
     site = tmp_path / "site"
     site.mkdir()
     install(site, "talking", "crash", "supports-crash")
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    return {**kept, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
 
 
 @pytest.mark.parametrize("arguments", [["run", NAME, "--backend", "talking"], ["list", NAME], ["show", NAME]])
