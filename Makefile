@@ -17,7 +17,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene
 
 # Those of rigid scenes, which also pass with the oldest MuJoCo.
-RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/checks/sanity/test_sanity_probe.py
+RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/tools/sanity/test_sanity_probe.py
 
 .PHONY: demo test check lint slow test-engines test-genesis test-matrix bench gallery docs clean
 

@@ -32,18 +32,6 @@ import numpy as np
 from pxr import Sdf
 
 from gauge_envs import load_experiment
-from gauge_envs.analysis.comparison import compare
-from gauge_envs.checks.conformance import checks
-from gauge_envs.checks.conformance.matrix import MatrixColumn, run_column
-from gauge_envs.checks.conformance.matrix_file import read_columns, write_columns
-from gauge_envs.checks.leaderboard.statement import read_statement
-from gauge_envs.checks.sanity import configuration
-from gauge_envs.checks.sanity.probe.program import document as probe_document
-from gauge_envs.checks.sanity.readers.isaac_gym import isaac_gym_configuration
-from gauge_envs.checks.sanity.readers.isaac_lab import isaac_lab_configuration
-from gauge_envs.checks.sanity.readers.yaml_document import read_yaml
-from gauge_envs.dataset.observation import driver_tracks, trial_trajectory
-from gauge_envs.dataset.trial import TrialError, parse_trial
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.trajectory_file import read_trajectory, stated_origin
 from gauge_envs.experiments.resolve import load_experiment_from_asset
@@ -53,18 +41,30 @@ from gauge_envs.experiments.variants import task_path
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import BandSidecar, read_band
 from gauge_envs.references.tables import read_toml, scoring_folder
-from gauge_envs.report import comparison_markdown
-from gauge_envs.report.conformance_matrix import matrix_markdown
 from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.policies.normalization import read_normalization
-from gauge_envs.runs.policies.sb3 import load_sb3
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, write_result
-from gauge_envs.runs.sweep.folder import SweepFolder
-from gauge_envs.runs.sweep.query import query_sweep
-from gauge_envs.runs.sweep.spec import load_sweep_file, sweep_spec
 from gauge_envs.scene.usd.reader import from_usd
-from gauge_envs.video import read_camera, read_track
+from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.words import comparison_markdown
+from gauge_envs.tools.conformance import checks
+from gauge_envs.tools.conformance.matrix import MatrixColumn, run_column
+from gauge_envs.tools.conformance.matrix_file import read_columns, write_columns
+from gauge_envs.tools.conformance.matrix_words import matrix_markdown
+from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
+from gauge_envs.tools.dataset.trial import TrialError, parse_trial
+from gauge_envs.tools.leaderboard.statement import read_statement
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.probe.program import document as probe_document
+from gauge_envs.tools.sanity.readers.isaac_gym import isaac_gym_configuration
+from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration
+from gauge_envs.tools.sanity.readers.yaml_document import read_yaml
+from gauge_envs.tools.sweep.folder import SweepFolder
+from gauge_envs.tools.sweep.query import query_sweep
+from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
+from gauge_envs.tools.transfer.policies.normalization import read_normalization
+from gauge_envs.tools.transfer.policies.sb3 import load_sb3
+from gauge_envs.tools.video import read_camera, read_track
 
 MOST_S = 10.0
 MOST_MEMORY_MB = 1000.0

@@ -22,8 +22,8 @@ from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.task_format import Placement
 from gauge_envs.experiments.variants import variants
+from gauge_envs.pages.text import markdown_row
 from gauge_envs.references.published import published_baselines
-from gauge_envs.report.text import markdown_row
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 

@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs import load_experiment
-from gauge_envs.dataset.importer import import_trials
-from gauge_envs.dataset.layout import find_trials
+from gauge_envs.tools.dataset.importer import import_trials
+from gauge_envs.tools.dataset.layout import find_trials
 
 VARIANT = "TextileFlinging-satin"
 FOLDER = "data/textile/textile flinging/json/satin"

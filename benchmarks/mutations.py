@@ -14,10 +14,11 @@ import argparse
 import sys
 from fnmatch import fnmatchcase
 
+from mutations import FAULTS, Mutant, first_failure
+
 from gauge_envs.backends import backend
-from gauge_envs.checks.conformance import checks
-from gauge_envs.checks.conformance.mutations import FAULTS, Mutant, first_failure
-from gauge_envs.report.text import markdown_row
+from gauge_envs.pages.text import markdown_row
+from gauge_envs.tools.conformance import checks
 
 LONGEST_DIAGNOSIS = 160
 

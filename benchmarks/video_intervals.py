@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.report.video_page import find_videos
-from gauge_envs.video import Motion, Track, VideoTask, score_track, video_task
-from gauge_envs.video.frames import FileFrames
-from gauge_envs.video.interval import WINDOW
-from gauge_envs.video.laws import fit_constant_acceleration
-from gauge_envs.video.published import published_results
-from gauge_envs.video.tracker import track_object
+from gauge_envs.tools.video import Motion, Track, VideoTask, score_track, video_task
+from gauge_envs.tools.video.frames import FileFrames
+from gauge_envs.tools.video.interval import WINDOW
+from gauge_envs.tools.video.laws import fit_constant_acceleration
+from gauge_envs.tools.video.page import find_videos
+from gauge_envs.tools.video.published import published_results
+from gauge_envs.tools.video.tracker import track_object
 
 FEWEST = 6
 """Fewest frames of an interval."""

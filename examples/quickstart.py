@@ -5,8 +5,8 @@ Needs matplotlib: pip install 'gauge-envs[plot]'.
 
 import gymnasium as gym
 
-from gauge_envs.report.figures.experiment import draw_experiment
 from gauge_envs.runs.episodes import episode_result
+from gauge_envs.tools.compare.experiment_figure import draw_experiment
 
 env = gym.make("GAUGE/SlopeSlider-2-wood", backend="mujoco", parameters="calibrated")
 env.reset(seed=0)

@@ -31,15 +31,15 @@ from typing import Any
 import numpy as np
 
 from gauge_envs import load_experiment
-from gauge_envs.analysis.comparison import compare
-from gauge_envs.analysis.configuration import RunConfiguration
-from gauge_envs.analysis.grades import GradeComparison
-from gauge_envs.checks.conformance import run_checks
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.grades import GradeComparison
+from gauge_envs.tools.conformance import run_checks
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "scoring" / "engines.json"

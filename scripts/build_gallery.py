@@ -23,24 +23,24 @@ from numpy.typing import NDArray
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends import versions_of
 from gauge_envs.envs.no_reward import unreported
+from gauge_envs.envs.rendering.ghost import reference_text
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import Overlay
 from gauge_envs.envs.rendering.tracked import tracked_overlay
 from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.variants import beyond_variants, find_variant, variants
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.report.film.film import FilmOptions, save_film, save_strip
-from gauge_envs.report.film.layout import Caption, PanelText, strip_picture
-from gauge_envs.report.film.panel import score_line
-from gauge_envs.report.film.writer import save_still
-from gauge_envs.report.ghost import reference_text
-from gauge_envs.report.text import BACKEND_TITLES
+from gauge_envs.pages.text import BACKEND_TITLES
 from gauge_envs.runs.batch import planned_results, run_many
 from gauge_envs.runs.replay import replayed_experiment
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.film.film import FilmOptions, save_film, save_strip
+from gauge_envs.tools.film.layout import Caption, PanelText, strip_picture
+from gauge_envs.tools.film.panel import score_line
+from gauge_envs.tools.film.writer import save_still
 
 ROOT = Path(__file__).parents[1]
 BEGIN, END = "<!-- gallery, written by scripts/build_gallery.py -->", "<!-- end of gallery -->"

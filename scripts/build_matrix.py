@@ -16,11 +16,11 @@ from pathlib import Path
 
 from generated import write_or_check
 
-from gauge_envs.checks.conformance import checks
-from gauge_envs.checks.conformance.matrix import CANONICAL, MatrixColumn
-from gauge_envs.checks.conformance.matrix_file import read_columns
-from gauge_envs.report.conformance_matrix import error_text, expected_text, matrix_markdown, measured_text
-from gauge_envs.report.text import markdown_text
+from gauge_envs.pages.text import markdown_text
+from gauge_envs.tools.conformance import checks
+from gauge_envs.tools.conformance.matrix import CANONICAL, MatrixColumn
+from gauge_envs.tools.conformance.matrix_file import read_columns
+from gauge_envs.tools.conformance.matrix_words import error_text, expected_text, matrix_markdown, measured_text
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "engines" / "matrix.md"

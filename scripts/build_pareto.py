@@ -32,16 +32,16 @@ from typing import Any
 from pareto_lessons import lessons
 from pydantic import TypeAdapter
 
-from gauge_envs.analysis.pareto import Tradeoff, tradeoff
 from gauge_envs.backends import backend
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.files import json_ready, write_whole
-from gauge_envs.report.figures.pareto import save_pareto
-from gauge_envs.report.pareto import pareto_markdown
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
+from gauge_envs.tools.cost.figure import save_pareto
+from gauge_envs.tools.cost.pareto import Tradeoff, tradeoff
+from gauge_envs.tools.cost.words import pareto_markdown
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "scoring" / "pareto.json"

@@ -23,11 +23,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.checks.sanity import Report, TrainingConfiguration, Verdict, check, configuration
-from gauge_envs.checks.sanity.phenomena import phenomena
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.sanity import Report, TrainingConfiguration, Verdict, check, configuration
+from gauge_envs.tools.sanity.phenomena import phenomena
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "scoring" / "popular_configurations.json"
@@ -82,14 +82,14 @@ MANISKILL += ("TwoRobotPickCube", "UnitreeG1Stand", "UnitreeG1TransportBox", "Un
 
 def playground_tasks() -> Sequence[str]:
     """Return all tasks of MuJoCo Playground."""
-    from gauge_envs.checks.sanity.readers import playground
+    from gauge_envs.tools.sanity.readers import playground
 
     return [f"playground:{name}" for name in playground.playground_tasks()]
 
 
 def mjlab_tasks() -> Sequence[str]:
     """Return all tasks of mjlab."""
-    from gauge_envs.checks.sanity.readers import mjlab
+    from gauge_envs.tools.sanity.readers import mjlab
 
     return [f"mjlab:{name}" for name in mjlab.mjlab_tasks()]
 

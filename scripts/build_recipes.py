@@ -19,11 +19,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.checks.recipes import Aim, engine_names, engine_settings, find_recipe
-from gauge_envs.checks.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiments.fabrics import fabrics
 from gauge_envs.files import write_whole
+from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
+from gauge_envs.tools.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "recipes.md"

@@ -1,6 +1,6 @@
 """Bundle the parts of three.js that the replays of `gauge report` need into one classic script (needs npm).
 
-`python scripts/build_three.py` writes `gauge_envs/report/site/assets/three.min.js` and its licence. Browsers load no
+`python scripts/build_three.py` writes `gauge_envs/tools/site/assets/three.min.js` and its licence. Browsers load no
 module from a folder, so the bundle is a script with one global, `THREE`. Versions are fixed; the bundle names them. A
 second run makes the same bytes, which `--check` compares.
 """
@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-ASSETS = Path(__file__).parent.parent / "gauge_envs" / "report" / "site" / "assets"
+ASSETS = Path(__file__).parent.parent / "gauge_envs" / "tools" / "site" / "assets"
 
 THREE, ESBUILD = "0.187.0", "0.28.2"
 

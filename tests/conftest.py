@@ -18,8 +18,8 @@ from gauge_envs.backends import Support, backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
-from gauge_envs.report import listing
 from gauge_envs.scene import Scene
+from gauge_envs.tools.catalog import listing
 
 
 def pytest_configure() -> None:

@@ -12,7 +12,7 @@ import pytest
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.runs.sweep.lanes import run_request
+from gauge_envs.tools.sweep.lanes import run_request
 
 needs_rapier = pytest.mark.skipif(find_spec("rapier3d") is None, reason="extra 'rapier' is absent")
 """For tests of an engine whose repeats share worlds, or that declines deformable bodies."""

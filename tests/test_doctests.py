@@ -14,7 +14,7 @@ import pytest
         "gauge_envs.envs.control.wrapper",
         "gauge_envs.envs.dm_env",
         "gauge_envs.envs.env",
-        "gauge_envs.checks.sanity",
+        "gauge_envs.tools.sanity",
         "gauge_envs.envs.vector",
         "gauge_envs.envs.wrappers",
     ],

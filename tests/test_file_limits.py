@@ -16,7 +16,6 @@ import pytest
 from pxr import Sdf, Usd
 
 from gauge_envs import load_experiment
-from gauge_envs.checks.sanity.target import configuration
 from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TaskFileError, TrajectoryFileError
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
@@ -28,6 +27,7 @@ from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.usd import source
 from gauge_envs.scene.usd.reader import from_usd
+from gauge_envs.tools.sanity.target import configuration
 
 NAME = "SlopeSlider-2-wood"
 

@@ -1,19 +1,14 @@
-"""The `gauge` command. Heavy imports are inside the commands, so that help and completion stay quick."""
+"""The `gauge` command: the names of the commands, which are imported when one of them runs, and its exit codes."""
 
 from __future__ import annotations
 
 import errno
+from importlib import import_module
 from typing import Any
 
 import typer
 import typer.core
 
-from gauge_envs.cli.checks import backend_app, sanity
-from gauge_envs.cli.control import envelope, transfer
-from gauge_envs.cli.data import assets_app, data_app
-from gauge_envs.cli.describe import list_, materials, show
-from gauge_envs.cli.export import export_app
-from gauge_envs.cli.film import film
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
     command_runs,
@@ -21,20 +16,40 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
-from gauge_envs.cli.leaderboard import leaderboard_app
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
-from gauge_envs.cli.recipe import recipe
-from gauge_envs.cli.report import report
-from gauge_envs.cli.results import compare, diagnose, plot
-from gauge_envs.cli.run import run, score
-from gauge_envs.cli.sanity_export import sanity_export, sanity_judge
-from gauge_envs.cli.sanity_probe import sanity_probe
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
-from gauge_envs.cli.sweep import query, sweep
-from gauge_envs.cli.video import video_app
 from gauge_envs.errors import GaugeError
 
-__all__ = ["app", "main"]
+__all__ = ["COMMANDS", "app", "main"]
+
+COMMANDS = {
+    "list": "catalog.command:list_",
+    "show": "catalog.command:show",
+    "run": "run.command:run",
+    "score": "run.command:score",
+    "plot": "compare.command:plot",
+    "compare": "compare.command:compare",
+    "diagnose": "diagnose.command:diagnose",
+    "report": "site.command:report",
+    "sanity": "sanity.command:sanity",
+    "materials": "recipes.fabric_command:materials",
+    "sweep": "sweep.command:sweep",
+    "query": "sweep.command:query",
+    "film": "film.command:film",
+    "recipe": "recipes.command:recipe",
+    "transfer": "transfer.command:transfer",
+    "envelope": "transfer.command:envelope",
+    "sanity probe": "sanity.probe_command:sanity_probe",
+    "sanity export": "sanity.export_command:sanity_export",
+    "sanity judge": "sanity.export_command:sanity_judge",
+    "backend": "conformance.command:backend_app",
+    "assets": "assets.command:assets_app",
+    "data": "dataset.command:data_app",
+    "video": "video.command:video_app",
+    "leaderboard": "leaderboard.command:leaderboard_app",
+    "export": "film.rerun_command:export_app",
+}
+"""Functions and groups of the instruments in `gauge_envs.tools`, as `module:name`."""
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -56,15 +71,36 @@ class _Command(typer.core.TyperCommand):
                 raise typer.Exit(EXIT_FAILED) from None
 
 
+def _loaded(name: str) -> Any:
+    """Return the command or the group of a name, imported from its instrument."""
+    module, _, attribute = COMMANDS[name].partition(":")
+    found = getattr(import_module(f"gauge_envs.tools.{module}"), attribute)
+    if isinstance(found, typer.Typer):
+        for registered in found.registered_commands:
+            registered.cls = _Command
+        group = typer.main.get_command(found)
+        group.name = name
+        return group
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    single.command(name, cls=_Command)(found)
+    return typer.main.get_command(single)
+
+
 class _Group(typer.core.TyperGroup):
     """Group that prints errors of gauge-envs without a traceback; no other place catches them.
 
     The name of a command may have two words, as `sanity probe` beside `sanity TARGET`.
     """
 
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        return _loaded(cmd_name) if cmd_name in COMMANDS else None
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         words = " ".join(args[:2])
-        return super().resolve_command(ctx, [words, *args[2:]] if words in self.commands else args)
+        return super().resolve_command(ctx, [words, *args[2:]] if words in COMMANDS else args)
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -101,27 +137,11 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("list")(list_)
-for command in (show, run, score, plot, compare, diagnose, report, sanity, materials):
-    app.command()(command)
-app.command()(sweep)
-app.command()(query)
-app.command()(film)
-app.command()(recipe)
-app.command()(transfer)
-app.command()(envelope)
-app.command("sanity probe")(sanity_probe)
-app.command("sanity export")(sanity_export)
-app.command("sanity judge")(sanity_judge)
-app.add_typer(backend_app, name="backend")
-app.add_typer(assets_app, name="assets")
-app.add_typer(data_app, name="data")
-app.add_typer(video_app, name="video")
-app.add_typer(leaderboard_app, name="leaderboard")
-app.add_typer(export_app, name="export")
-for group in (app, backend_app, assets_app, data_app, video_app, leaderboard_app, export_app):
-    for registered in group.registered_commands:
-        registered.cls = _Command
+
+
+@app.callback()
+def _root() -> None:
+    """Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark)."""
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from rich.segment import Segment
 
 from gauge_envs.cli.streams import result_stream
 from gauge_envs.files import printable
-from gauge_envs.report.table import Table, as_rich, as_rows
+from gauge_envs.pages.table import Table, as_rich, as_rows
 
 __all__ = [
     "EXIT_FAILED",

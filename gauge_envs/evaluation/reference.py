@@ -11,14 +11,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.single_shot import shots_of
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
-from gauge_envs.references.published import (
-    CarriedLaw,
-    FlightLaw,
-    SlideLaw,
-    carried_band,
-    law_for,
-    uncontacted_band,
-)
+from gauge_envs.references.published import CarriedLaw, FlightLaw, SlideLaw, carried_band, law_for, uncontacted_band
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ

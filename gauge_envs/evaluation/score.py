@@ -18,13 +18,7 @@ from gauge_envs.evaluation.deviation import (
     sampled_frames,
 )
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
-from gauge_envs.evaluation.metrics import (
-    band_coverage,
-    dtw_path,
-    mean_abs_z,
-    signed_error,
-    z_scores,
-)
+from gauge_envs.evaluation.metrics import band_coverage, dtw_path, mean_abs_z, signed_error, z_scores
 from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
 from gauge_envs.evaluation.trials import percentile_among, trial_distances
 from gauge_envs.evaluation.uncertainty import BudgetEntry

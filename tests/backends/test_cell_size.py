@@ -12,10 +12,10 @@ from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, YOUNG_PA, block
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation
-from gauge_envs.checks.conformance import Status, run_checks
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Motion, Pose, Region, RigidBody, Scene
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
+from gauge_envs.tools.conformance import Status, run_checks
 
 MPM = {"preset": "mpm"}
 

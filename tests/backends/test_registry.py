@@ -10,8 +10,8 @@ import pytest
 from gauge_envs.backends import Backend, Support, backend, backend_names, registry
 from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.report import backend_rows, list_rows
 from gauge_envs.scene import Scene
+from gauge_envs.tools.catalog.listing import backend_rows, list_rows
 
 
 class EntryPoint:

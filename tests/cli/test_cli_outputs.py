@@ -24,7 +24,7 @@ def no_check(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise AssertionError("a check ran")
 
-    monkeypatch.setattr("gauge_envs.checks.conformance.matrix.run_column", fail)
+    monkeypatch.setattr("gauge_envs.tools.conformance.matrix.run_column", fail)
 
 
 @pytest.mark.usefixtures("no_check")

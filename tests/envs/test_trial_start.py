@@ -13,12 +13,12 @@ from dataset_writer import body_asset, trial_content, write_trial
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.dataset.importer import import_trials
-from gauge_envs.dataset.layout import find_trials
 from gauge_envs.envs.trial_start import trial_scene
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.episodes import episode_result
 from gauge_envs.scene.contact_faces import face_normal
+from gauge_envs.tools.dataset.importer import import_trials
+from gauge_envs.tools.dataset.layout import find_trials
 
 SLIDE, BALL, SWING = "SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"
 

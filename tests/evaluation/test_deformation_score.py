@@ -18,8 +18,8 @@ from gauge_envs.evaluation.deformation import DeformationScore, deformation_refe
 from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.observables.deformation import STATISTICS, affine_map, marked_solid, trial_statistics
 from gauge_envs.observables.observer import observe_markers
+from gauge_envs.pages.results import summary_view
 from gauge_envs.references.deformation import DeformationReference
-from gauge_envs.report import summary_view
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, write_result

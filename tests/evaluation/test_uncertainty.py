@@ -18,13 +18,13 @@ from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities
-from gauge_envs.report.figures.experiment import save_figures
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.tilt import tilted
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.compare.experiment_figure import save_figures
 
 SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
 BALL = "BouncingBall-rubber"

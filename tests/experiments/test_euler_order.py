@@ -9,7 +9,7 @@ from places import ROOT
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.report import description
+from gauge_envs.tools.catalog.description import description
 
 ORDERS = list(euler_order.other_orders())
 

@@ -17,15 +17,12 @@ from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, load_experiment_from_asset
-from gauge_envs.analysis.comparison import compare
 from gauge_envs.cli.app import app
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.variants import variants
-from gauge_envs.report import comparison_rows
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
@@ -35,6 +32,9 @@ from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes
+from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.words import comparison_rows
 
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"

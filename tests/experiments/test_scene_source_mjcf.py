@@ -18,12 +18,12 @@ from gauge_envs.backends import backend, backend_for, backend_of_suffix
 from gauge_envs.backends.mujoco.model_diff import model_changes
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
-from gauge_envs.experiments.export.assets import assets_folder
-from gauge_envs.experiments.export.mjcf import write_mjcf
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.assets.mjcf import write_mjcf
 
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"

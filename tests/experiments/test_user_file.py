@@ -23,15 +23,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, load_experiment_file
-from gauge_envs.analysis.comparison import compare
-from gauge_envs.analysis.error_budget import diagnose
 from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, ReferenceFileError, ShapeError, TaskFileError
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.references.bands import Band
-from gauge_envs.report.figures.experiment import save_figures
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
@@ -40,6 +36,10 @@ from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import ContactMode
 from gauge_envs.scene.usd.reader import read_points
+from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.experiment_figure import save_figures
+from gauge_envs.tools.diagnose.error_budget import diagnose
 
 EXAMPLE = ROOT / "examples" / "usd_experiment"
 CRATE = EXAMPLE / "crate.toml"

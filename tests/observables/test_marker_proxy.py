@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gauge_envs.analysis.configuration import RunConfiguration
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.report.results import result_label
+from gauge_envs.pages.results import result_label
+from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result

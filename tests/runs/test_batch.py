@@ -9,13 +9,13 @@ from interruption import interrupt_in_episode
 
 from gauge_envs.backends.mujoco import backend as mujoco_backend
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
-from gauge_envs.report.figures.experiment import draw_experiment, save_figures
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
+from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
 
 NAME = "SlopeSlider-2-wood"
 THREE = ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"]

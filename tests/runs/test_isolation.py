@@ -16,11 +16,12 @@ import pytest
 from gauge_envs.backends import backend
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.report import backend_rows, list_rows, listing
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
+from gauge_envs.tools.catalog import listing
+from gauge_envs.tools.catalog.listing import backend_rows, list_rows
 
 WOOD, PLASTIC, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"
 

@@ -13,11 +13,8 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.checks.sanity.foot import FootGeometry
-from gauge_envs.checks.sanity.phenomena.foot import foot_scene
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.metrics import fitted_acceleration
-from gauge_envs.experiments.export.assets import shape_to_obj
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -33,6 +30,9 @@ from gauge_envs.scene import (
     mass_properties,
 )
 from gauge_envs.scene.usd.writer import to_usd
+from gauge_envs.tools.assets.build import shape_to_obj
+from gauge_envs.tools.sanity.foot import FootGeometry
+from gauge_envs.tools.sanity.phenomena.foot import foot_scene
 
 TETRAHEDRON = ConvexUnion(pieces_m=(((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04)),))
 SOLIDS = {

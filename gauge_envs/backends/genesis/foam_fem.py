@@ -12,12 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gauge_envs.backends.genesis.coupling import (
-    couple_only_marked_geoms,
-    driven_places,
-    set_coupling,
-    touching_bodies,
-)
+from gauge_envs.backends.genesis.coupling import couple_only_marked_geoms, driven_places, set_coupling, touching_bodies
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.foam_settings import SOFT_CELL_M, SettingsFEM
 from gauge_envs.backends.genesis.parts import DeformablePart, Motions

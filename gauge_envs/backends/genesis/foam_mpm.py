@@ -15,12 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.genesis.coupling import (
-    couple_only_marked_geoms,
-    driven_places,
-    set_coupling,
-    touching_bodies,
-)
+from gauge_envs.backends.genesis.coupling import couple_only_marked_geoms, driven_places, set_coupling, touching_bodies
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.foam_settings import COURANT_LIMIT, VOXEL_M, SettingsMPM, sound_time_s
 from gauge_envs.backends.genesis.parts import DeformablePart, Motions

@@ -18,16 +18,7 @@ from gauge_envs.backends.pybullet.frames import Frame, Handle
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.soft import add_soft_body
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld
-from gauge_envs.scene import (
-    BodyHinge,
-    Hinge,
-    Motion,
-    RigidBody,
-    Rope,
-    Scene,
-    SoftBody,
-    Tether,
-)
+from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
 
 __all__ = ["WorldPyBullet"]

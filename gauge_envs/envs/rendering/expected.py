@@ -15,15 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.envs.rendering.expected_deformables import deformable_way
 from gauge_envs.evaluation.reference_path import ReferencePath
-from gauge_envs.scene import (
-    Hinge,
-    Motion,
-    Plane,
-    Pose,
-    RigidBody,
-    Scene,
-    Tether,
-)
+from gauge_envs.scene import Hinge, Motion, Plane, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.geometry import vector
 
 __all__ = ["Expected", "expected_motion"]

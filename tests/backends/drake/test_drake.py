@@ -39,8 +39,8 @@ from gauge_envs.backends.drake.impacts import PHASES, impact_constants, rebound
 from gauge_envs.backends.drake.model import APPROXIMATIONS as DRAKE_NAMES
 from gauge_envs.backends.drake.settings import PRESETS, impact_speed_m_per_s, settings_for
 from gauge_envs.backends.drake.shapes import inner_radius_m
-from gauge_envs.checks.conformance import Status, run_checks
 from gauge_envs.scene.meshes import hull_faces
+from gauge_envs.tools.conformance import Status, run_checks
 
 DRAKE = backend("drake")
 APPROXIMATIONS = [name for name, member in DRAKE_NAMES.items() if hasattr(DiscreteContactApproximation, member)]

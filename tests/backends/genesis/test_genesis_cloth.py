@@ -19,11 +19,7 @@ pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.genesis.deformables import unsupported_deformables
-from gauge_envs.backends.genesis.pbd_settings import (
-    SettingsPBD,
-    cloth_cell_m,
-    pbd_presets,
-)
+from gauge_envs.backends.genesis.pbd_settings import SettingsPBD, cloth_cell_m, pbd_presets
 from gauge_envs.backends.genesis.pbd_springs import (
     grid_springs,
     grid_stiffnesses,
@@ -31,8 +27,8 @@ from gauge_envs.backends.genesis.pbd_springs import (
     spring_stiffnesses,
 )
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
-from gauge_envs.checks.conformance import Status, run_checks
-from gauge_envs.checks.conformance.scene_parts import clamped, sheet
+from gauge_envs.tools.conformance import Status, run_checks
+from gauge_envs.tools.conformance.scene_parts import clamped, sheet
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 

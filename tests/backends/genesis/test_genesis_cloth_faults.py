@@ -13,7 +13,7 @@ pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends.genesis import cloth
 from gauge_envs.backends.genesis.pbd_kernels import PBDKernels
-from gauge_envs.checks.conformance import Status, run_checks
+from gauge_envs.tools.conformance import Status, run_checks
 
 Patch = pytest.MonkeyPatch
 

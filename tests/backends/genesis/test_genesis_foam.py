@@ -22,9 +22,9 @@ from gauge_envs.backends.genesis.presets import settings_for
 from gauge_envs.backends.shared.attachments import attachments_by_body, bonded_soft_bodies
 from gauge_envs.backends.shared.point_weights import linear_weights
 from gauge_envs.backends.shared.soft_rows import SoftRow
-from gauge_envs.checks.conformance import Status, run_checks
-from gauge_envs.checks.rollout import DivergedError, record
 from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.runs.rollout import DivergedError, record
+from gauge_envs.tools.conformance import Status, run_checks
 
 SETTINGS = SettingsFEM(preset="default", timestep_s=1 / 900)
 

@@ -14,9 +14,9 @@ import torch
 
 from gauge_envs.backends.genesis.engine import EngineLease
 from gauge_envs.backends.genesis.model import forget_models
-from gauge_envs.checks.sanity.languages import language
-from gauge_envs.checks.sanity.readers import READERS
-from gauge_envs.checks.sanity.readers.genesis import options_settings
+from gauge_envs.tools.sanity.languages import language
+from gauge_envs.tools.sanity.readers import READERS
+from gauge_envs.tools.sanity.readers.genesis import options_settings
 
 LANGUAGE = language("genesis")
 

@@ -14,11 +14,11 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.air import AirOnCloth
 from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.checks.conformance.scene_parts import clamped, sheet
 from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.scene import Air, Pose, Region, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.conformance.scene_parts import clamped, sheet
 
 FLING = "TextileFlinging-satin"
 ZERO = np.zeros(1)

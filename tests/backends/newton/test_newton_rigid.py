@@ -31,8 +31,8 @@ from gauge_envs.scene import (
 pytest.importorskip("newton")
 
 from gauge_envs.backends import backend
-from gauge_envs.checks.conformance import Status, run_checks
 from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.tools.conformance import Status, run_checks
 
 NEWTON = backend("newton")
 

@@ -14,7 +14,6 @@ pytest.importorskip("sapien")
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.shared.pair_values import body_values, pair_values
-from gauge_envs.checks.conformance import Status, run_checks
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.runs.episodes import run_episode
@@ -37,6 +36,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import prism
+from gauge_envs.tools.conformance import Status, run_checks
 
 PHYSX = backend("physx")
 SLOPE = Rotation.from_euler("y", 30, degrees=True)

@@ -41,7 +41,7 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, collider_layers
 from gauge_envs.backends.rapier.simulation import _mean_velocities
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.checks.conformance import Status, run_checks
+from gauge_envs.tools.conformance import Status, run_checks
 
 RAPIER = backend("rapier")
 G = GRAVITY_M_PER_S2

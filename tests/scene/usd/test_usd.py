@@ -14,8 +14,6 @@ from hypothesis import strategies as st
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.experiments.export.assets import assets_folder
-from gauge_envs.experiments.export.usd_layer import write_usd_layer
 from gauge_envs.experiments.variants import variants
 from gauge_envs.scene import (
     Attachment,
@@ -42,6 +40,8 @@ from gauge_envs.scene import (
 from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.usd.reader import from_usd, read_usd
 from gauge_envs.scene.usd.writer import to_usd
+from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.assets.usd_layer import write_usd_layer
 
 # --- every variant ---------------------------------------------------------------------------------------------------
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from pxr import Sdf, Usd
 
 from gauge_envs.errors import AssetError, GaugeError
-from gauge_envs.experiments.export.assets import assets_folder
 from gauge_envs.scene import Scene
 from gauge_envs.scene.usd.reader import from_usd
+from gauge_envs.tools.assets.build import assets_folder
 
 NAMES = (
     "Turntable-1-wood",

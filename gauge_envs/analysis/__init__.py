@@ -1,1 +1,0 @@
-"""Comparison of results, and the parts of an error."""

@@ -1,1 +1,0 @@
-"""Checks of engines: conformance to closed forms, and sanity of training configurations."""

@@ -1,0 +1,1 @@
+"""How results are shown: tables, texts, HTML, pictures. No module here knows an instrument."""

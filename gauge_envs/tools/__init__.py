@@ -1,0 +1,1 @@
+"""Instruments: each folder measures one thing on top of the core and has a `gauge` command."""

@@ -1,0 +1,185 @@
+"""Write rigid bodies of a scene as URDF files, one for each body, which simulators load and place one by one.
+
+URDF has no free bodies beside each other, no planes, no friction and no restitution. So a scene is a set of files, a
+plane is a large box below it, and contact constants are in the manifest beside the files.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, RigidBody, Scene, Shape, Sphere, Vector
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.tools.assets.build import shape_to_obj
+
+__all__ = ["BodyFile", "body_files"]
+
+ROOT_LINK = "anchor"
+"""Root link of a hinged body, which is fixed in the world."""
+
+GROUND_BOX = Box(size_m=(10.0, 10.0, 1.0))
+"""Box that stands for a plane; its upper face is the plane."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyFile:
+    """URDF file of a body and where its root link starts.
+
+    Attributes:
+        file: Name of the file; bodies of equal shape, mass and motion share one.
+        texts: Texts of the URDF file and of its meshes by path.
+        root_position_m: Position of the root link at the start [m].
+        root_quaternion: Orientation of the root link at the start (w, x, y, z).
+        link: Name of the link of the body.
+        origin_in_link_m: Origin of the body in the frame of this link [m].
+        is_root_fixed: Whether the root link never moves.
+    """
+
+    file: str
+    texts: Mapping[str, str]
+    root_position_m: Vector
+    root_quaternion: tuple[float, float, float, float]
+    link: str
+    origin_in_link_m: Vector
+    is_root_fixed: bool
+
+
+def body_files(scene: Scene) -> dict[str, BodyFile]:
+    """Return the URDF file of each rigid body of a scene, by its name.
+
+    Raises:
+        UnsupportedSceneError: The scene has deformable bodies, tethers, or hinges between bodies, or a shape that is
+            not written.
+    """
+    if scene.deformables:
+        raise UnsupportedSceneError("URDF has no deformable bodies: export the scene as MJCF or USD")
+    if scene.body_hinges:
+        raise UnsupportedSceneError(
+            "this writer makes one URDF file for each body, and hinges join two: export the scene as MJCF or USD"
+        )
+    hinges: dict[str, Hinge] = {}
+    for joint in scene.joints:
+        if not isinstance(joint, Hinge):
+            raise UnsupportedSceneError("URDF has no tethers: export the scene as MJCF or USD")
+        hinges[joint.body] = joint
+    shared: dict[tuple[Shape, float, float | None, Motion], BodyFile] = {}
+    files = {}
+    for body in scene.bodies:
+        if body.name in hinges:
+            files[body.name] = _hinged(body, hinges[body.name])
+            continue
+        key = (body.shape, body.mass_kg, body.inertia_kg_m2, body.motion)
+        known = shared.setdefault(key, _free(body))
+        files[body.name] = BodyFile(
+            file=known.file,
+            texts=known.texts,
+            root_position_m=body.pose.position_m,
+            root_quaternion=body.pose.quaternion,
+            link=known.link,
+            origin_in_link_m=(0.0, 0.0, 0.0),
+            is_root_fixed=body.motion is Motion.FIXED,
+        )
+    return files
+
+
+def _free(body: RigidBody) -> BodyFile:
+    robot = ElementTree.Element("robot", name=body.name)
+    meshes = _add_link(robot, body, (0.0, 0.0, 0.0))
+    return _file(body, robot, meshes, origin_in_link_m=(0.0, 0.0, 0.0), is_root_fixed=False)
+
+
+def _hinged(body: RigidBody, hinge: Hinge) -> BodyFile:
+    """Return a body on a hinge of the world, whose link has its frame at the anchor, with the body's axes."""
+    turn = body.pose.rotation
+    offset = vector(turn.apply(np.subtract(body.pose.position_m, hinge.anchor_m), inverse=True))
+    robot = ElementTree.Element("robot", name=body.name)
+    ElementTree.SubElement(robot, "link", name=ROOT_LINK)
+    joint = ElementTree.SubElement(robot, "joint", name="hinge", type="continuous")
+    with warnings.catch_warnings():
+        # Of several angles for a pitch of 90 degrees, any will do.
+        warnings.simplefilter("ignore", UserWarning)
+        roll_pitch_yaw = vector(turn.as_euler("xyz"))
+    ElementTree.SubElement(joint, "origin", xyz=_text(hinge.anchor_m), rpy=_text(roll_pitch_yaw))
+    ElementTree.SubElement(joint, "parent", link=ROOT_LINK)
+    ElementTree.SubElement(joint, "child", link=body.name)
+    ElementTree.SubElement(joint, "axis", xyz=_text(vector(turn.apply(hinge.axis, inverse=True))))
+    ElementTree.SubElement(joint, "dynamics", damping="0", friction="0")
+    meshes = _add_link(robot, body, offset)
+    return _file(body, robot, meshes, origin_in_link_m=offset, is_root_fixed=True)
+
+
+def _file(
+    body: RigidBody,
+    robot: ElementTree.Element,
+    meshes: Mapping[str, str],
+    *,
+    origin_in_link_m: Vector,
+    is_root_fixed: bool,
+) -> BodyFile:
+    ElementTree.indent(robot)
+    name = f"{body.name}.urdf"
+    return BodyFile(
+        file=name,
+        texts={name: ElementTree.tostring(robot, encoding="unicode") + "\n", **meshes},
+        root_position_m=(0.0, 0.0, 0.0),
+        root_quaternion=(1.0, 0.0, 0.0, 0.0),
+        link=body.name,
+        origin_in_link_m=origin_in_link_m,
+        is_root_fixed=is_root_fixed,
+    )
+
+
+def _add_link(robot: ElementTree.Element, body: RigidBody, offset_m: Vector) -> dict[str, str]:
+    """Add the link of a body whose origin is at an offset in the link's frame; return its meshes by path."""
+    link = ElementTree.SubElement(robot, "link", name=body.name)
+    if body.mass_kg > 0.0:
+        centre, inertia = body_mass_properties(body)
+        inertial = ElementTree.SubElement(link, "inertial")
+        ElementTree.SubElement(inertial, "origin", xyz=_text(vector(centre + offset_m)), rpy="0 0 0")
+        ElementTree.SubElement(inertial, "mass", value=_text((body.mass_kg,)))
+        names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+        entries = {name: _text((float(inertia[place]),)) for name, place in names.items()}
+        ElementTree.SubElement(inertial, "inertia", entries)
+    meshes = {}
+    for index, shape in enumerate(_convex_parts(body.shape)):
+        place, tag, attributes = _geometry(shape, f"meshes/{body.name}-{index}.obj")
+        if tag == "mesh":
+            meshes[attributes["filename"]] = shape_to_obj(shape, f"{body.name}-{index}")
+        for part in ("visual", "collision"):
+            element = ElementTree.SubElement(link, part)
+            ElementTree.SubElement(element, "origin", xyz=_text(vector(np.add(place, offset_m))), rpy="0 0 0")
+            ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), tag, attributes)
+    return meshes
+
+
+def _convex_parts(shape: Shape) -> list[Shape]:
+    if isinstance(shape, ConvexUnion):
+        return [ConvexUnion(pieces_m=(piece,)) for piece in shape.pieces_m]
+    return [shape]
+
+
+def _geometry(shape: Shape, mesh: str) -> tuple[Vector, str, dict[str, str]]:
+    """Return the place [m], tag and attributes of the geometry of a convex shape."""
+    centre = (0.0, 0.0, 0.0)
+    if isinstance(shape, Plane):
+        return (0.0, 0.0, -0.5 * GROUND_BOX.size_m[2]), "box", {"size": _text(GROUND_BOX.size_m)}
+    if isinstance(shape, Box):
+        return centre, "box", {"size": _text(shape.size_m)}
+    if isinstance(shape, Sphere):
+        return centre, "sphere", {"radius": _text((shape.radius_m,))}
+    if isinstance(shape, Cylinder):
+        return centre, "cylinder", {"radius": _text((shape.radius_m,)), "length": _text((shape.length_m,))}
+    if isinstance(shape, ConvexUnion):
+        return centre, "mesh", {"filename": mesh}
+    raise UnsupportedSceneError(f"the writer of URDF has no {type(shape).__name__}: export the scene as MJCF")
+
+
+def _text(numbers: tuple[float, ...]) -> str:
+    return " ".join(repr(number + 0.0) for number in numbers)

@@ -1,0 +1,355 @@
+"""One experiment in full: scene, constants and where each number is from, reference, published scores."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from gauge_envs.backends.registry import backend_names
+from gauge_envs.evaluation.reference import load_band, reference_band
+from gauge_envs.experiments.experiment import AssetKind, Experiment, TaskExperiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.user_file import FileExperiment
+from gauge_envs.files import json_ready
+from gauge_envs.pages.convergence import convergence_rows, convergence_text
+from gauge_envs.pages.table import Column, Facts, Place, Table, as_rich
+from gauge_envs.pages.text import (
+    ENGINE_TITLES,
+    GRADE_NOTES,
+    METRIC_TITLES,
+    NORMALIZED_NOTE,
+    SIGMA_NOTES,
+    heading,
+    number_text,
+    pairs_text,
+    plus_minus_text,
+    shortened,
+    vector_text,
+)
+from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
+from gauge_envs.references.published import law_for
+from gauge_envs.scene import Deformable, Hinge, RigidBody
+from gauge_envs.scene.drivers import Driver, Profile, SampledProfile
+from gauge_envs.tools.catalog.listing import unsupported_features_of
+
+__all__ = ["description", "description_view"]
+
+
+def description(experiment: Experiment) -> dict[str, Any]:
+    """Return all that defines one experiment, JSON-ready, with the source of each number."""
+    scene = experiment.scene
+    return json_ready(
+        {
+            "id": experiment.id,
+            "title": experiment.title,
+            **(_of_file(experiment) if isinstance(experiment, FileExperiment) else _of_task(experiment)),
+            "asset": None if experiment.asset is None else experiment.asset.to_dict(),
+            "frames": experiment.frame_count,
+            "duration_s": scene.duration_s,
+            "observable": {
+                "kind": experiment.score.observable.value,
+                "unit": experiment.score.observable.unit,
+                "coordinates": experiment.coordinates,
+            },
+            "bodies": [_body(body, experiment) for body in (*scene.bodies, *scene.deformables)],
+            "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
+            "joints": [
+                {"kind": "hinge" if isinstance(joint, Hinge) else "tether"} | dataclasses.asdict(joint)
+                for joint in scene.joints
+            ]
+            + [{"kind": "hinge of two bodies"} | dataclasses.asdict(hinge) for hinge in scene.body_hinges],
+            "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
+            "drivers": [_driver(experiment, index) for index in range(len(scene.drivers))],
+            "air": None if scene.air is None else dataclasses.asdict(scene.air),
+            "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
+            "reference": _reference(experiment),
+            "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
+            "backends": unsupported_features_of(experiment),
+            "convergence": {name: convergence_rows(name, experiment.name) for name in backend_names()},
+        }
+    )
+
+
+def _of_task(experiment: Experiment) -> dict[str, Any]:
+    """Return what a task file states beside the scene."""
+    assert isinstance(experiment, TaskExperiment)
+    spec, variant = experiment.spec, experiment.variant
+    return {
+        "summary": spec.summary,
+        "group": spec.group.value,
+        "evaluates": spec.evaluates,
+        "source": spec.source.model_dump(exclude_none=True),
+        "constants": {
+            name: tables.get(variant.material, next(iter(tables.values()), {}))
+            for name, tables in spec.constants.items()
+        },
+        "parameter_sets": {
+            "calibrated": {"summary": "calibrated constants of the metadata", "values": {}},
+            **{
+                name: {"summary": chosen.summary, "values": dict(load_experiment(variant, name).overrides)}
+                for name, chosen in spec.parameters.items()
+            },
+        },
+        "provenance": spec.provenance,
+        "decisions": spec.decisions,
+    }
+
+
+def _of_file(experiment: FileExperiment) -> dict[str, Any]:
+    """Return what an experiment file states beside the scene."""
+    definition = experiment.definition
+    return {
+        "summary": definition.summary,
+        "group": None,
+        "evaluates": definition.evaluates,
+        "source": {"usd": definition.usd},
+        "constants": {},
+        "parameter_sets": {},
+        "provenance": definition.provenance,
+        "decisions": [],
+    }
+
+
+def _reference(experiment: Experiment) -> dict[str, Any]:
+    """Return what an experiment is or could be scored against."""
+    own = experiment.reference
+    band = load_band(experiment.name, experiment.reference_source) if own is None else own.band
+    law = law_for(experiment.name) if own is None else None
+    used = reference_band(experiment)
+    shown = band if used is None else used
+    return {
+        "grade": (BandGrade.NONE if used is None else used.grade).value,
+        "trial_count": None if shown is None else shown.trial_count,
+        "single_shot": experiment.trial is not None,
+        "source": None if shown is None else shown.source,
+        "imported": experiment.reference_source is DataSource.IMPORTED,
+        "is_import_available": has_import(experiment.name),
+        "law": None if law is None else law.condition,
+        "sigma_source": None if shown is None else shown.sigma_source.value,
+        "known_frames": None if shown is None else int(np.isfinite(shown.mean).any(axis=1).sum()),
+        "normalized_by_baseline": None if shown is None else shown.normalized_by_baseline,
+        "withheld": None if band is None else band.withheld,
+    }
+
+
+def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
+    described: dict[str, Any] = {
+        "name": body.name,
+        "kind": "rigid" if isinstance(body, RigidBody) else type(body).__name__.lower(),
+        "recorded": body.name in experiment.recorded,
+    }
+    values = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
+    if values.get("inertia_kg_m2", 0.0) is None:
+        del values["inertia_kg_m2"]
+    shape = values.pop("shape", None)
+    if shape is not None:
+        described["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
+    pose = values.pop("pose")
+    return described | values | {"position_m": pose.position_m, "quaternion_wxyz": pose.quaternion}
+
+
+def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
+    driver = experiment.scene.drivers[index]
+    if not isinstance(experiment, TaskExperiment) or experiment.asset is not None:
+        return _driver_of_asset(driver)
+    variant, spec = experiment.variant, experiment.spec
+    own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
+    stated = (own if own is not None else spec.drivers)[index]
+    motions = [motion.model_dump(exclude_none=True) for motion in stated.motions]
+    note, recorded = stated.note, _recorded_driver(experiment, driver.body)
+    if recorded is not None:
+        note = f"{_recorded_note(recorded)}; not in use is the bundled one: {note}"
+        for motion, used in zip(motions, driver.motions, strict=True):
+            motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
+    elif has_import(experiment.name):
+        note = f"{note}; imported trials exist: drivers='imported' or --drivers imported uses their motion"
+    return {
+        "body": driver.body,
+        "provenance": driver.provenance,
+        "imported": recorded is not None,
+        "note": note,
+        "motions": motions,
+    }
+
+
+def _driver_of_asset(driver: Driver) -> dict[str, Any]:
+    """Return a driver as its asset states it."""
+    motions = [
+        {
+            "kind": motion.kind,
+            "axis": motion.axis,
+            "point_m": motion.point_m,
+            "largest_rate": motion.largest_rate,
+            "residual_rate": motion.residual_rate,
+            "profile": [type(profile).__name__ for profile in motion.profiles],
+        }
+        for motion in driver.motions
+    ]
+    note = "as the asset states it; rates in m/s or rad/s"
+    return {"body": driver.body, "provenance": driver.provenance, "imported": False, "note": note, "motions": motions}
+
+
+def _recorded_driver(experiment: Experiment, body: str) -> DriverRecord | None:
+    """Return the imported driver of a body; None if the bundled one is in use."""
+    imported = load_imported(experiment.name) if experiment.drivers is DataSource.IMPORTED else None
+    if imported is None:
+        return None
+    return next((record for record in imported.record.drivers if record.body == body), None)
+
+
+def _sampled(profile: Profile, kind: str) -> dict[str, Any]:
+    """Return an imported profile as a task file would state it."""
+    assert isinstance(profile, SampledProfile)
+    values = profile.values if kind == "translate" else [math.degrees(value) for value in profile.values]
+    unit = "m" if kind == "translate" else "deg"
+    return {"kind": "sampled", "times_s": list(profile.times_s), f"values_{unit}": list(values)}
+
+
+def _recorded_note(record: DriverRecord) -> str:
+    angle = "" if record.residual_deg is None else f" and {record.residual_deg:.2g} deg"
+    return (
+        f"mean motion of the body in {record.trial_count} imported trials, from its calibrated start, which is "
+        f"{record.start_offset_mm:.2g} mm from theirs; its motions leave {record.residual_mm:.2g} mm{angle} out (rms)"
+    )
+
+
+def description_view(values: Mapping[str, Any]) -> Group:
+    """Return the dictionary of `description` for a terminal."""
+    parts: list[RenderableType] = [
+        Text(f"{values['id']}  {values['title']}", style="bold"),
+        Text(values["summary"]),
+        Text(""),
+        Facts(_general_facts(values)),
+        as_rich(Table(title="Bodies", columns=BODY_COLUMNS, rows=values["bodies"])),
+        as_rich(Table(title="Contacts", columns=CONTACT_COLUMNS, rows=values["contacts"])),
+    ]
+    if joints := (*values["joints"], *values["attachments"]):
+        parts += [heading("Joints"), *(Text(pairs_text(joint)) for joint in joints)]
+    if values["air"] is not None:
+        parts += [heading("Air"), Text(pairs_text(values["air"]))]
+    for driver in values["drivers"]:
+        parts += [
+            heading(f"Driver of {driver['body']} ({driver['provenance']})"),
+            Text(driver["note"]),
+            *(Text(f"  {pairs_text(motion)}") for motion in driver["motions"]),
+        ]
+    sets = {
+        name: chosen["summary"] + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
+        for name, chosen in values["parameter_sets"].items()
+    }
+    return Group(
+        *parts,
+        heading("Constants"),
+        Facts({name: pairs_text(table) for name, table in values["constants"].items()}),
+        heading("Where the numbers are from"),
+        Facts(values["provenance"]),
+        heading("Decisions"),
+        *(Text(f"- {line}") for line in values["decisions"] or ["none"]),
+        heading("Parameter sets"),
+        Facts(sets),
+        as_rich(Table(title="Published", columns=BASELINE_COLUMNS, rows=values["baselines"], notes=(NORMALIZED_NOTE,))),
+    )
+
+
+def _general_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    observable, reference = values["observable"], values["reference"]
+    grade = BandGrade(reference["grade"])
+    trials = f", {reference['trial_count']} trials" if reference["trial_count"] else ""
+    note = GRADE_NOTES[grade]
+    if reference["single_shot"]:
+        trials, note = "", "one real trial with the same start; each trial has its own"
+    withheld = reference["withheld"] is not None
+    return {
+        "evaluates": ", ".join(values["evaluates"]),
+        "sources": "; ".join(f"{key}: {text}" for key, text in values["source"].items()),
+        "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
+        "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
+        "grade": f"{grade.value}{trials} ({note})" + (", recording withheld" * withheld),
+        "reference": reference["source"] or reference["law"] or "none",
+        **_asset_facts(values),
+        **_band_facts(values),
+        **{f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()},
+        **_convergence_facts(values),
+    }
+
+
+def _convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return what half the step and half the cell change on each engine that runs the experiment."""
+    has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
+    return {
+        f"convergence, {name}": convergence_text(rows, has_cells=has_cells, with_unit=True)
+        for name, rows in values["convergence"].items()
+        if not values["backends"].get(name)
+    }
+
+
+def _asset_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the file of the scene, and how it differs from the calibrated one."""
+    asset = values["asset"]
+    if asset is None:
+        return {}
+    facts = {"asset": f"{asset['file']}, sha256 {asset['sha256'][:8]}"}
+    if asset["kind"] != AssetKind.EXPERIMENT:
+        facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
+    return facts
+
+
+def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the limits of a band: known frames, source of sigma, why it is withheld."""
+    reference = values["reference"]
+    facts = {}
+    if reference["known_frames"] is not None and reference["known_frames"] < values["frames"]:
+        facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
+    if reference["sigma_source"] is not None:
+        facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
+    if reference["single_shot"]:
+        facts["normalized"] = "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
+    elif reference["normalized_by_baseline"] is False:
+        facts["normalized"] = "no: the published baseline is of another span of the motion"
+    if reference["withheld"] is not None:
+        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"
+    return facts
+
+
+def _shape(body: Mapping[str, Any]) -> str:
+    shape = dict(body.get("shape") or {"kind": body["kind"]})
+    kind = shape.pop("kind")
+    if "pieces_m" in shape:
+        return f"{kind}, {len(shape['pieces_m'])} pieces"
+    skip = ("name", "kind", "recorded", "motion", "shape", "mass_kg", "position_m", "quaternion_wxyz")
+    return " ".join(filter(None, (kind, pairs_text(shape), pairs_text(body, skip=skip))))
+
+
+def _body_text(body: Mapping[str, Any]) -> str:
+    return body["name"] + (" (recorded)" if body["recorded"] else "")
+
+
+BODY_COLUMNS = (
+    Column("", "name", _body_text),
+    Column("", "motion", lambda body: body.get("motion", body["kind"])),
+    Column("", "mass [kg]", lambda body: f"{body['mass_kg']:.10g}" if body["mass_kg"] else "-", is_number=True),
+    Column("position_m", "position [m]", vector_text),
+    Column("quaternion_wxyz", "quaternion wxyz", vector_text),
+    Column("", "shape", _shape, place=Place.BELOW),
+)
+
+CONTACT_COLUMNS = (
+    Column("first", "first", shortened),
+    Column("second", "second", shortened),
+    Column("friction", "friction", is_number=True),
+    Column("restitution", "restitution", is_number=True),
+    Column("mode", "mode"),
+)
+
+BASELINE_COLUMNS = (
+    Column("metric", "metric", METRIC_TITLES.__getitem__),
+    Column("", "real trials", lambda line: plus_minus_text(line["mean"], line["std"], line["unit"]), is_number=True),
+    *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
+)

@@ -1,0 +1,1 @@
+"""Compare engines, parameters and settings within each grade of reference."""

@@ -1,0 +1,135 @@
+"""Distance between the trajectories of two configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.references.published import Baseline
+from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.compare.scores import ScoreSpread
+
+__all__ = ["MOTION_SHARE", "Distance", "distances_over_time", "trajectory_distance"]
+
+MOTION_SHARE = 0.05
+"""Threshold of a distance, as a share of the motion, for experiments without a published scatter of real trials."""
+
+FRAME_TOLERANCE_S = 1e-4
+"""Largest time between a frame and its sample [s]; the same as in scoring."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distance:
+    """Distance between the trajectories of two configurations, at the 30 Hz frames that both have.
+
+    The distance at a frame is Euclidean over all coordinates, as in E_RMSE. Repeats are compared seed by seed, or each
+    with each if the two configurations have no seed in common.
+
+    Attributes:
+        first: Index of the first configuration.
+        second: Index of the second configuration.
+        unit: Unit of the lengths.
+        rms: Root-mean-square distance over the common frames, mean and scatter over the pairs of repeats.
+        motion_rms: Root-mean-square displacement of both from their starts, over the same frames and pairs.
+        threshold: Distance from which trajectories count as apart.
+        threshold_is_scatter: Whether the threshold is the published mean RMSE of real trials; else it is `MOTION_SHARE`
+            of `motion_rms`.
+        apart_at_s: Time of the first frame at which any pair is apart [s]; None if there is no such frame.
+        frames: Number of common frames of the shortest pair.
+        diverged: Whether one of the trajectories ended because it diverged.
+    """
+
+    first: int
+    second: int
+    unit: str
+    rms: ScoreSpread
+    motion_rms: float
+    threshold: float
+    threshold_is_scatter: bool
+    apart_at_s: float | None
+    frames: int
+    diverged: bool
+
+
+def trajectory_distance(
+    configurations: tuple[int, int], some: Sequence[Result], others: Sequence[Result], baseline: Baseline | None
+) -> Distance | None:
+    """Return the distance of two configurations in one experiment, or None if they share no frame.
+
+    Args:
+        configurations: Indices of the two configurations.
+        some: Results of the first.
+        others: Results of the second.
+        baseline: Published RMSE of real trials; None if there is none.
+    """
+    pairs = _paired(some, others)
+    common = [frames for pair in pairs if (frames := _common_frames(*pair)) is not None]
+    rms = ScoreSpread.of([trajectory_rmse(a, b) for _, a, b in common])
+    if rms is None:
+        return None
+    displacements = [np.vstack((a - a[0], b - b[0])) for _, a, b in common]
+    motion_rms = float(np.mean([trajectory_rmse(moved, np.zeros_like(moved)) for moved in displacements]))
+    threshold = MOTION_SHARE * motion_rms if baseline is None else baseline.mean
+    crossings = [
+        times_s[beyond.argmax()]
+        for times_s, distance in distances_over_time(some, others)
+        if (beyond := distance > threshold).any()
+    ]
+    return Distance(
+        first=configurations[0],
+        second=configurations[1],
+        unit=pairs[0][0].score.unit,
+        rms=rms,
+        motion_rms=motion_rms,
+        threshold=threshold,
+        threshold_is_scatter=baseline is not None,
+        apart_at_s=float(min(crossings)) if crossings else None,
+        frames=min(len(frames) for frames, _, _ in common),
+        diverged=any(result.diverged for pair in pairs for result in pair),
+    )
+
+
+def distances_over_time(
+    some: Sequence[Result], others: Sequence[Result]
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return the distance between results of two configurations at each common frame, paired as for `Distance`.
+
+    Returns:
+        For each pair of repeats the times [s] and the distances in the observable's unit, both of shape [frame_count].
+    """
+    common = [frames for pair in _paired(some, others) if (frames := _common_frames(*pair)) is not None]
+    return [(frames / FRAME_RATE_HZ, np.linalg.norm(a - b, axis=1)) for frames, a, b in common]
+
+
+def _paired(some: Sequence[Result], others: Sequence[Result]) -> list[tuple[Result, Result]]:
+    every = [(a, b) for a, b in product(some, others) if a.trajectory is not None and b.trajectory is not None]
+    # Results of the same seed have the same jittered start, so only the configuration differs.
+    same_seed = [(a, b) for a, b in every if a.seed == b.seed]
+    return same_seed or every
+
+
+def _common_frames(
+    one: Result, other: Result
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the common frame numbers and g(t) of both there, [frame_count, coordinate_count] each, or None."""
+    if one.trajectory is None or other.trajectory is None:
+        return None
+    if one.trajectory.coordinates != other.trajectory.coordinates:
+        return None
+    (frames_a, a), (frames_b, b) = _frames(one.trajectory), _frames(other.trajectory)
+    common, index_a, index_b = np.intersect1d(frames_a, frames_b, return_indices=True)
+    return (common, a[index_a], b[index_b]) if len(common) else None
+
+
+def _frames(trajectory: RecordedTrajectory) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the numbers of the 30 Hz frames with finite samples, and g(t) there."""
+    times_s, samples = trajectory.arrays()
+    frames = np.rint(times_s * FRAME_RATE_HZ).astype(np.int64)
+    hits = (np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S) & np.isfinite(samples).all(axis=1)
+    return frames[hits], samples[hits]

@@ -1,0 +1,144 @@
+"""Bootstrap draws of normalized scores, paired between configurations.
+
+A draw resamples the real trials, and with them the mean and the baseline, and draws the uncertain inputs of the
+simulation. All configurations of an experiment share these draws, so their common errors cancel in a difference. The
+error of discretization is not common: each configuration has its own. Draws of two experiments are independent.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.evaluation.deviation import Deviation, band_baseline, band_deviations, experiment_sensitivities
+from gauge_envs.evaluation.uncertainty import SEED
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.bands import Band
+from gauge_envs.references.published import Baseline
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.result import Outcome, Result
+
+__all__ = ["ScoreDraws", "paired_scores", "score_draws"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoreDraws:
+    """Normalized RMSE of the repeats of a configuration in one experiment, with its draws.
+
+    Attributes:
+        seeds: Seed of each repeat.
+        raw: E_RMSE of the paper, normalized, shape [repeat_count].
+        raw_draws: Its draws, shape [repeat_count, draw_count].
+        primary: The score that reports show first, aligned if the experiment starts with a release, same shape.
+        primary_draws: Its draws.
+    """
+
+    seeds: tuple[int | None, ...]
+    raw: FloatArray
+    raw_draws: FloatArray
+    primary: FloatArray
+    primary_draws: FloatArray
+
+    def mean(self, *, raw: bool = False) -> tuple[float, FloatArray]:
+        """Return the mean over the repeats, and its draws of shape [draw_count].
+
+        Args:
+            raw: Whether to take the raw score instead of the primary one.
+        """
+        return _mean(self, range(len(self.seeds)), raw=raw)
+
+
+def score_draws(
+    results: Sequence[Result], experiment: Experiment, band: Band, configuration: RunConfiguration
+) -> ScoreDraws | None:
+    """Return the draws of the repeats of one configuration in one experiment.
+
+    Args:
+        results: The repeats.
+        experiment: Their experiment.
+        band: Reference of their scores.
+        configuration: Their configuration.
+
+    Returns:
+        The draws; None if a repeat has no score, because a mean without failures would be too good.
+
+    Raises:
+        ShapeError: A trajectory does not fit the band: it has other coordinates, or a frame is missing.
+    """
+    baseline = band_baseline(experiment, band)
+    if baseline is None or any(result.outcome is not Outcome.FINISHED for result in results):
+        return None
+    stream = json.dumps(asdict(configuration), sort_keys=True)
+    sensitivities = experiment_sensitivities(experiment, configuration.backend)
+    raw, primary = [], []
+    for result in results:
+        if result.trajectory is None or result.score.rmse_normalized is None:
+            return None
+        times_s, values = result.trajectory.arrays(later=True)
+        deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
+        raw.append(_draws(deviations.raw, baseline, stream))
+        primary.append(_draws(deviations.first, baseline, stream))
+    # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
+    draw_count = len(raw[0][1])
+    order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(draw_count)
+    return ScoreDraws(
+        seeds=tuple(result.seed for result in results),
+        raw=np.array([score for score, _ in raw]),
+        raw_draws=np.array([draws[order] for _, draws in raw]),
+        primary=np.array([score for score, _ in primary]),
+        primary_draws=np.array([draws[order] for _, draws in primary]),
+    )
+
+
+def _draws(deviation: Deviation, baseline: Baseline, stream: str) -> tuple[float, FloatArray]:
+    errors = deviation.errors.redrawn("discretization", stream)
+    return deviation.rmse / baseline.mean, errors.draws(deviation.values) / baseline.mean
+
+
+def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, FloatArray], tuple[float, FloatArray]]:
+    """Return the mean primary score of two configurations, each with its draws of shape [draw_count].
+
+    Repeats are paired by seed: those of a seed that only one of the two has are left out. Without a common seed, all
+    repeats of each count.
+    """
+    common = [seed for seed in first.seeds if seed in second.seeds]
+    if not common:
+        return first.mean(), second.mean()
+    return (
+        _mean(first, [first.seeds.index(seed) for seed in common], raw=False),
+        _mean(second, [second.seeds.index(seed) for seed in common], raw=False),
+    )
+
+
+def _mean(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool) -> tuple[float, FloatArray]:
+    """Return the mean over repeats and its draws, which also scatter as the mean of so few repeats does."""
+    index = list(chosen)
+    values, draws = (scores.raw, scores.raw_draws) if raw else (scores.primary, scores.primary_draws)
+    weights = _repeat_weights(len(index), draws.shape[1])
+    return float(values[index].mean()), np.einsum("kn,nk->k", weights, draws[index])
+
+
+@cache
+def _repeat_weights(count: int, draw_count: int) -> FloatArray:
+    """Return weights of repeats with the sum 1, shape [draw_count, count].
+
+    With them a weighted mean of `count` values is their mean plus the standard error of the mean times a number of
+    Student's t with count - 1 degrees of freedom. Repeats that are drawn with replacement scatter too little if they
+    are few: the 95 % interval of three then holds the true mean in 75 %. The weights depend on the number alone, so
+    that repeats of two configurations are paired.
+    """
+    if count == 1:
+        return np.ones((draw_count, 1))
+    random = np.random.default_rng([SEED, *b"repeats"])
+    normal = random.standard_normal((draw_count, count))
+    across = normal - normal.mean(axis=1, keepdims=True)
+    # The sum of across times values has the variance of the sum of squares about their mean, (count - 1) s^2.
+    scale = np.sqrt(random.chisquare(count - 1, draw_count) * count)
+    return 1.0 / count + across / scale[:, None]

@@ -1,0 +1,453 @@
+"""Pictures of results: simulated curves over the real band, and scores beside the published ones (needs matplotlib)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.pages.figures import (
+    BACKING,
+    ENGINES,
+    HATCH,
+    LINE_STYLES,
+    OURS,
+    REAL,
+    WHISKER,
+    legend_above,
+    new_figure,
+    save_png,
+    tidy_axis,
+)
+from gauge_envs.pages.results import configuration_labels
+from gauge_envs.pages.text import ALIGNED_TITLE, ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, interval_text, score_text
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.configuration import group_by_configuration
+from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.compare.distance import distances_over_time
+from gauge_envs.tools.compare.scores import COMPARED_METRICS, ScoreSpread
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_experiment", "save_figures"]
+
+MOST_LEGEND_ENTRIES = 12
+LEAST_RANGE = 0.02
+"""Smallest range of a panel without a band, relative to that of the widest panel of the experiment."""
+MOST_ALIGNED = 2
+"""Largest number of curves that are drawn a second time, aligned to the release."""
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Results of one configuration in one experiment, and how they look."""
+
+    label: str
+    color: str
+    width: float
+    results: tuple[Result, ...]
+
+    @property
+    def legend(self) -> str:
+        """Entry of the legend."""
+        diverged = sum(result.diverged for result in self.results)
+        count = len(self.results)
+        ending = f", {diverged if count > 1 else ''} diverged".replace("  ", " ") if diverged else ""
+        return f"{self.label}{f', {count} repeats' if count > 1 else ''}{ending}"
+
+    @property
+    def alpha(self) -> float:
+        return 1.0 if len(self.results) == 1 else 0.7
+
+
+def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
+    """Write one PNG for each experiment among the results, named after it.
+
+    A configuration has the same colour in all of them.
+
+    Yields:
+        Path of each picture, as soon as it is written.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ResultFileError: The folder cannot be written.
+    """
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        if result.trajectory is not None:
+            groups.setdefault(result.id, []).append(result)
+    for name, group in groups.items():
+        yield save_png(draw_experiment(group, among=results), folder / f"{name.removeprefix('GAUGE/')}.png")
+
+
+def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) -> Figure:
+    """Return the picture of one experiment: curves of all its results, the band if it has one, and scores.
+
+    Results that differ in their seed alone are thin lines of one colour.
+
+    Args:
+        results: Results of one experiment that ran, one or more; their parameters, backends and seeds may differ.
+        among: All results that are shown together, which decide labels and colours; these alone where it is empty.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ShapeError: There is no result, or they are of different experiments.
+    """
+    ids = {result.id for result in results}
+    if len(ids) != 1:
+        raise ShapeError(f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}")
+    series = _series(results, among or results)
+    experiment = recorded_experiment(series[0].results[0])
+    band = reference_band(experiment, use_withheld=any(result.score.withheld for result in results))
+    bars = _bar_groups(results[0].id, series)
+    names = band.coordinates if band is not None else _axis_names(results[0])
+    # Without a reference, how far the engines are apart is all there is to see.
+    with_distance = band is None and len(series) > 1
+    rows = len(names) + with_distance
+    bar_count = sum(len(group) + 1 for group in bars.values())
+    figure = new_figure(12.0, max(4.8, 2.1 * rows + 1.2, 0.24 * bar_count + 1.6))
+    columns = 2 if bars else 1
+    grid = figure.add_gridspec(rows, columns, width_ratios=(1.8, 1.0)[:columns])
+    axes: list[Any] = []
+    for row in range(rows):
+        axes.append(figure.add_subplot(grid[row, 0], sharex=axes[0] if axes else None))
+        axes[-1].tick_params(labelbottom=row == rows - 1)
+    if with_distance:
+        _draw_distances(axes[-1], series)
+    if band is None:
+        _draw_coordinates(axes[: len(names)], series)
+    else:
+        for column, axis in enumerate(axes):
+            _draw_band(axis, band, column)
+            _draw_results(axis, series, band, column)
+    legend_above(axes[0])
+    axes[-1].set_xlabel("time [s]")
+    if bars:
+        _draw_bars(figure.add_subplot(grid[:, 1]), bars, depth=5.0 * rows)
+    figure.suptitle(_title(experiment, results, band), x=0.01, ha="left", fontsize=12, fontweight="bold")
+    notes = wrap(_subtitle(experiment, band, has_bars=bool(bars)), 195)
+    figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=8, color="#505050")
+    return figure
+
+
+def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]:
+    groups = group_by_configuration(among)
+    labels = configuration_labels([configuration for configuration, _ in groups])
+    here = {id(result) for result in results}
+    present = [
+        (label, OURS[index % len(OURS)], mine)
+        for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True))
+        if (mine := tuple(result for result in members if id(result) in here))
+    ]
+    return [
+        # The later ones are thinner, so that one that lies on another does not hide it; repeats are thin anyway.
+        _Series(label, color, 0.8 if len(mine) > 1 else max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order), mine)
+        for order, (label, color, mine) in enumerate(present)
+    ]
+
+
+# --- curves ----------------------------------------------------------------------------------------------------------
+
+
+def _draw_band(axis: Axes, band: Band, column: int) -> None:
+    """Draw the mean with one and two sigma; extrapolated parts are hatched and dotted."""
+    times = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    mean, sigma = band.mean[:, column], band.sigma[:, column]
+    # A law is a line that simulations lie on: wide and below them. A measured mean is dots, and above them.
+    is_law = band.grade is BandGrade.LAW
+    width, order = (3.0, 2) if is_law else (1.1, 5)
+    for measured in (True, False):
+        # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.
+        for start, end in _runs(band.measured[:-1] & band.measured[1:], measured):
+            piece = slice(start, end + 1)
+            hatch = {} if measured else HATCH
+            for reach, shade in ((2.0, "#e3e3e3"), (1.0, "#c4c4c4")):
+                low, high = mean[piece] - reach * sigma[piece], mean[piece] + reach * sigma[piece]
+                axis.fill_between(times[piece], low, high, facecolor=shade, zorder=1, **hatch)
+            axis.plot(times[piece], mean[piece], color=REAL, lw=width, ls="-" if measured else ":", zorder=order)
+    if not is_law:
+        for flags, face in ((band.measured, REAL), (~band.measured, "white")):
+            axis.plot(times[flags], mean[flags], "o", ms=3.0, mew=0.8, mec=REAL, mfc=face, zorder=6)
+    if column == 0:
+        axis.plot([], [], "-" if is_law else "o-", ms=3.0, color=REAL, lw=width, label=_mean_label(band))
+        whose = "law" if is_law else "real"
+        axis.fill_between([], [], facecolor="#c4c4c4", label=f"{whose}, 1 sigma")
+        axis.fill_between([], [], facecolor="#e3e3e3", label=f"{whose}, 2 sigma")
+        if (~band.measured & np.isfinite(mean)).any():
+            axis.fill_between([], [], facecolor="#c4c4c4", label="extrapolated, not measured", **HATCH)
+    axis.set_ylabel(f"{band.coordinates[column]} [{band.unit}]")
+    tidy_axis(axis)
+
+
+def _mean_label(band: Band) -> str:
+    count = f" ({band.trial_count} trials)" if band.trial_count else ""
+    if band.grade is BandGrade.RECORDING:
+        return "real, one trial"
+    return "law" if band.grade is BandGrade.LAW else f"real, mean{count}"
+
+
+def _runs(flags: NDArray[np.bool_], wanted: bool) -> Iterator[tuple[int, int]]:
+    """Yield half-open ranges of segments with the wanted flag."""
+    padded = np.concatenate([[False], flags == wanted, [False]]).astype(int)
+    edges = np.diff(padded)
+    yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
+
+
+def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int) -> None:
+    end = (len(band.mean) - 1) / FRAME_RATE_HZ
+    low, high = axis.get_ylim()
+    for one in series:
+        for number, result in enumerate(one.results):
+            times, samples = _recorded(result).arrays()
+            values = band.project(samples)[:, column]
+            low, high = _span(low, high, values)
+            label = one.legend if column == 0 and number == 0 else None
+            axis.plot(times, values, color=one.color, lw=one.width, alpha=one.alpha, label=label, zorder=4)
+        offset = one.results[0].score.release_offset_s
+        if offset is not None and len(one.results) == 1 and len(series) <= MOST_ALIGNED:
+            moved = np.interp(times - offset, times, values)
+            title = f"{one.label}, {offset:+.3f} s to align the release" if column == 0 else None
+            axis.plot(times, moved, color=one.color, lw=1.2, ls="--", label=title, zorder=3)
+    margin = 0.04 * (high - low)
+    axis.set_ylim(low - margin, high + margin)
+    axis.set_xlim(0.0, end)
+
+
+def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return limits that include the values, at most ten times as wide: a diverged curve is cut."""
+    finite = values[np.isfinite(values)]
+    reach = 10.0 * (high - low)
+    return (
+        max(min(low, float(finite.min(initial=low))), low - reach),
+        min(max(high, float(finite.max(initial=high))), high + reach),
+    )
+
+
+def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
+    """Draw the curves of an experiment without a band, in one panel each for x, y and z.
+
+    One configuration has a colour for each body; several have a colour each, and a line style for each of a few bodies.
+    """
+    recorded = _recorded(series[0].results[0])
+    unit = recorded.unit
+    bodies = list(dict.fromkeys(name.rpartition(".")[0] or name for name in recorded.coordinates))
+    if len(series) == 1 and len(bodies) > 1:
+        _draw_bodies(axes, series[0], bodies)
+    else:
+        _draw_engines(axes, series, bodies)
+    for axis, title in zip(axes, _axis_names(series[0].results[0]), strict=True):
+        axis.set_ylabel(f"{title} [{unit}]")
+        axis.margins(x=0.0)
+        tidy_axis(axis)
+    _widen(axes)
+
+
+def _widen(axes: Sequence[Axes]) -> None:
+    """Give each panel a share of the range of the widest one: rounding errors must not fill a panel."""
+    limits = [axis.get_ylim() for axis in axes]
+    least = LEAST_RANGE * max(high - low for low, high in limits)
+    for axis, (low, high) in zip(axes, limits, strict=True):
+        lacking = max(least - (high - low), 0.0)
+        axis.set_ylim(low - 0.5 * lacking, high + 0.5 * lacking)
+
+
+def _curves(result: Result, panels: int) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
+    """Yield panel, body, times [s] and values of each coordinate."""
+    recorded = _recorded(result)
+    times, samples = recorded.arrays()
+    for index, name in enumerate(recorded.coordinates):
+        body, _, direction = name.rpartition(".")
+        yield "xyz".index(direction) if panels == 3 else 0, body or name, times, samples[:, index]
+
+
+def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> None:
+    many = len(bodies) > MOST_LEGEND_ENTRIES
+    seen: set[str] = set()
+    for result in one.results:
+        for panel, body, times, values in _curves(result, len(axes)):
+            # Too many bodies to name: one entry for all.
+            label = _crowd(one, bodies) if many else f"{body}, {one.legend}"
+            color = OURS[bodies.index(body) % len(OURS)]
+            width = 0.9 if many else min(one.width, 1.5)
+            axes[panel].plot(times, values, color=color, lw=width, label=None if label in seen or panel else label)
+            seen |= {label} if panel == 0 else set()
+
+
+def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Sequence[str]) -> None:
+    few = len(bodies) <= len(LINE_STYLES)
+    for one in series:
+        label: str | None = one.legend if few else _crowd(one, bodies)
+        for result in one.results:
+            for panel, body, times, values in _curves(result, len(axes)):
+                style = LINE_STYLES[bodies.index(body)] if few else "-"
+                width = one.width if few else 0.7
+                alpha = one.alpha if few else 0.6
+                axes[panel].plot(times, values, color=one.color, ls=style, lw=width, alpha=alpha, label=label)
+                label = None
+    if few and len(bodies) > 1:
+        for body, style in zip(bodies, LINE_STYLES, strict=False):
+            axes[0].plot([], [], color=REAL, ls=style, lw=1.2, label=body)
+
+
+def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
+    """Draw the distance of each configuration to the first, and that of the real trials to their mean."""
+    first = series[0]
+    for one in series[1:]:
+        for times, distance in distances_over_time(first.results, one.results):
+            axis.plot(times, distance, color=one.color, lw=min(one.width, 1.4), alpha=one.alpha)
+    baseline = published_baselines(first.results[0].id.removeprefix("GAUGE/")).get("rmse")
+    if baseline is not None:
+        axis.axhline(baseline.mean, color=REAL, lw=1.0, ls="--", label="published mean RMSE of the real trials")
+        legend_above(axis)
+    unit = _recorded(first.results[0]).unit
+    axis.set_ylabel("\n".join([*wrap(f"distance to {first.label}", 22), f"[{unit}]"]))
+    axis.set_ylim(bottom=0.0)
+    tidy_axis(axis)
+
+
+def _crowd(one: _Series, bodies: Sequence[str]) -> str:
+    stems = {name.rpartition("-")[0] for name in bodies}
+    return f"{one.legend}, {len(bodies)} {f'{stems.pop()}s' if len(stems) == 1 else 'bodies'}"
+
+
+def _axis_names(result: Result) -> tuple[str, ...]:
+    return ("x", "y", "z") if all("." in name for name in _recorded(result).coordinates) else ("g(t)",)
+
+
+def _recorded(result: Result) -> RecordedTrajectory:
+    if result.trajectory is None:
+        raise ShapeError(f"{result.id} did not run, there is nothing to draw: {result.error}")
+    return result.trajectory
+
+
+# --- scores ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Bar:
+    """A normalized score: label, colour, spread, its 95 % interval, and the text for a missing one."""
+
+    label: str
+    color: str
+    spread: ScoreSpread | None
+    missing: str
+    interval: tuple[float, float] | None = None
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the whisker: the 95 % interval of a single run, or one standard deviation of repeats."""
+        if self.spread is None:
+            return 0.0, 0.0
+        reach = self.spread.std or 0.0
+        return self.interval or (self.spread.mean - reach, self.spread.mean + reach)
+
+    @property
+    def text(self) -> str:
+        """The score beside the bar."""
+        if self.spread is None:
+            return self.missing
+        if self.interval is not None:
+            return interval_text(self.spread.mean, self.interval)
+        reach = self.spread.std
+        return score_text(self.spread.mean) + (f" +- {score_text(reach)}" if reach else "")
+
+
+def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
+    """Return normalized scores of the results and of the published engines, for the metrics of the paper."""
+    groups: dict[str, list[_Bar]] = {}
+    if any(result.score.primary == "rmse_aligned" for one in series for result in one.results):
+        groups[ALIGNED_TITLE] = [_own_bar(one, "rmse_aligned") for one in series]
+    for metric, line in published_baselines(name.removeprefix("GAUGE/")).items():
+        if metric == "el":
+            continue
+        bars = [_own_bar(one, metric) for one in series]
+        for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
+            value = line.engines[engine]
+            bars.append(
+                _Bar(f"{title}, paper", color, None if value is None else ScoreSpread.of([value]), "not published")
+            )
+        groups[METRIC_TITLES[metric]] = bars
+    return groups
+
+
+def _own_bar(one: _Series, metric: str) -> _Bar:
+    """Return the bar of results; a single one has its 95 % interval."""
+    scores = [result.score for result in one.results]
+    values = [getattr(score, f"{metric}_normalized") for score in scores]
+    spread = ScoreSpread.of([value for value in values if value is not None])
+    missing = "diverged" if any(result.diverged for result in one.results) else "no reference"
+    compared = COMPARED_METRICS[metric]
+    raw = ScoreSpread.of([value for score in scores if (value := getattr(score, compared.raw)) is not None])
+    if raw is not None:
+        unit = compared.unit or scores[0].unit
+        missing = f"{score_text(raw.mean)}{'' if unit == '1' else f' {unit}'}, not normalized"
+    return _Bar(
+        one.label,
+        one.color,
+        spread,
+        missing,
+        getattr(scores[0], f"{metric}_normalized_95", None) if len(scores) == 1 else None,
+    )
+
+
+def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> None:
+    """Draw bars from the top down; `depth` is the least number that fits, so that no bar is thick."""
+    longest = max(
+        [1.2, *(max(bar.spread.mean, bar.ends[1]) for group in groups.values() for bar in group if bar.spread)]
+    )
+    unit = 0.015 * longest
+    ticks, places = [], []
+    place = 0.0
+    for metric, group in groups.items():
+        axis.text(unit, place - 0.75, metric, fontsize=9, fontweight="bold", va="center", bbox=BACKING)
+        for bar in group:
+            length = 0.0 if bar.spread is None else bar.spread.mean
+            low, high = bar.ends
+            # The end of an interval may be the score itself, but for its last digit.
+            whisker = [[max(length - low, 0.0)], [max(high - length, 0.0)]] if low < high else None
+            axis.barh(place, length, color=bar.color, height=0.78, xerr=whisker, error_kw=WHISKER)
+            end = max(length, high) + unit
+            axis.text(end, place, bar.text, va="center", fontsize=8, color="#404040", bbox=BACKING)
+            places.append(place)
+            ticks.append("\n".join(wrap(bar.label, 22)))
+            place += 1.0
+        place += 1.1
+    axis.axvline(1.0, color=REAL, lw=1.0, ls="--", zorder=2)
+    axis.set_yticks(places, ticks, fontsize=8)
+    axis.set_ylim(max(place - 1.3, depth), -1.3)
+    axis.set_xlim(0.0, 1.45 * longest)
+    meaning = "mean of the real trials" if METRIC_TITLES["rmse"] in groups else "the real mean, ideal"
+    axis.set_xlabel(f"normalized score; 1 = {meaning}")
+    tidy_axis(axis)
+    axis.grid(visible=False, axis="y")
+    axis.tick_params(axis="y", length=0)
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+def _title(experiment: Experiment, results: Sequence[Result], band: Band | None) -> str:
+    reference = "" if band is not None else " (no reference trajectory)"
+    return f"{results[0].id}: {experiment.title}{reference}"
+
+
+def _subtitle(experiment: Experiment, band: Band | None, *, has_bars: bool) -> str:
+    grade = BandGrade.NONE if band is None else band.grade
+    parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
+    parts += [f"{band.source}."] if band is not None else []
+    parts += [f"Driver: {experiment.driver_provenance}."] if experiment.driver_provenance else []
+    parts += ["Grey bars: engines as published (GAUGE, Table 5)."] if has_bars else []
+    return " ".join(parts)

@@ -1,0 +1,204 @@
+"""Air on cloth: terminal velocity, pressure, friction and lift of a flat sheet in wind, energy in still air.
+
+Only engines with `Backend.applies_air` build these scenes. The law is that of `gauge_envs.scene.air`. A free flat sheet
+under a uniform load moves without deforming, so its motion has a closed form. With u the velocity relative to the air,
+and k = rho C / (2 mass per area):
+
+- pressure alone, component along the normal: du/dt = -k |u| u, so the sheet has moved by w t - ln(1 + k w t) / k when
+  the wind has the component w;
+- friction alone: the same for the component in the sheet's plane;
+- lift alone: |u| stays, and its angle a to the sheet's plane obeys da/dt = -k |u| sin a cos a, so
+  tan a = tan a0 exp(-k |u| t).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.runs.rollout import Rollout
+from gauge_envs.scene import GRAVITY_M_PER_S2, Air, Pose, Region, Scene
+from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.measurements import passive_energy_gain
+from gauge_envs.tools.conformance.model import Measurement, Tolerance
+from gauge_envs.tools.conformance.registry import check
+from gauge_envs.tools.conformance.scene_parts import FRAME, clamped, sheet
+
+__all__: list[str] = []
+
+G = GRAVITY_M_PER_S2
+
+SIDE_M, AREAL_DENSITY, DENSITY, COEFFICIENT = 0.15, 0.1, 1.2, 1.5
+RATE_PER_M = 0.5 * DENSITY * COEFFICIENT / AREAL_DENSITY
+"""k [1/m] of a sheet that moves along its normal: 9."""
+
+TOLERANCE = Tolerance(
+    relative=0.02, rationale="a tenth of what is known of drag coefficients; explicit steps of 1 ms are off by 0.7 %"
+)
+
+SOURCE = "quadratic drag, Newton's law of resistance"
+
+
+def _free_sheet(pose: Pose, air: Air, seconds: float, gravity_m_per_s2: float) -> Scene:
+    cloth = sheet(pose, (SIDE_M, SIDE_M), areal_density=AREAL_DENSITY, stretch_n_per_m=110.0, bend_n_m=1e-4)
+    return Scene(bodies=(FRAME,), deformables=(cloth,), duration_s=seconds, gravity_m_per_s2=gravity_m_per_s2, air=air)
+
+
+# --- terminal velocity -----------------------------------------------------------------------------------------------
+
+FALL_S, SETTLED_S = 0.8, 0.6
+
+
+@check(
+    "air-terminal",
+    title="air, terminal velocity",
+    scene="a free horizontal sheet of cloth, 0.15 m by 0.15 m, that falls through still air",
+    measures="mean speed of the falling sheet, 0.6 to 0.8 s after its release",
+    law="v = sqrt(2 m g / (rho C_n A))",
+    source=SOURCE,
+    unit="m/s",
+    tolerance=TOLERANCE,
+    diagnosis="check the factor 1/2, the area of each triangle, and that a face counts once and not from both sides",
+)
+def _air_terminal(lab: Lab) -> Measurement:
+    air = Air(density_kg_per_m3=DENSITY, normal_coefficient=COEFFICIENT)
+    rollout = lab.rollout(_free_sheet(Pose(position_m=(0.0, 0.0, 2.0)), air, FALL_S, G), FALL_S)
+    window = rollout.between(SETTLED_S, FALL_S)
+    heights = rollout.nodes_m["cloth"][window][:, :, 2].mean(axis=1)
+    speed = -float(np.polyfit(rollout.times_s[window], heights, 1)[0])
+    expected = math.sqrt(G / RATE_PER_M)
+    if speed > 0.9 * G * SETTLED_S:
+        return Measurement(measured=speed, expected=expected, hint="it falls freely: the air has no effect")
+    ratio = (expected / speed) ** 2 if speed > 0.0 else math.inf
+    return Measurement(measured=speed, expected=expected, hint=f"the drag is {ratio:.3g} times that of the law")
+
+
+# --- wind ------------------------------------------------------------------------------------------------------------
+
+WIND_M_PER_S, INCIDENCE_DEG = 2.0, 40.0
+DRAG_S, LIFT_S = 0.25, 0.1
+ALONG_M_PER_S = WIND_M_PER_S * math.cos(math.radians(INCIDENCE_DEG))
+ACROSS_M_PER_S = WIND_M_PER_S * math.sin(math.radians(INCIDENCE_DEG))
+
+
+def _in_wind(lab: Lab, air: Air, seconds: float) -> tuple[Rollout, NDArray[np.float64]]:
+    """Record a sheet without gravity in wind along +x, which meets its plane at 40 degrees.
+
+    Returns:
+        The rollout, and the displacement of the sheet's mean along its first edge and its normal [m], shape
+        [sample_count, 2]. The wind has positive components along both.
+    """
+    pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, INCIDENCE_DEG, 0.0))
+    rollout = lab.rollout(_free_sheet(pose, air, seconds, 0.0), seconds)
+    means = rollout.nodes_m["cloth"].mean(axis=1)
+    moved = pose.rotation.apply(means - means[0], inverse=True)
+    return rollout, moved[:, [0, 2]]
+
+
+def _wind_air(*, normal: float = 0.0, tangential: float = 0.0, lift: float = 0.0) -> Air:
+    return Air(
+        density_kg_per_m3=DENSITY,
+        normal_coefficient=normal,
+        tangential_coefficient=tangential,
+        lift_coefficient=lift,
+        wind_m_per_s=(WIND_M_PER_S, 0.0, 0.0),
+    )
+
+
+def _carried(moved_m: NDArray[np.float64], axis: int, wind_m_per_s: float) -> Measurement:
+    """Measure the displacement [mm] by a force along one axis, against the closed form for a component of the wind."""
+    expected = wind_m_per_s * DRAG_S - math.log1p(RATE_PER_M * wind_m_per_s * DRAG_S) / RATE_PER_M
+    last = moved_m[-1]
+    hint = ""
+    if last[axis] < 0.0:
+        hint = "it moves against the wind: check the sign"
+    elif abs(last[1 - axis]) > 0.1 * abs(last[axis]):
+        hint = "the force has a wrong direction"
+    return Measurement(measured=1e3 * float(last[axis]), expected=1e3 * expected, hint=hint)
+
+
+@check(
+    "air-pressure",
+    title="air, pressure on an inclined sheet",
+    scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_n alone",
+    measures="displacement of the sheet along its normal after 0.25 s",
+    law="w t - ln(1 + k w t) / k, k = rho C_n / (2 mass per area), w = wind along the normal",
+    source=SOURCE,
+    unit="mm",
+    tolerance=TOLERANCE,
+    diagnosis="the pressure is quadratic in the normal component of the velocity relative to the wind, and acts along "
+    "the normal",
+)
+def _air_pressure(lab: Lab) -> Measurement:
+    _, moved = _in_wind(lab, _wind_air(normal=COEFFICIENT), DRAG_S)
+    return _carried(moved, 1, ACROSS_M_PER_S)
+
+
+@check(
+    "air-friction",
+    title="air, friction on an inclined sheet",
+    scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_t alone",
+    measures="displacement of the sheet in its plane after 0.25 s",
+    law="w t - ln(1 + k w t) / k, k = rho C_t / (2 mass per area), w = wind in the sheet's plane",
+    source=SOURCE,
+    unit="mm",
+    tolerance=TOLERANCE,
+    diagnosis="the friction is quadratic in the tangential component of the velocity relative to the wind, and C_t "
+    "counts both sides",
+)
+def _air_friction(lab: Lab) -> Measurement:
+    _, moved = _in_wind(lab, _wind_air(tangential=COEFFICIENT), DRAG_S)
+    return _carried(moved, 0, ALONG_M_PER_S)
+
+
+@check(
+    "air-lift",
+    title="air, lift on an inclined sheet",
+    scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_l alone",
+    measures="angle between the sheet's plane and its velocity relative to the air, 0.1 s after the start",
+    law="tan a = tan a0 exp(-k w t), k = rho C_l / (2 mass per area)",
+    source="lift of a flat plate, C_l sin a cos a (scene.Air)",
+    unit="deg",
+    tolerance=Tolerance(relative=0.02, absolute=0.2, rationale="as for the drag; the speed is a difference of places"),
+    diagnosis="the lift is perpendicular to the relative velocity and does no work on it",
+)
+def _air_lift(lab: Lab) -> Measurement:
+    rollout, moved = _in_wind(lab, _wind_air(lift=COEFFICIENT), LIFT_S)
+    speeds = np.gradient(moved, rollout.times_s, axis=0)
+    along, across = np.array([ALONG_M_PER_S, ACROSS_M_PER_S]) - speeds[-2]
+    time_s = float(rollout.times_s[-2])
+    start = math.tan(math.radians(INCIDENCE_DEG))
+    expected = math.degrees(math.atan(start * math.exp(-RATE_PER_M * WIND_M_PER_S * time_s)))
+    lost = 1.0 - math.hypot(along, across) / WIND_M_PER_S
+    hint = f"the relative speed changes by {-100.0 * lost:.3g} %: the lift does work" if abs(lost) > 0.02 else ""
+    return Measurement(measured=math.degrees(math.atan2(across, along)), expected=expected, hint=hint)
+
+
+# --- energy ----------------------------------------------------------------------------------------------------------
+
+STRIP_M, STRIP_S = (0.15, 0.075), 0.6
+
+
+@check(
+    "air-energy",
+    title="still air gives no energy",
+    scene="a horizontal strip of cloth of 0.15 m in still air, held at one end, that falls and swings",
+    measures="largest gain of kinetic and potential energy of the strip, over the released potential energy",
+    law="T + V <= initial T + V; no part of the force does positive work in still air",
+    source="drag opposes the motion, lift is perpendicular to it",
+    unit="%",
+    tolerance=Tolerance(absolute=5.0, rationale="masses and speeds of nodes are estimated from their positions"),
+    diagnosis="a force has the wrong sign, or explicit steps are too long for a light cloth",
+)
+def _air_energy(lab: Lab) -> Measurement:
+    pose = Pose(position_m=(0.0, 0.0, 1.0))
+    cloth = sheet(pose, STRIP_M, areal_density=AREAL_DENSITY, stretch_n_per_m=110.0, bend_n_m=1e-4)
+    scene = clamped(cloth, Region(axis="x", side="low"), duration_s=STRIP_S)
+    air = Air(density_kg_per_m3=DENSITY, normal_coefficient=COEFFICIENT, lift_coefficient=COEFFICIENT)
+    rollout = lab.rollout(replace(scene, air=air), STRIP_S)
+    nodes = rollout.nodes_m["cloth"]
+    shares = np.full(nodes.shape[1], 1.0 / nodes.shape[1])
+    return passive_energy_gain(nodes, rollout.times_s, shares, G)

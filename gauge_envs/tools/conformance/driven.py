@@ -1,0 +1,168 @@
+"""Driven bodies: they follow their drivers, and carry what rests on them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.runs.rollout import Rollout
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, Motion, Pose, Scene
+from gauge_envs.scene.drivers import Driver, TrapezoidProfile
+from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses
+from gauge_envs.tools.conformance.model import Measurement, Tolerance
+from gauge_envs.tools.conformance.registry import check
+from gauge_envs.tools.conformance.scene_parts import body, box, driver, ramp
+
+__all__: list[str] = []
+
+PLATE_M = (0.6, 0.4, 0.02)
+CUBE_M = 0.05
+CARRY_S = 1.5
+STROKE_M, SPIN_RAD_PER_S = 0.3, 2.0
+PLATE = body("plate", Box(size_m=PLATE_M), Pose(position_m=(0.0, 0.0, 0.5)), mass_kg=1.0, motion=Motion.KINEMATIC)
+
+
+def _on_plate(lab: Lab, motion: Driver, *, friction: float, x_m: float, seconds: float) -> Rollout:
+    """Record a cube on a driven plate."""
+    cube = box("cube", (x_m, 0.0, 0.5 + 0.5 * (PLATE_M[2] + CUBE_M)), (CUBE_M,) * 3)
+    scene = Scene(
+        bodies=(cube, PLATE),
+        contacts=(Contact(first=("cube",), second=("plate",), friction=friction, restitution=0.0),),
+        drivers=(motion,),
+        duration_s=seconds,
+    )
+    return lab.rollout(scene, seconds)
+
+
+def _carry(lab: Lab) -> Rollout:
+    """Record a plate that moves by 0.3 m in 1.2 s and accelerates by 0.94 m/s^2; friction can hold 3.9 m/s^2."""
+    motion = driver("plate", "translate", (1.0, 0.0, 0.0), ramp(STROKE_M, start_s=0.0, duration_s=1.2, ramp_s=0.4))
+    return _on_plate(lab, motion, friction=0.4, x_m=-0.1, seconds=CARRY_S)
+
+
+def _turntable(lab: Lab) -> Rollout:
+    """Record a plate that rotates at 2 rad/s: centripetal acceleration 0.2 m/s^2; friction can hold 3.9 m/s^2."""
+    rotation = TrapezoidProfile(
+        start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=SPIN_RAD_PER_S * (10.0 - 0.25)
+    )
+    return _on_plate(lab, driver("plate", "rotate", (0.0, 0.0, 1.0), rotation), friction=0.4, x_m=0.05, seconds=CARRY_S)
+
+
+def _on_the_plate(rollout: Rollout) -> NDArray[np.float64]:
+    """Return displacements of the cube in the plate's prescribed frame [m], shape [sample_count, 3]."""
+    poses = driver_poses(rollout)
+    places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
+    return np.array(places) - places[0]
+
+
+@check(
+    "driven-velocity",
+    title="driven body has its driver's velocity",
+    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
+    measures="reported speed of a plate at constant driven speed, over the prescribed speed",
+    law="v = prescribed v",
+    source="contract (Simulation.drive)",
+    unit="1",
+    tolerance=Tolerance(absolute=0.01, rationale="friction depends on this velocity; 1 % is the tolerance of a slide"),
+    diagnosis="the driven body is teleported: it has no velocity, and carries nothing",
+)
+def _driven_velocity(lab: Lab) -> Measurement:
+    rollout = lab.once(_carry)
+    cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
+    speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
+    return Measurement(measured=float(speed / cruise), expected=1.0)
+
+
+@check(
+    "driven-path",
+    title="driven body follows its driver",
+    scene="a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
+    measures="largest distance of a corner of a rotating plate with a cube on it from its prescribed position",
+    law="pose = prescribed pose",
+    source="contract (Simulation.drive)",
+    unit="mm",
+    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
+    diagnosis="the pose is set an interval too early or too late, contacts push the driven body, or the backend "
+    "ignores the acceleration that drive() gives",
+)
+def _driven_path(lab: Lab) -> Measurement:
+    rollout = lab.once(_turntable)
+    corners = Box(size_m=PLATE_M).corners_m
+    rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
+    found = driver_error(rollout, rotated + rollout.position("plate")[:, None])
+    return found if found.hint else replace(found, hint=_turn_hint(rollout))
+
+
+def _turn_hint(rollout: Rollout) -> str:
+    """Return how far the plate turns in each interval, from where its drive puts it, if that is degrees for radians."""
+    prescribed = Rotation.concatenate([pose.rotation for pose in driver_poses(rollout)])
+    asked = (prescribed[1:] * prescribed[:-1].inv()).magnitude()
+    turned = (rollout.rotation("plate")[1:] * prescribed[:-1].inv()).magnitude()
+    moves = asked > 0.5 * asked.max()
+    ratio = float(np.median(turned[moves] / asked[moves]))
+    wrong = any(abs(ratio / unit - 1.0) < 0.05 for unit in (np.degrees(1.0), np.radians(1.0)))
+    return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
+
+
+CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")
+CARRY_DIAGNOSIS = (
+    "the driven body must have a velocity in every step, so that friction carries the cube; a piecewise constant speed "
+    "jolts the cube at each change, as when the acceleration that drive() gives is ignored"
+)
+
+
+@check(
+    "carry-line",
+    title="plate carries a cube in a line",
+    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
+    measures="largest displacement of the cube on a plate that moves by 0.3 m and brakes",
+    law="0 if acceleration < mu g",
+    source="Coulomb",
+    unit="mm",
+    tolerance=CARRY_TOLERANCE,
+    diagnosis=CARRY_DIAGNOSIS,
+)
+def _carry_line(lab: Lab) -> Measurement:
+    distance = np.linalg.norm(_on_the_plate(lab.once(_carry)), axis=1)
+    return Measurement(measured=1e3 * float(distance.max()), expected=0.0)
+
+
+@check(
+    "carry-turn",
+    title="turntable carries a cube",
+    scene="a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
+    measures="largest displacement of the cube on a plate that rotates by 2.5 rad at up to 2 rad/s, 50 mm off its axis",
+    law="0 if omega^2 r < mu g",
+    source="Coulomb",
+    unit="mm",
+    tolerance=CARRY_TOLERANCE,
+    diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep",
+)
+def _carry_turn(lab: Lab) -> Measurement:
+    distance = np.linalg.norm(_on_the_plate(lab.once(_turntable)), axis=1)
+    return Measurement(measured=1e3 * float(distance.max()), expected=0.0)
+
+
+@check(
+    "carry-slip",
+    title="plate slips under a cube",
+    scene="a cube on a plate that accelerates with 2 m/s^2; friction 0.05",
+    measures="acceleration of a cube with friction 0.05 on a plate that accelerates with 2 m/s^2, fit over 0.4 s",
+    law="a = mu g",
+    source="Coulomb",
+    unit="m/s^2",
+    tolerance=Tolerance(
+        relative=0.02, rationale="1 % as for a slide, and 1 % because the plate's speed changes within an interval"
+    ),
+    diagnosis="friction on a driven body is not that of the pair, or acts on a velocity other than the prescribed one",
+)
+def _carry_slip(lab: Lab) -> Measurement:
+    start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
+    motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
+    rollout = _on_plate(lab, motion, friction=0.05, x_m=0.0, seconds=0.4)
+    measured = acceleration_m_per_s2(rollout.times_s, rollout.position("cube")[:, 0])
+    return Measurement(measured=measured, expected=0.05 * GRAVITY_M_PER_S2)

@@ -1,0 +1,453 @@
+"""Applied wrenches, absolute inertia, and the centre and inertia of a solid of several pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.errors import BackendError
+from gauge_envs.runs.rollout import DeclinedError, Rollout, record, states_now
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere
+from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.laws import pendulum_period_s
+from gauge_envs.tools.conformance.measurements import mean_period_s
+from gauge_envs.tools.conformance.model import Measurement, Tolerance
+from gauge_envs.tools.conformance.registry import check
+from gauge_envs.tools.conformance.scene_parts import body, vector
+
+__all__: list[str] = []
+
+G = GRAVITY_M_PER_S2
+
+
+def _block(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[tuple[float, float, float], ...]:
+    return tuple(vector((x, y, z)) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2]))
+
+
+LOPSIDED = ConvexUnion(
+    pieces_m=(
+        _block((0.0, 0.0, 0.0), (0.09, 0.03, 0.02)),
+        _block((0.0, 0.03, 0.0), (0.02, 0.08, 0.02)),
+        _block((0.0, 0.0, 0.02), (0.03, 0.03, 0.04)),
+        tuple(vector(point) for point in ((0.09, 0.0, 0.0), (0.09, 0.03, 0.0), (0.09, 0.0, 0.02), (0.12, 0.0, 0.0))),
+    )
+)
+"""Four pieces of different volume about a corner, with the body origin at that corner."""
+
+WRONG_UNIONS = {
+    "the convex hull of all pieces": ConvexUnion(pieces_m=(tuple(vector(corner) for corner in LOPSIDED.corners_m),)),
+    "the first of its pieces": ConvexUnion(pieces_m=LOPSIDED.pieces_m[:1]),
+}
+WRONG_CENTRES_M = {
+    "at the body origin": np.zeros(3),
+    "at the mean of the vertices": LOPSIDED.corners_m.mean(axis=0),
+    "at the mean of the pieces' centres": np.mean(
+        [mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0] for piece in LOPSIDED.pieces_m], axis=0
+    ),
+}
+"""Solids and places of the centre of mass that engines take instead of the union's."""
+
+SHAPES: dict[str, Shape] = {
+    "box": Box(size_m=(0.1, 0.06, 0.03)),
+    "sphere": Sphere(radius_m=0.03),
+    "cylinder": Cylinder(radius_m=0.02, length_m=0.09),
+    "union": LOPSIDED,
+}
+MASS_KG = 0.4
+EULER_DEG = (50.0, -20.0, 70.0)
+PUSH_S = 0.1
+TURN_RAD = 0.01
+"""Rotation about the axis of a torque within `PUSH_S`; the inertia in the world changes by about as much."""
+
+
+class _Push(NamedTuple):
+    """Floating bodies of one shape, each under one wrench.
+
+    Attributes:
+        inertia: Inertia about the centre of mass in the world [kg m^2], shape [3, 3].
+        centre_m: Centre of mass in the body frame [m], shape [3].
+        wrenches: Wrench of each body, shape [6, 6]: forces along x, y, z, then torques about them.
+        twists: Velocities of the centre of mass and angular velocities after `PUSH_S`, shape [6, 6].
+    """
+
+    inertia: NDArray[np.float64]
+    centre_m: NDArray[np.float64]
+    wrenches: NDArray[np.float64]
+    twists: NDArray[np.float64]
+
+
+def _pushed_scene(shape: Shape) -> Scene:
+    bodies = tuple(
+        body(f"body-{index}", shape, Pose.from_euler_deg((0.5 * index, 0.1, 1.0), EULER_DEG), mass_kg=MASS_KG)
+        for index in range(6)
+    )
+    return Scene(bodies=bodies, duration_s=1.0, gravity_m_per_s2=0.0)
+
+
+def _push(lab: Lab, kind: str) -> _Push:
+    """Push floating bodies by three forces and three torques, and read their velocities."""
+    scene = _pushed_scene(SHAPES[kind])
+    names = [one.name for one in scene.bodies]
+    centre_m, inertia = mass_properties(SHAPES[kind], MASS_KG)
+    turned = scene.bodies[0].pose.rotation.as_matrix()
+    inertia = turned @ inertia @ turned.T
+    torque = 2.0 * TURN_RAD / PUSH_S**2 * float(np.linalg.eigvalsh(inertia)[0])
+    wrenches = np.diag([MASS_KG] * 3 + [torque] * 3)
+    simulation = lab.build(scene)
+    try:
+        simulation.reset(0)
+        for name, wrench in zip(names, wrenches, strict=True):
+            try:
+                simulation.apply_wrench(name, wrench)
+            except BackendError as error:
+                raise DeclinedError((str(error),)) from error
+        for _ in range(round(PUSH_S / SAMPLE_INTERVAL_S)):
+            simulation.advance(SAMPLE_INTERVAL_S)
+        states = states_now(simulation, names)
+    finally:
+        simulation.close()
+    twists = states[:, 7:].copy()
+    # The reported velocity is that of the body origin.
+    arm = turned @ centre_m
+    twists[:, :3] += np.cross(twists[:, 3:], arm)
+    return _Push(inertia, centre_m, wrenches, twists)
+
+
+def _box(lab: Lab) -> _Push:
+    return _push(lab, "box")
+
+
+def _sphere(lab: Lab) -> _Push:
+    return _push(lab, "sphere")
+
+
+def _cylinder(lab: Lab) -> _Push:
+    return _push(lab, "cylinder")
+
+
+def _union(lab: Lab) -> _Push:
+    return _push(lab, "union")
+
+
+PUSHES = {"box": _box, "sphere": _sphere, "cylinder": _cylinder, "union": _union}
+SECONDS = round(PUSH_S / SAMPLE_INTERVAL_S) * SAMPLE_INTERVAL_S
+WRENCH_SCENE = "six floating turned {}s of 0.4 kg, each under a constant force or torque along one world axis"
+
+
+@check(
+    "wrench-frame",
+    title="wrench is in the world frame",
+    scene=WRENCH_SCENE.format("boxe"),
+    measures="largest velocity of a box across its force after 0.1 s, over that along it",
+    law="a parallel to F",
+    source="contract (World.apply_wrench)",
+    unit="%",
+    tolerance=Tolerance(absolute=1.0, rationale="nothing acts sideways; a wrong frame gives 30 % and more"),
+    diagnosis="force and torque are in the world frame, force first",
+)
+def _wrench_frame(lab: Lab) -> Measurement:
+    push = lab.once(_box)
+    along = np.diag(push.twists[:3, :3])
+    across = push.twists[:3, :3] - np.diag(along)
+    forces, torques = push.twists[:3], push.twists[3:]
+    swapped = np.abs(forces[:, :3]).max() < np.abs(torques[:, :3]).max()
+    hint = "force and torque are swapped" if swapped else ""
+    scale = max(float(np.abs(along).mean()), 1e-12)
+    return Measurement(measured=100.0 * float(np.abs(across).max()) / scale, expected=0.0, hint=hint)
+
+
+@check(
+    "wrench-force",
+    title="force accelerates a body",
+    scene=WRENCH_SCENE.format("boxe"),
+    measures="mean velocity of three boxes along their forces after 0.1 s, over force times time over mass",
+    law="m a = F",
+    source="Newton; contract (World.apply_wrench)",
+    unit="1",
+    tolerance=Tolerance(relative=1e-3, rationale="nothing else acts; 0.1 % allows for a step at the start or end"),
+    diagnosis="apply_wrench is ignored, acts for one step or interval only, or the mass is not the scene's",
+)
+def _wrench_force(lab: Lab) -> Measurement:
+    push = lab.once(_box)
+    measured = float(np.diag(push.twists[:3, :3]).mean() / SECONDS)
+    return Measurement(measured=measured, expected=1.0, hint=_force_hint(measured))
+
+
+def _force_hint(measured: float) -> str:
+    if measured == 0.0:
+        return "the wrench is ignored: raise BackendError when the engine cannot apply it"
+    if abs(measured * 18.0 - 1.0) < 0.1:
+        return "the wrench acts during the first interval only: it acts until another one replaces it"
+    return f"it accelerates as if its mass were {1.0 / measured:.3g} times that of the scene"
+
+
+@check(
+    "wrench-centre",
+    title="force acts at the centre of mass",
+    scene=WRENCH_SCENE.format("lopsided union"),
+    measures="largest rotation of a solid of four pieces under a force after 0.1 s",
+    law="angle = 0",
+    source="contract (World.apply_wrench); uniform density (scene.py)",
+    unit="deg",
+    tolerance=Tolerance(absolute=0.05, rationale="a lever of 1 mm would rotate it by about 0.3 degrees"),
+    diagnosis="the force acts at the body origin, or the engine's centre of mass is not that of the volume",
+)
+def _wrench_centre(lab: Lab) -> Measurement:
+    spin = lab.once(_union).twists[:3, 3:]
+    angle = 0.5 * SECONDS * np.degrees(np.linalg.norm(spin, axis=1).max())
+    return Measurement(measured=float(angle), expected=0.0, hint=_centre_hint(lab.once(_union)))
+
+
+def _centre_hint(push: _Push) -> str:
+    """Return the place at which forces would have to act to give these spins, if it is a known wrong one."""
+    turned = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation
+    levers = {text: place_m - push.centre_m for text, place_m in WRONG_CENTRES_M.items()}
+    spin = push.twists[:3, 3:]
+    for text, lever in levers.items():
+        for sign, what in ((1.0, "the force acts"), (-1.0, "the engine's centre of mass is")):
+            torque = np.cross(sign * turned.apply(lever), push.wrenches[:3, :3])
+            expected = SECONDS * torque @ np.linalg.inv(push.inertia)
+            if np.abs(spin - expected).max() < 0.1 * np.abs(expected).max():
+                return f"{what} {text}"
+    return ""
+
+
+def _inertia_check(kind: str) -> None:
+    title = {"union": "solid of four pieces"}.get(kind, kind)
+
+    @check(
+        f"inertia-{kind}",
+        title=f"inertia of a {title}",
+        scene=WRENCH_SCENE.format({"box": "boxe", "union": "lopsided union"}.get(kind, kind)),
+        measures=f"inertia tensor of a {title} from the angular velocities after 0.1 s under three torques, the entry "
+        "furthest from that of a uniform solid, as a ratio to its largest moment",
+        law="I = integral of density (r^2 1 - r r')",
+        source="Euler; uniform density (scene.py)",
+        unit="1",
+        tolerance=Tolerance(
+            absolute=0.02, rationale="1 % is the tolerance of a slide; the bodies rotate by 0.01 rad meanwhile"
+        ),
+        diagnosis="the inertia does not follow from shape and mass: check half and full sizes, the centre of mass to "
+        "which it refers, rotated principal axes, and armature",
+    )
+    def measure(lab: Lab) -> Measurement:
+        push = lab.once(PUSHES[kind])
+        rates = push.twists[3:, 3:] / SECONDS
+        torque = push.wrenches[3, 3]
+        largest = float(np.linalg.eigvalsh(push.inertia)[-1])
+        if not np.abs(rates).max() > 0.0:
+            return Measurement(measured=float("nan"), expected=0.0, hint="the torque is ignored: nothing rotates")
+        if np.linalg.matrix_rank(rates) < 3:
+            return Measurement(measured=float("nan"), expected=0.0, hint="a torque does not rotate its body")
+        inertia = np.linalg.inv(rates / torque)
+        error = inertia - push.inertia
+        turned = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation.as_matrix()
+        own = np.diag(turned.T @ inertia @ turned) / np.diag(turned.T @ push.inertia @ turned)
+        hint = f"its inertia about body x, y, z is {own[0]:.3g}, {own[1]:.3g} and {own[2]:.3g} times what it should be"
+        hint += _size_hint(SHAPES[kind], turned.T @ inertia @ turned)
+        hint = _frame_hint(inertia, turned.T @ push.inertia @ turned) or hint
+        worst = float(error.flat[int(np.abs(error).argmax())])
+        return Measurement(measured=worst / largest, expected=0.0, hint=hint)
+
+
+def _frame_hint(inertia: NDArray[np.float64], own: NDArray[np.float64]) -> str:
+    """Return the wrong frame in which an engine takes an inertia; empty if it is none of the known ones.
+
+    Args:
+        inertia: Inertia in the world, as measured [kg m^2], shape [3, 3].
+        own: Inertia in the body frame, as it should be [kg m^2], shape [3, 3].
+    """
+    right = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation
+    x, y, z, w = right.as_quat()
+    frames = {
+        "its inertia is taken along the axes of the world instead of the body's": Rotation.identity(),
+        "its inertia is rotated from the world to the body instead of back": right.inv(),
+        "its inertia is that of a body whose w, x, y, z was read as x, y, z, w": Rotation.from_quat([w, x, y, z]),
+        "its inertia is that of a body whose x, y, z, w was read as w, x, y, z": Rotation.from_quat([y, z, w, x]),
+    }
+    for text, frame in frames.items():
+        other = frame.as_matrix() @ own @ frame.as_matrix().T
+        if np.abs(inertia - other).max() < 0.02 * np.abs(other).max():
+            return text
+    return ""
+
+
+def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:
+    """Return the solid that has an inertia [kg m^2] in its axes, shape [3, 3]."""
+    if isinstance(shape, ConvexUnion):
+        for text, wrong in WRONG_UNIONS.items():
+            other = mass_properties(wrong, MASS_KG)[1]
+            if np.abs(inertia - other).max() < 0.02 * np.abs(other).max():
+                return f", as if it were {text}"
+        return ""
+    shares = np.diag(inertia) / MASS_KG
+    if isinstance(shape, Box):
+        squares = 6.0 * (shares.sum() - 2.0 * shares)
+        return f", as if its edges were {_millimetres(squares)} mm instead of {_listed(shape.size_m)} mm"
+    if isinstance(shape, Cylinder):
+        squares = np.array([2.0 * shares[2], 12.0 * shares[0] - 6.0 * shares[2]])
+        expected = _listed((shape.radius_m, shape.length_m))
+        return f", as if its radius and length were {_millimetres(squares)} mm instead of {expected} mm"
+    if isinstance(shape, Sphere):
+        squares = 2.5 * shares[:1]
+        return f", as if its radius were {_millimetres(squares)} mm instead of {_listed((shape.radius_m,))} mm"
+    return ""
+
+
+def _millimetres(squares_m2: NDArray[np.float64]) -> str:
+    return _listed(np.sqrt(np.clip(squares_m2, 0.0, None)).tolist())
+
+
+def _listed(sizes_m: Sequence[float]) -> str:
+    return ", ".join(f"{1e3 * size:.3g}" for size in sizes_m)
+
+
+for _kind in SHAPES:
+    _inertia_check(_kind)
+
+
+def _after_reset(lab: Lab) -> float:
+    """Return the speed [m/s] of a floating box 0.1 s after a wrench and a reset."""
+    scene = _pushed_scene(SHAPES["box"])
+    simulation = lab.build(scene)
+    try:
+        simulation.reset(0)
+        try:
+            simulation.apply_wrench("body-0", np.array([MASS_KG, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        except BackendError as error:
+            raise DeclinedError((str(error),)) from error
+        simulation.advance(SAMPLE_INTERVAL_S)
+        simulation.reset(0)
+        simulation.advance(PUSH_S)
+        return float(np.linalg.norm(states_now(simulation, ["body-0"])[0, 7:10]))
+    finally:
+        simulation.close()
+
+
+@check(
+    "wrench-reset",
+    title="reset removes the wrench",
+    scene="a floating box under a force; it is reset and runs on for 0.1 s",
+    measures="speed of the box 0.1 s after the reset",
+    law="v = 0",
+    source="contract (World.apply_wrench)",
+    unit="m/s",
+    tolerance=Tolerance(absolute=1e-9, rationale="no force acts"),
+    diagnosis="reset must clear applied forces and torques",
+)
+def _wrench_reset(lab: Lab) -> Measurement:
+    return Measurement(measured=_after_reset(lab), expected=0.0)
+
+
+# --- swinging solids -------------------------------------------------------------------------------------------------
+# These need a hinge and no wrench, so that an engine without applied forces is checked too.
+
+SWING_S = 2.0
+AMPLITUDE_RAD = float(np.radians(40.0))
+ARM_M = 0.05
+AXES = {"x": (0.0, 1.0, 0.0), "y": (0.0, 0.0, 1.0), "z": (1.0, 0.0, 0.0)}
+"""Body axis that is the hinge's, and the direction of the arm in the body frame."""
+
+
+class _Swing(NamedTuple):
+    """A solid that swings about one of its axes: rollout and expected period [s]."""
+
+    rollout: Rollout
+    period_s: float
+
+
+def _swing(lab: Lab, shape: Shape, axis: str) -> _Swing:
+    """Record a solid on a horizontal hinge along one of its axes, 50 mm from its centre of mass."""
+    centre_m, inertia = mass_properties(shape, MASS_KG)
+    own = np.eye(3)["xyz".index(axis)]
+    arm = np.asarray(AXES[axis])
+    # World axes of the body: its hinge axis along y, its arm downward and then tilted by the amplitude.
+    down = np.array([np.sin(AMPLITUDE_RAD), 0.0, -np.cos(AMPLITUDE_RAD)])
+    level = np.array([0.0, 1.0, 0.0])
+    from_body = np.column_stack([own, arm, np.cross(own, arm)])
+    to_world = np.column_stack([level, down, np.cross(level, down)]) @ from_body.T
+    anchor = np.array([0.1, 0.2, 1.0])
+    origin = anchor + ARM_M * down - to_world @ centre_m
+    pose = Pose.from_rotation(vector(origin), Rotation.from_matrix(to_world))
+    scene = Scene(
+        bodies=(body("solid", shape, pose, mass_kg=MASS_KG),),
+        joints=(Hinge(body="solid", anchor_m=vector(anchor), axis=(0.0, 1.0, 0.0)),),
+        duration_s=SWING_S,
+    )
+    simulation = lab.build(scene)
+    try:
+        simulation.reset(0)
+        rollout = record(simulation, scene, SWING_S)
+    finally:
+        simulation.close()
+    gyration = float(np.sqrt(own @ inertia @ own / MASS_KG))
+    expected = pendulum_period_s(length_m=ARM_M, gyration_m=gyration, amplitude_rad=AMPLITUDE_RAD, gravity_m_per_s2=G)
+    return _Swing(rollout, expected)
+
+
+def _period_ratio(swing: _Swing, centre_m: NDArray[np.float64]) -> float:
+    """Return the period over the expected one, from the horizontal place of the centre of mass."""
+    rollout = swing.rollout
+    places = rollout.position("solid") + rollout.rotation("solid").apply(centre_m)
+    return mean_period_s(rollout.times_s, places[:, 0] - 0.1) / swing.period_s
+
+
+def _wrong_centre(ratios: Mapping[str, float]) -> str:
+    """Return the wrong place of the union's centre of mass that gives these ratios of periods, if it is a known one."""
+    centre_m, inertia = mass_properties(LOPSIDED, MASS_KG)
+    for text, place_m in WRONG_CENTRES_M.items():
+        errors = []
+        for axis, ratio in ratios.items():
+            own, arm = np.eye(3)["xyz".index(axis)], np.asarray(AXES[axis])
+            lever = ARM_M * arm + place_m - centre_m
+            lever -= own * (own @ lever)
+            length = float(np.linalg.norm(lever))
+            gyration = float(np.sqrt(own @ inertia @ own / MASS_KG))
+            turned = np.arctan2(np.cross(arm, lever) @ own, arm @ lever)
+            common = {"gyration_m": gyration, "gravity_m_per_s2": G}
+            right = pendulum_period_s(length_m=ARM_M, amplitude_rad=AMPLITUDE_RAD, **common)
+            wrong = [
+                pendulum_period_s(length_m=length, amplitude_rad=AMPLITUDE_RAD + sign * turned, **common)
+                for sign in (1.0, -1.0)
+            ]
+            errors.append(min(abs(ratio - period / right) for period in wrong))
+        if max(errors) < 2e-3:
+            return f"; the engine's centre of mass is {text}"
+    return ""
+
+
+def _swing_check(kind: str) -> None:
+    title = {"union": "solid of four pieces"}.get(kind, kind)
+
+    @check(
+        f"swing-{kind}",
+        title=f"{title} swings about each of its axes",
+        scene=f"a {title} of 0.4 kg on a hinge 50 mm from its centre of mass, along its x, y and z axis in turn, "
+        "released at 40 degrees",
+        measures="mean period over 2 s over the expected one, the worst of the three axes",
+        law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2)), k^2 = I / m",
+        source="physical pendulum, complete elliptic integral",
+        unit="1",
+        tolerance=Tolerance(absolute=3e-3, rationale="0.3 % of the period is 1 % of the inertia"),
+        diagnosis="the inertia or the centre of mass does not follow from the shape, or the hinge's anchor or axis is "
+        "elsewhere; check the half sizes, and pieces that are not weighted by volume",
+    )
+    def measure(lab: Lab) -> Measurement:
+        centre_m, _ = mass_properties(SHAPES[kind], MASS_KG)
+        ratios = {axis: _period_ratio(_swing(lab, SHAPES[kind], axis), centre_m) for axis in AXES}
+        worst = max(ratios, key=lambda axis: abs(np.nan_to_num(ratios[axis], nan=np.inf) - 1.0))
+        text = ", ".join(f"{axis} {ratio:.4g}" for axis, ratio in ratios.items())
+        hint = f"ratio about each body axis: {text}"
+        if kind == "union":
+            hint += _wrong_centre(ratios)
+        return Measurement(measured=ratios[worst], expected=1.0, hint=hint)
+
+
+for _kind in ("box", "cylinder", "union"):
+    _swing_check(_kind)

@@ -1,0 +1,217 @@
+"""One canonical check per phenomenon on many engines, each with its solvers and presets: a matrix."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from gauge_envs.backends import backend, backend_names
+from gauge_envs.backends.registry import engine_call
+from gauge_envs.errors import GaugeError, UnknownNameError
+from gauge_envs.files import versions
+from gauge_envs.runs.isolation import Worker
+from gauge_envs.tools.conformance.lab import RefusedSettingsError
+from gauge_envs.tools.conformance.model import CheckResult
+from gauge_envs.tools.conformance.registry import checks
+from gauge_envs.tools.conformance.run import run_checks
+
+__all__ = ["CANONICAL", "MatrixColumn", "matrix_columns", "run_column"]
+
+CANONICAL = (
+    "determinism",
+    "free-fall",
+    "pendulum-period",
+    "pendulum-energy",
+    "hinge-radius",
+    "tether-length",
+    "spin-momentum",
+    "spin-orientation",
+    "wrench-force",
+    "rest-box",
+    "hold",
+    "slide",
+    "slide-plane",
+    "roll-ball",
+    "roll-cylinder",
+    "rebound-0.5",
+    "rebound-0.95",
+    "rebound-slow",
+    "drop-energy",
+    "pile-sinks",
+    "collision-momentum",
+    "collision-rebound",
+    "driven-velocity",
+    "carry-line",
+    "carry-turn",
+    "carry-slip",
+    "start-velocity",
+    "hinged-momentum",
+    "cloth-stretch",
+    "cloth-shear",
+    "cloth-bending",
+    "cloth-slide",
+    "air-terminal",
+    "foam-tension",
+    "foam-poisson",
+    "rope-length",
+    "rod-bending",
+)
+"""One check per phenomenon, or one per quantity where a phenomenon has several that fail apart."""
+
+
+@dataclass(kw_only=True)
+class MatrixColumn:
+    """One engine with one configuration.
+
+    Attributes:
+        backend: Name of the engine.
+        name: Name of the configuration; `default` for the engine's own choice.
+        settings: Settings that select it.
+        findings: Results of the checks, by id.
+        refused: Why the engine refuses the settings in the scene of a check, by id.
+        reason: Why no check ran; empty if one did.
+        fingerprints: Fingerprint that each check had when it ran, by id.
+        gauge_envs: Version of gauge-envs that ran it; empty before it ran.
+        made: Day of the run, as `2026-01-31`; empty before it ran.
+    """
+
+    backend: str
+    name: str
+    settings: Mapping[str, Any]
+    findings: dict[str, CheckResult] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    reason: str = ""
+    fingerprints: dict[str, str] = field(default_factory=dict)
+    gauge_envs: str = ""
+    made: str = ""
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Versions of the engine's packages; empty if no check ran."""
+        return next((finding.versions for finding in self.findings.values()), {})
+
+    @property
+    def cpu_s(self) -> float | None:
+        """CPU time of all checks [s]; None if that of a check that ran is not known."""
+        spent = [finding.cpu_s for finding in self.findings.values()]
+        return None if None in spent else sum(value for value in spent if value is not None)
+
+    @property
+    def is_of_this_version(self) -> bool:
+        """Whether the installed gauge-envs ran it."""
+        return self.gauge_envs in ("", versions()["gauge-envs"])
+
+    @property
+    def outdated(self) -> dict[str, str]:
+        """Why a result does not answer the present check, by id; only a column from a file can have such results."""
+        known = {check.id: check.fingerprint for check in checks()}
+        reasons = {}
+        for name, fingerprint in self.fingerprints.items():
+            if name not in known:
+                reasons[name] = f"gauge-envs {versions()['gauge-envs']} has no check {name!r}"
+            elif fingerprint != known[name]:
+                reasons[name] = "the check had another scene, law or tolerance when this column ran"
+        return reasons
+
+    def current(self) -> dict[str, CheckResult]:
+        """Return the results that answer the present checks, by id."""
+        outdated = self.outdated
+        return {name: finding for name, finding in self.findings.items() if name not in outdated}
+
+    @property
+    def title(self) -> str:
+        """Engine and configuration, as `physx PGS`."""
+        return self.backend if self.name == "default" else f"{self.backend} {self.name}"
+
+    def command(self, check: str) -> str:
+        """Return the command that repeats one check."""
+        words = ["gauge", "backend", "check", self.backend, "--only", check]
+        for name, value in self.settings.items():
+            words += ["--set", f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}"]
+        return shlex.join(words)
+
+
+def matrix_columns(
+    names: Sequence[str],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    every: bool,
+    configurations: Sequence[str] = (),
+    worker: Worker | None = None,
+) -> list[MatrixColumn]:
+    """Return the columns of a matrix, without running a check.
+
+    Args:
+        names: Engines; with none, all that are installed.
+        settings: Settings for every column, beside those of its configuration.
+        every: Whether each engine has a column for each configuration that it declares, beside its default.
+        configurations: Names of the configurations that are kept; all with none.
+        worker: Another process that imports the engines; None for this one.
+
+    Returns:
+        The columns. An engine that cannot be imported has one column, with the reason.
+
+    Raises:
+        UnknownNameError: An engine that was named is not known, or no engine has a configuration of such a name.
+    """
+    known = backend_names()
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("backend", name, known)
+    columns = []
+    for name in dict.fromkeys(names or known):
+        every_settings: dict[str, dict[str, Any]] = {"default": {}}
+        reason = ""
+        if every:
+            try:
+                declared = _declared(name) if worker is None else worker.call(_declared, name)
+                every_settings |= declared
+            except GaugeError as error:
+                reason = str(error)
+        columns += [
+            MatrixColumn(backend=name, name=key, settings={**(settings or {}), **values}, reason=reason)
+            for key, values in every_settings.items()
+        ]
+    existing = {column.name for column in columns}
+    for wanted in configurations:
+        if wanted not in existing:
+            raise UnknownNameError("configuration", wanted, existing)
+    return [column for column in columns if column.name in configurations or not configurations]
+
+
+def _declared(name: str) -> dict[str, dict[str, Any]]:
+    """Return the configurations that an engine declares."""
+    engine = backend(name)
+    with engine_call(name, "configurations"):
+        return {str(key): dict(values) for key, values in engine.configurations.items()}
+
+
+def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None) -> Iterator[CheckResult]:
+    """Run the checks of a column, keep each result in it, and yield it.
+
+    An engine that cannot be imported, or that refuses the settings, gives the column a reason and no result.
+
+    Args:
+        column: The column.
+        only: Ids or patterns of checks.
+        worker: Another process for the checks, so that an engine that crashes costs one of them; None for this one.
+    """
+    column.gauge_envs, column.made = versions()["gauge-envs"], datetime.now(UTC).date().isoformat()
+    for one in () if column.reason else checks(only):
+        try:
+            # One by one, as a solver that refuses the scene of one check may take that of the next.
+            (finding,) = run_checks(column.backend, settings=column.settings or None, only=[one.id], worker=worker)
+        except RefusedSettingsError as error:
+            column.refused[one.id] = str(error)
+            continue
+        except GaugeError as error:
+            column.reason = str(error)
+            return
+        column.findings[finding.check] = finding
+        column.fingerprints[finding.check] = one.fingerprint
+        yield finding
+    if column.refused and not column.findings:
+        column.reason = f"the settings are refused: {next(iter(column.refused.values()))}"

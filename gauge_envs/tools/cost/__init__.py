@@ -1,0 +1,1 @@
+"""Error over cost: what accuracy an engine gives for its processor time."""

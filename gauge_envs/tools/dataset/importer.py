@@ -1,0 +1,468 @@
+"""Import a dataset folder, one variant after another, with one trial in memory at a time."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.evaluation.score import score_trajectory
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import Variant
+from gauge_envs.files import json_ready, read_regular
+from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.deformation import DeformationReference
+from gauge_envs.references.imported import (
+    DriverRecord,
+    ImportFacts,
+    SpreadRecord,
+    VariantRecord,
+    remove_leftovers,
+    write_imported,
+)
+from gauge_envs.references.metrics import EVENT_METRICS, METRICS
+from gauge_envs.references.published import Baseline, published_baselines
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.dataset.layout import Layout
+from gauge_envs.tools.dataset.observation import (
+    DriverTrack,
+    driver_tracks,
+    start_quaternions,
+    trial_markers_m,
+    trial_trajectory,
+)
+from gauge_envs.tools.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
+from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
+
+__all__ = ["BaselineRow", "ImportedTrials", "import_trials"]
+
+FLAGGED_DIFFERENCE = 0.05
+"""Relative difference between own and published baselines above which they are flagged."""
+
+DOUBLED_CHANGES = 3
+"""Least number of changes between pairs of equal frames at which a trial counts as doubled; a body may rest longer."""
+
+LEAST_TRIALS = 2
+"""Number of trials that scatter needs."""
+
+MOST_TRIAL_NUMBERS = 4_000_000
+"""Largest count of numbers of single trials that an import keeps, 32 MB: 20 trials of 1,000 frames of 200 areas."""
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaselineRow:
+    """Baseline of one metric, from the imported trials and from the paper (Table 5).
+
+    Attributes:
+        metric: `rmse`, `dtw`, `lsd`, `mte`, `pd` or `el`.
+        unit: Unit of the metric.
+        own: Baseline of the imported trials; None if they do not determine it.
+        published: Baseline of the paper; None if it prints none.
+    """
+
+    metric: str
+    unit: str
+    own: TrialSpread | None
+    published: Baseline | None
+
+    @property
+    def difference(self) -> float | None:
+        """Own over published mean, minus 1; None if one is missing or the published one is 0."""
+        if self.own is None or self.published is None or not self.published.mean:
+            return None
+        return self.own.mean / self.published.mean - 1.0
+
+    @property
+    def is_flagged(self) -> bool:
+        """Whether own and published mean differ by more than 5 %."""
+        return self.difference is not None and abs(self.difference) > FLAGGED_DIFFERENCE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready dictionary."""
+        return json_ready(
+            {
+                "metric": self.metric,
+                "unit": self.unit,
+                "own_mean": self.own and self.own.mean,
+                "own_std": self.own and self.own.std,
+                "own_trial_count": self.own.count if self.own else 0,
+                "published_mean": self.published and self.published.mean,
+                "published_std": self.published and self.published.std,
+                "difference": self.difference,
+                "flagged": self.is_flagged,
+            }
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedTrials:
+    """Outcome of the import of one variant.
+
+    Attributes:
+        variant: The variant.
+        record: Record that was stored; None if too few trials could be used.
+        used: Number of trials that the band rests on.
+        left_out: Number of trial files that were left out.
+        rows: Own and published baselines.
+        findings: Problems of the files.
+    """
+
+    variant: Variant
+    record: VariantRecord | None
+    used: int
+    left_out: int
+    rows: tuple[BaselineRow, ...]
+    findings: tuple[ImportFinding, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready dictionary."""
+        record = self.record
+        return {
+            "id": self.variant.id,
+            "imported": record is not None,
+            "trials": self.used,
+            "left_out": self.left_out,
+            "frames": record and record.frame_count,
+            "revision": record and record.revision,
+            "sha256": record and record.files_sha256,
+            "baselines": [row.to_dict() for row in self.rows],
+            "drivers": [driver.model_dump() for driver in record.drivers] if record else [],
+        }
+
+
+def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = None) -> Iterator[ImportedTrials]:
+    """Import the trials of a dataset into the user's data folder; each variant is stored before it is yielded.
+
+    Args:
+        layout: Result of `find_trials`.
+        advance: Function that is called with each file after it was read.
+
+    Returns:
+        Iterator that imports one variant per step. Damaged trials are left out and listed in the findings.
+
+    Raises:
+        DatasetError: The user's data folder cannot be written.
+    """
+    remove_leftovers()
+    seen: dict[str, str] = {}
+    for variant, files in layout.files.items():
+        importer = _VariantImporter(variant, layout, seen)
+        with importer.spool:
+            for path in files:
+                importer.read(path)
+                if advance is not None:
+                    advance(path)
+            yield importer.finish()
+
+
+class _VariantImporter:
+    """Importer of the trials of one variant.
+
+    Args:
+        variant: The variant.
+        layout: Files of the dataset.
+        seen: Path of each file that was read before, by the hash of its content; `read` adds to it.
+    """
+
+    def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str]) -> None:
+        # Recorded motion is projected on the motions of the task file, not on those of an earlier import.
+        self._experiment = load_experiment(variant)
+        self._layout = layout
+        self._seen = seen
+        self._coordinates = self._experiment.coordinates
+        self.spool = TrialSpool(self._experiment.frame_count, len(self._coordinates))
+        self._drivers = {driver.body: _DriverMean(driver) for driver in self._experiment.scene.drivers}
+        self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._experiment)}
+        self._solid = marked_solid(self._experiment.scene)
+        self._statistics: list[FloatArray] = []
+        self._starts: list[FloatArray] = []
+        self._files: dict[str, str] = {}
+        self._findings: list[ImportFinding] = []
+
+    def read(self, path: Path) -> None:
+        """Add one trial file, or a finding that says why it is left out."""
+        file = self._layout.relative(path)
+        try:
+            content = self._content(path)
+            digest = hashlib.sha256(content).hexdigest()
+            if digest in self._seen:
+                raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
+            trial = parse_trial(content)
+            trajectory = trial_trajectory(trial, self._experiment)
+            starts = start_quaternions(trial, self._experiment) if self._observes_positions else None
+        except TrialError as error:
+            self._add_finding(file, error, left_out=True)
+            return
+        self._seen[digest] = file
+        self._files[file] = digest
+        self.spool.add(trajectory)
+        if starts is not None:
+            self._starts.append(starts)
+        if _is_doubled(trajectory):
+            twice = "every frame occurs twice"
+            note = TrialError("(file)", twice, f"{FRAME_RATE_HZ:g} different frames a second are expected")
+            self._add_finding(file, note, left_out=False)
+        self._add_statistics(trial)
+        self._add_events(file, trajectory)
+        self._add_drivers(file, trial)
+        self._add_unused_faults(file, trial)
+
+    @property
+    def _observes_positions(self) -> bool:
+        return self._experiment.score.observable is Observable.POSITION
+
+    def finish(self) -> ImportedTrials:
+        """Store the variant."""
+        used, left_out = self.spool.trial_count, sum(finding.left_out for finding in self._findings)
+        statistics = self.spool.statistics() if used else None
+        rows = self._rows(statistics)
+        record = None
+        if statistics is not None and used >= LEAST_TRIALS:
+            record = self._store(statistics, rows, left_out)
+        else:
+            error = TrialError("(folder)", f"{used} of its trials can be used", f"{LEAST_TRIALS} or more are needed")
+            self._add_finding(self._experiment.name, error, left_out=True)
+        return ImportedTrials(
+            variant=self._experiment.variant,
+            record=record,
+            used=used,
+            left_out=left_out,
+            rows=rows,
+            findings=tuple(self._findings),
+        )
+
+    def _content(self, path: Path) -> bytes:
+        if not self._layout.holds(path):
+            raise TrialError("(file)", "it links to a file outside of the dataset", "a copy of the file is expected")
+        try:
+            return read_regular(path, MOST_TRIAL_BYTES)
+        except OSError as error:
+            raise TrialError("(file)", f"it cannot be read: {error.strerror or error}", "a file is expected") from None
+
+    def _add_finding(self, file: str, error: TrialError, *, left_out: bool) -> None:
+        self._findings.append(
+            ImportFinding(file=file, key=error.key, problem=error.problem, expected=error.expected, left_out=left_out)
+        )
+
+    def _add_statistics(self, trial: Trial) -> None:
+        """Add the statistics of deformation at the frames of the experiment; rest is the first frame of the trial."""
+        if self._solid is None:
+            return
+        markers_m = trial_markers_m(trial, self._experiment)[: self._experiment.frame_count]
+        found = trial_statistics(markers_m, self._solid)
+        padding = ((0, self._experiment.frame_count - len(found)), (0, 0))
+        self._statistics.append(np.pad(found, padding, constant_values=np.nan))
+
+    def _deformation(self) -> DeformationReference | None:
+        """Return mean and scatter of the statistics that some frame of at least two trials has."""
+        if not self._statistics:
+            return None
+        values = np.stack(self._statistics)
+        mean = CoordinateMean(values.shape[1:])
+        for trial in values:
+            mean.add(trial)
+        often = (mean.counts > 1) & (2 * mean.counts >= len(values))
+        squares = np.nansum(np.square(values - mean.mean), axis=0)
+        sigma = np.sqrt(np.divide(squares, mean.counts - 1, out=np.full(often.shape, np.nan), where=often))
+        known = np.flatnonzero(often.any(axis=0))
+        if not known.size:
+            return None
+        return DeformationReference(
+            statistics=tuple(STATISTICS[column] for column in known),
+            markers=None,
+            mean=mean.mean[:, known],
+            sigma=sigma[:, known],
+            trial_count=len(values),
+            source="import",
+        )
+
+    def _add_events(self, file: str, trajectory: FloatArray) -> None:
+        if not self._events:
+            return
+        if np.isnan(trajectory).any():
+            frame = int(np.isnan(trajectory).any(axis=1).argmax())
+            error = TrialError(
+                f"[{frame}]", "a sample is missing", "period and pauses need all samples; the band does not"
+            )
+            self._add_finding(file, error, left_out=False)
+            return
+        times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
+        score = score_trajectory(self._experiment, None, times_s=times_s, values=trajectory)
+        for metric, values in self._events.items():
+            value = getattr(score, METRICS[metric].score_field)
+            values.append(np.nan if value is None else value)
+
+    def _add_drivers(self, file: str, trial: Trial) -> None:
+        """Add the driver's motion; a trial without it still counts for the band."""
+        try:
+            tracks = driver_tracks(trial, self._experiment)
+        except TrialError as error:
+            self._add_finding(file, error, left_out=False)
+            return
+        for track in tracks:
+            self._drivers[track.body].add(track)
+
+    def _add_unused_faults(self, file: str, trial: Trial) -> None:
+        """Add findings for assets that the experiment does not use, as a board that never moves."""
+        for name, error in trial.faults.items():
+            if name not in self._drivers:
+                self._add_finding(file, error, left_out=False)
+
+    def _rows(self, statistics: TrialStatistics | None) -> tuple[BaselineRow, ...]:
+        published = published_baselines(self._experiment.name)
+        own: dict[str, TrialSpread | None] = {}
+        if statistics is not None:
+            own = {"rmse": TrialSpread.of(statistics.rmse), "dtw": TrialSpread.of(statistics.dtw)}
+        own |= {metric: TrialSpread.of(np.array(values)) for metric, values in self._events.items()}
+        unit = self._experiment.score.observable.unit
+        return tuple(
+            BaselineRow(
+                metric=metric,
+                unit=METRICS[metric].unit_of(unit),
+                own=own.get(metric),
+                published=published.get(metric),
+            )
+            for metric in dict.fromkeys([*own, *published])
+        )
+
+    def _trials(self) -> FloatArray | None:
+        """Return the trials, which intervals of scores resample; None if they are too many numbers to keep."""
+        if self.spool.trial_count * self._experiment.frame_count * len(self._coordinates) > MOST_TRIAL_NUMBERS:
+            return None
+        return np.stack(list(self.spool.trials()))
+
+    def _store(self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int) -> VariantRecord:
+        experiment = self._experiment
+        band = Band(
+            grade=BandGrade.TRIALS,
+            unit=experiment.score.observable.unit,
+            coordinates=self._coordinates,
+            projection=np.eye(len(self._coordinates)),
+            mean=statistics.mean,
+            sigma=statistics.sigma,
+            measured=statistics.measured,
+            trial_count=self.spool.trial_count,
+            source="import",
+            trials=self._trials(),
+        )
+        drivers = {body: mean for body, mean in self._drivers.items() if mean.is_usable}
+        deformation = self._deformation()
+        facts = ImportFacts(
+            variant=experiment.name,
+            left_out=left_out,
+            revision=self._layout.revision,
+            files=tuple(self._files),
+            files_sha256=hashlib.sha256("\n".join(self._files.values()).encode()).hexdigest(),
+            task_sha256=experiment.file_sha256,
+            metrics=_spread_records(rows),
+            drivers=tuple(mean.record() for mean in drivers.values()),
+            statistics=() if deformation is None else deformation.statistics,
+        )
+        coordinates = {body: mean.coordinates for body, mean in drivers.items()}
+        starts = np.stack(self._starts) if self._starts else None
+        return write_imported(band, coordinates, facts, deformation, starts)
+
+
+@dataclass
+class _DriverMean:
+    """Mean over trials of one driven body's coordinates, and the motion that they do not cover.
+
+    Attributes:
+        driver: Bundled driver of the body.
+        sums: Running means of the coordinates and of their squares; None before the first trial.
+        offsets_mm: Distance of each trial's start from the calibrated start.
+        squares_mm: Mean square over each trial's frames of the distance that the coordinates do not cover.
+        squares_rad: Mean square of the angle that they do not cover, for trials with orientations.
+    """
+
+    driver: Driver
+    sums: tuple[CoordinateMean, CoordinateMean] | None = None
+    offsets_mm: list[float] = field(default_factory=list)
+    squares_mm: list[float] = field(default_factory=list)
+    squares_rad: list[float] = field(default_factory=list)
+
+    def add(self, track: DriverTrack) -> None:
+        """Add one trial."""
+        if self.sums is None:
+            self.sums = CoordinateMean(track.coordinates.shape), CoordinateMean(track.coordinates.shape)
+        self.sums[0].add(track.coordinates)
+        self.sums[1].add(np.square(track.coordinates))
+        self.offsets_mm.append(track.start_offset_mm)
+        self.squares_mm.append(float(np.nanmean(np.square(track.residual_mm))))
+        angles = track.residual_rad[~np.isnan(track.residual_rad)]
+        if angles.size:
+            self.squares_rad.append(float(np.square(angles).mean()))
+
+    @property
+    def coordinates(self) -> FloatArray:
+        """Mean coordinates [m or rad], shape [frame_count, motion_count]."""
+        if self.sums is None:
+            raise ValueError(f"no trial shows {self.driver.body}")
+        return self.sums[0].mean
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether each motion has at least two known frames."""
+        return self.sums is not None and bool((np.isfinite(self.coordinates).sum(axis=0) >= 2).all())
+
+    def record(self) -> DriverRecord:
+        """Return the record that is stored beside the coordinates."""
+        scatter = self._scatter()
+        lengths, angles = (
+            scatter[[motion.kind == kind for motion in self.driver.motions]] for kind in ("translate", "rotate")
+        )
+        return DriverRecord(
+            body=self.driver.body,
+            trial_count=len(self.offsets_mm),
+            residual_mm=float(np.sqrt(np.mean(self.squares_mm))),
+            residual_deg=float(np.degrees(np.sqrt(np.mean(self.squares_rad)))) if self.squares_rad else None,
+            start_offset_mm=float(np.mean(self.offsets_mm)),
+            scatter_mm=_largest(1e3 * lengths),
+            scatter_deg=_largest(np.degrees(angles)),
+        )
+
+    def _scatter(self) -> FloatArray:
+        """Return the largest standard deviation (n - 1) over frames, shape [motion_count]."""
+        if self.sums is None:
+            raise ValueError(f"no trial shows {self.driver.body}")
+        mean, square = self.sums
+        spread = np.where(mean.counts > 1, square.mean - np.square(mean.mean), 0.0)
+        factor = mean.counts / np.maximum(mean.counts - 1, 1)
+        return np.sqrt(np.maximum(factor * spread, 0.0).max(axis=0))
+
+
+def _largest(values: FloatArray) -> float | None:
+    return float(values.max()) if values.size else None
+
+
+def _event_metrics(experiment: Experiment) -> tuple[str, ...]:
+    return tuple(metric for metric in experiment.score.metrics if metric in EVENT_METRICS)
+
+
+def _spread_records(rows: tuple[BaselineRow, ...]) -> dict[str, SpreadRecord]:
+    return {
+        row.metric: SpreadRecord(unit=row.unit, mean=row.own.mean, std=row.own.std, trial_count=row.own.count)
+        for row in rows
+        if row.own is not None
+    }
+
+
+def _is_doubled(trajectory: FloatArray) -> bool:
+    """Return whether every frame of a moving trajectory occurs twice in a row, from the first or the second frame."""
+    for first in (0, 1):
+        pairs = trajectory[first : first + (len(trajectory) - first) // 2 * 2].reshape(-1, 2, trajectory.shape[1])
+        changes = (pairs[1:, 0] != pairs[:-1, 0]) & ~np.isnan(pairs[1:, 0]) & ~np.isnan(pairs[:-1, 0])
+        if changes.any(axis=1).sum() >= DOUBLED_CHANGES and np.array_equal(pairs[:, 0], pairs[:, 1], equal_nan=True):
+            return True
+    return False

@@ -1,0 +1,246 @@
+"""Error budgets as tables and sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from gauge_envs.evaluation.motion_kinds import Change
+from gauge_envs.files import json_ready
+from gauge_envs.pages.results import result_label
+from gauge_envs.pages.table import Column, Place, Table, as_rich
+from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, quantity_text, score_text, short_id
+from gauge_envs.references.bands import BandGrade
+from gauge_envs.runs.result import Result
+from gauge_envs.tools.diagnose.budget_fit import BudgetStage
+from gauge_envs.tools.diagnose.diagnosis import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, StagePart
+
+__all__ = ["diagnosis_rows", "diagnosis_values", "diagnosis_view", "findings"]
+
+MOST_AXES = 6
+
+DIAGNOSIS_LEGEND = (
+    "Parts are added from the top down, each fitted together with those above it: what they take off the squared error "
+    "(share) and off the normalized RMSE adds up to the whole. Alone: share taken off as the only change; last: after "
+    "both others. Normalized: over the published mean RMSE of the real trials."
+)
+
+
+def diagnosis_rows(pairs: Iterable[tuple[Result, Diagnosis]]) -> list[dict[str, Any]]:
+    """Return one JSON-ready object per result: how it was run, and its error budget."""
+    keys = ("backend", "parameters", "settings_given", "seed", "jitter")
+    return [
+        json_ready({key: getattr(result, key) for key in keys} | {"label": result_label(result)})
+        | diagnosis_values(diagnosis)
+        for result, diagnosis in pairs
+    ]
+
+
+def diagnosis_view(pairs: Sequence[tuple[Result, Diagnosis]], *, wide: bool = False) -> Group:
+    """Return error budgets for a terminal: tables and findings of each result, then the meaning of the columns."""
+    parts: list[RenderableType] = []
+    for result, diagnosis in pairs:
+        parts.append(as_rich(_budget_table(diagnosis, result_label(result)), wide=wide))
+        parts += [as_rich(table, wide=wide) for table in _axis_tables(diagnosis)]
+        parts += [Text(f"- {line}") for line in findings(diagnosis)]
+        parts += [Text(line, style="dim") for line in _budget_notes(diagnosis)]
+    if pairs:
+        parts += [Text(""), Text(DIAGNOSIS_LEGEND, style="dim")]
+        parts += [Text(f"Published engines: {pairs[0][1].published_note}", style="dim")]
+    return Group(*parts)
+
+
+def _budget_table(diagnosis: Diagnosis, label: str) -> Table:
+    rest = diagnosis.rest
+    start = {"rmse_after": diagnosis.rmse, "rmse_after_normalized": diagnosis.rmse_normalized}
+    rows = [{"part": "as it is"} | start, *map(_part_row, diagnosis.parts)]
+    rows.append({"part": "rest", "off": rest.rmse_normalized, "share": rest.share})
+    return Table(
+        title=f"{short_id(diagnosis.id)}  {label}",
+        columns=(
+            Column("part", "part"),
+            Column("rmse_after", "RMSE left", quantity_text, unit=diagnosis.unit, is_number=True),
+            Column("rmse_after_normalized", "normalized", score_text, is_number=True),
+            Column("off", "taken off", score_text, is_number=True),
+            Column("share", "share", _share, is_number=True),
+            Column("alone_share", "alone", _share, is_number=True),
+            Column("last_share", "last", _share, is_number=True),
+            Column("changes", "fitted together", place=Place.BELOW),
+        ),
+        rows=rows,
+    )
+
+
+def _part_row(part: StagePart) -> dict[str, Any]:
+    row = {"part": part.stage.value, "rmse_after": part.rmse_after, "rmse_after_normalized": part.rmse_after_normalized}
+    if part.missing is not None:
+        return row | {"changes": "does not apply"}
+    before, after = part.rmse_before_normalized, part.rmse_after_normalized
+    row["off"] = None if before is None or after is None else before - after
+    row["changes"] = f"fitted: {_changes(part)}"
+    return row | {key: getattr(part, key) for key in ("share", "alone_share", "last_share")}
+
+
+def _axis_tables(diagnosis: Diagnosis) -> list[Table]:
+    """Return the shares of the squared error by axis; no table for one coordinate or for many axes."""
+    axes = diagnosis.axes()
+    if len(diagnosis.coordinates) == 1 or len(axes) > MOST_AXES or diagnosis.mean_square == 0.0:
+        return []
+    squares = {"all": diagnosis.by_coordinate}
+    squares |= {part.stage.value: part.by_coordinate for part in diagnosis.parts if part.missing is None}
+    squares["rest"] = diagnosis.rest.by_coordinate
+    rows = [
+        {"axis": axis}
+        | {key: sum(values[index] for index in indices) / diagnosis.mean_square for key, values in squares.items()}
+        for axis, indices in axes.items()
+    ]
+    shares = (Column(key, key, _share, is_number=True) for key in squares)
+    return [Table(columns=(Column("axis", "share along"), *shares), rows=rows)]
+
+
+def _changes(part: StagePart) -> str:
+    """Return all changes in force after a part; offsets of many coordinates by their root mean square."""
+    texts = []
+    offsets = [change for change in part.changes if change.quantity == "offset"]
+    for change in part.changes:
+        unit = "" if change.unit == "1" else f" {change.unit}"
+        mark = " (limit)" if change.at_bound else ""
+        if change.quantity == "release_time":
+            texts.append(f"release {change.fitted:+.3f}{unit}{mark}")
+        elif change.quantity != "offset":
+            texts.append(f"{change.quantity} {change.simulated:.4g} -> {change.fitted:.4g}{unit}{mark}")
+        elif len(offsets) <= 3:
+            texts.append(f"{change.coordinate} {change.fitted:+.3g}{unit}")
+        elif change is offsets[0]:
+            rms = (sum(one.fitted**2 for one in offsets) / len(offsets)) ** 0.5
+            texts.append(f"{len(offsets)} offsets, rms {quantity_text(rms)}{unit}")
+    return ", ".join(texts)
+
+
+def _share(share: float) -> str:
+    return f"{100.0 * share + 0.0:.1f} %"
+
+
+def _budget_notes(diagnosis: Diagnosis) -> list[str]:
+    grade = BandGrade(diagnosis.grade)
+    lines = [f"Grade {grade.value}: {GRADE_NOTES[grade]}. Motion: {diagnosis.kind.value.replace('_', ' ')}."]
+    if diagnosis.extrapolated_frames:
+        lines.append(
+            f"{diagnosis.extrapolated_frames} of {diagnosis.frames} frames are extrapolated, not measured; "
+            f"{_share(diagnosis.extrapolated_share)} of the squared error lies in them."
+        )
+    lines += [f"Note: {note}." for note in diagnosis.notes]
+    engines = [
+        f"{ENGINE_TITLES[name]} {text}" for name, one in diagnosis.published.items() if (text := _published_text(one))
+    ]
+    if engines:
+        own = "" if diagnosis.dtw_over_rmse is None else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
+        lines.append(f"Published{own}: {'; '.join(engines)}.")
+    return lines
+
+
+def _published_text(one: PublishedScore) -> str:
+    values = {"RMSE": one.rmse_normalized, "DTW/RMSE": one.dtw_over_rmse, "period over the real one": one.period_ratio}
+    return ", ".join(f"{title} {value:.2f}" for title, value in values.items() if value is not None)
+
+
+NOTABLE_SHARE = 0.01
+"""Share of the squared error by which another first part must be better to be reported."""
+
+MOST_OFFSETS = 3
+
+RATE_TEXTS = {
+    "acceleration": "the acceleration is {fitted:.3f} instead of {simulated:.3f} m/s^2",
+    "restitution": "the restitution is {fitted:.3f} instead of {simulated:.3f}",
+    "period": "the period is {fitted:.3f} instead of {simulated:.3f} s",
+    "amplitude": "the amplitude is {fitted:.3f} times as large",
+    "speed": "the motion is {fitted:.3f} times as fast",
+    "displacement": "it goes {fitted:.3f} times as far",
+}
+
+
+def _finding(diagnosis: Diagnosis, part: StagePart) -> str:
+    """Return one stage in words."""
+    if part.missing is not None:
+        return f"{part.stage.value.capitalize()} does not apply: {part.missing}."
+    first = all(other is part or other.missing for other in diagnosis.parts[: diagnosis.parts.index(part) + 1])
+    own = _own_changes(part)
+    rmses = _rmse_text(diagnosis, part.rmse_before, part.rmse_after)
+    bound = " (the limit of what was tried: it may be more)" if any(change.at_bound for change in own) else ""
+    also = "" if first else " as well"
+    return (
+        f"{_percent(part.share)} of the squared error is gone ({rmses}) if "
+        f"{_change_text(diagnosis, part.stage, own)}{also}{bound}."
+    )
+
+
+def _own_changes(part: StagePart) -> tuple[Change, ...]:
+    """Return the changes of the stage itself, among all that are in force after it."""
+    quantities = {change.quantity for change in part.alone_changes}
+    return tuple(change for change in part.changes if change.quantity in quantities)
+
+
+def _change_text(diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Change]) -> str:
+    subject = diagnosis.subject
+    verb = "are" if subject in (SEVERAL_BODIES, MARKERS) else "is"
+    if stage is BudgetStage.RELEASE:
+        late_s = changes[0].fitted
+        when = f"{abs(late_s):.3f} s {'earlier' if late_s < 0.0 else 'later'}"
+        if diagnosis.driven or subject == MARKERS:
+            return f"the simulation starts {when}"
+        return f"{subject} {verb} let go {when}"
+    if stage is BudgetStage.OFFSET:
+        most = max(changes, key=lambda change: abs(change.fitted))
+        if len(changes) > MOST_OFFSETS:
+            rms = math.sqrt(sum(change.fitted**2 for change in changes) / len(changes))
+            return (
+                f"each of {len(changes)} coordinates has a constant added, {rms:.3g} {diagnosis.unit} root mean square "
+                f"({most.fitted:+.3g} at most, {most.coordinate})"
+            )
+        offsets = ", ".join(f"{change.fitted:+.3g} {diagnosis.unit} along {change.coordinate}" for change in changes)
+        return f"{subject} {verb} moved by {offsets}"
+    return " and ".join(RATE_TEXTS[change.quantity].format(**asdict(change)) for change in changes)
+
+
+def _percent(share: float) -> str:
+    percent = 100.0 * share
+    if 0.0 < percent < 0.01:
+        return "<0.01 %"
+    if 99.5 <= percent < 99.995:
+        # Nearly all is not all.
+        return f"{percent:.2f} %"
+    return f"{percent:.2g} %" if 0.0 < percent < 9.95 else f"{percent:.0f} %"
+
+
+def _rmse_text(diagnosis: Diagnosis, *rmses: float) -> str:
+    """Return one RMSE, or its change from one to another, in the unit and in baselines."""
+    text = f"RMSE {' to '.join(f'{rmse:.3g}' for rmse in rmses)} {diagnosis.unit}"
+    if diagnosis.baseline is None:
+        return text
+    return f"{text}, {' to '.join(f'{rmse / diagnosis.baseline:.3g}' for rmse in rmses)} baselines"
+
+
+def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return an error budget as a JSON-ready dictionary: every field, and `findings` in words."""
+    values: dict[str, Any] = json_ready(asdict(diagnosis) | {"findings": findings(diagnosis)})
+    return values
+
+
+def findings(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Return an error budget in words, one line per finding."""
+    if diagnosis.mean_square == 0.0:
+        return ("The simulation is on the mean of the band: there is no error to explain.",)
+    lines = [_finding(diagnosis, part) for part in diagnosis.parts]
+    left = _rmse_text(diagnosis, diagnosis.rest.rmse)
+    lines.append(f"{_percent(diagnosis.rest.share)} of the squared error is none of these: {left} is left.")
+    applied = [part for part in diagnosis.parts if part.missing is None]
+    most = max(applied, key=lambda part: part.alone_share, default=None)
+    if most is not None and most.alone_share > applied[0].alone_share + NOTABLE_SHARE:
+        text = _change_text(diagnosis, most.stage, most.alone_changes)
+        lines.append(f"The order matters: {_percent(most.alone_share)} is gone already if {text}, and nothing else.")
+    return tuple(lines)

@@ -1,0 +1,324 @@
+"""Films and strips of result files: the episodes are run again and drawn side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.envs.rendering.ghost import reference_text
+from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
+from gauge_envs.pages.results import PLAIN, configuration_labels, configuration_parts, versions_text
+from gauge_envs.pages.text import BACKEND_TITLES, short_id
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
+from gauge_envs.runs.result import Result
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.film.layout import Caption, FilmLayout, PanelText, strip_picture
+from gauge_envs.tools.film.panel import Panel, SimulatedPanel, Take, take_of
+from gauge_envs.tools.film.recording import RecordedPanel
+from gauge_envs.tools.film.writer import STRIP_SUFFIXES, check_film_format, check_suffix, film_writer, save_still
+
+__all__ = ["FilmOptions", "LeftOut", "Recording", "film_times", "results_of_one_experiment", "save_film", "save_strip"]
+
+MOST_PANELS = 12
+"""Largest number of panels of a film."""
+
+LEAST_SIDE_PX, MOST_SIDE_PX = 120, 4096
+"""Range of the width and height of a picture [pixels]: text needs some room."""
+
+MOST_FRAMES = 20_000
+"""Largest number of frames of a film."""
+
+Progress = Callable[[int, int], None]
+"""Receiver of the number of pictures that are done, and of all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A real recording beside the simulations.
+
+    Attributes:
+        file: Video file.
+        start_s: Time in the video at which the experiment starts [s].
+        rate_hz: Pictures that the camera took in a second of the experiment; None for the times in the file.
+    """
+
+    file: Path
+    start_s: float = 0.0
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """A result without a panel.
+
+    Attributes:
+        file: The result file.
+        reason: Why it has none.
+    """
+
+    file: Path
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmOptions:
+    """How a film or a strip shows its results.
+
+    Attributes:
+        width: Width of the picture of a panel [pixels].
+        height: Height of the picture of a panel [pixels].
+        columns: Panels in a row of a film; None for at most four.
+        from_s: Time of the first picture [s].
+        to_s: Time of the last picture [s]; None for the end of the longest episode.
+        fps: Frames a second of a film.
+        speed: Seconds of the experiment in a second of a film.
+        hold_s: Time for which the last frame of a film stays [s].
+        use_withheld: Whether to draw also a reference of low quality.
+        recording: A real recording as the first panel, or None.
+
+    Raises:
+        ParameterError: A value is out of range.
+    """
+
+    width: int = 480
+    height: int = 360
+    columns: int | None = None
+    from_s: float = 0.0
+    to_s: float | None = None
+    fps: float = 30.0
+    speed: float = 1.0
+    hold_s: float = 1.0
+    use_withheld: bool = False
+    recording: Recording | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if not LEAST_SIDE_PX <= getattr(self, name) <= MOST_SIDE_PX:
+                raise ParameterError(
+                    f"{name} is {getattr(self, name)}, expected {LEAST_SIDE_PX} to {MOST_SIDE_PX} pixels"
+                )
+        if self.columns is not None and not 1 <= self.columns <= MOST_PANELS:
+            raise ParameterError(f"columns is {self.columns}, expected 1 to {MOST_PANELS}")
+        for name, least, most in (("fps", 1.0, 120.0), ("speed", 0.001, 100.0), ("hold_s", 0.0, 60.0)):
+            # A comparison with NaN is false.
+            if not least <= getattr(self, name) <= most:
+                raise ParameterError(f"{name} is {getattr(self, name):g}, expected {least:g} to {most:g}")
+        if not 0.0 <= self.from_s < math.inf:
+            raise ParameterError(f"from_s is {self.from_s:g}, expected 0 or more")
+        if self.to_s is not None and not self.from_s <= self.to_s < math.inf:
+            raise ParameterError(f"to_s is {self.to_s:g}, expected from_s = {self.from_s:g} or more")
+
+    @property
+    def views_per_frame(self) -> int:
+        """Views of a replay in each 30 Hz frame that the film can show."""
+        wanted = self.fps / self.speed / FRAME_RATE_HZ
+        return next((views for views in VIEWS_PER_FRAME if views >= wanted - 1e-9), VIEWS_PER_FRAME[-1])
+
+
+def results_of_one_experiment(results: Mapping[Path, Result], name: str | None = None) -> dict[Path, Result]:
+    """Return the results of one experiment.
+
+    Args:
+        results: Results by file.
+        name: Id of the experiment, with or without `GAUGE/`; None if all are of one.
+
+    Raises:
+        ResultFileError: There is none, or without a name they are of several experiments.
+    """
+    ids = sorted({short_id(result.id) for result in results.values()})
+    if name is None:
+        if len(ids) > 1:
+            raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose one with --id")
+        if not ids:
+            raise ResultFileError("no result is left to film; gauge run writes them")
+        return dict(results)
+    found = {file: result for file, result in results.items() if short_id(result.id) == short_id(name)}
+    if not found:
+        raise ResultFileError(f"no result is of {short_id(name)}; the results are of: {', '.join(ids) or 'nothing'}")
+    return found
+
+
+def film_times(options: FilmOptions, last_s: float) -> NDArray[np.float64]:
+    """Return the times of the frames [s], shape [frame_count].
+
+    Args:
+        options: The options.
+        last_s: End of the longest episode [s].
+
+    Raises:
+        ParameterError: The film starts after that end, or has too many frames.
+    """
+    end_s = last_s if options.to_s is None else options.to_s
+    if options.from_s > last_s:
+        raise ParameterError(f"from_s is {options.from_s:g} s, and the longest episode ends at {last_s:.3f} s")
+    count = 1 + math.floor((end_s - options.from_s) * options.fps / options.speed + 1e-6)
+    if count > MOST_FRAMES:
+        raise ParameterError(f"the film would have {count} frames, at most {MOST_FRAMES}: raise speed, or lower fps")
+    return np.array([options.from_s + number * options.speed / options.fps for number in range(count)])
+
+
+def save_film(
+    results: Mapping[Path, Result], out: Path, options: FilmOptions, *, progress: Progress | None = None
+) -> list[LeftOut]:
+    """Write a film of results of one experiment, and return the results that have no panel.
+
+    Args:
+        results: Results by file, in the order of the panels.
+        out: The film: `*.mp4`, `*.webp` or `*.gif`.
+        options: How it shows them.
+        progress: Receiver of what is done.
+
+    Raises:
+        ParameterError: The format or an option is wrong, or there are too many panels.
+        ResultFileError: No result can be run again, or the film cannot be written.
+        RenderError: The machine has no OpenGL library.
+        MissingExtraError: The extra `video` is needed and not installed.
+        VideoError: The recording cannot be read, or ffmpeg fails.
+    """
+    check_film_format(out)
+    with ExitStack() as stack:
+        panels, takes, left_out = _panels(results, options, stack)
+        times_s = film_times(options, max(panel.last_s for panel in panels))
+        layout = FilmLayout(
+            [_text(panel) for panel in panels],
+            _caption(takes, options),
+            width=options.width,
+            height=options.height,
+            columns=options.columns,
+        )
+        held = round(options.hold_s * options.fps)
+        writer = stack.enter_context(film_writer(out, size=layout.size, fps=options.fps))
+        for number, time_s in enumerate(times_s):
+            pictures = [panel.picture(float(time_s)) for panel in panels]
+            frame = layout.frame(pictures, f"t = {time_s:.3f} s")
+            writer.add(frame, times=1 + held if number == len(times_s) - 1 else 1)
+            if progress is not None:
+                progress(number + 1, len(times_s))
+    return left_out
+
+
+def save_strip(
+    results: Mapping[Path, Result],
+    out: Path,
+    options: FilmOptions,
+    *,
+    count: int = 3,
+    progress: Progress | None = None,
+) -> list[LeftOut]:
+    """Write pictures at a few times beside each other, a row for each result, and return the results without a row.
+
+    Args:
+        results: Results by file, in the order of the rows.
+        out: The strip: `*.png` or `*.webp`.
+        options: How it shows them; speed and frame rate do not matter.
+        count: Number of pictures in a row, the first and the last one included.
+        progress: Receiver of what is done.
+
+    Raises:
+        GaugeError: See `save_film`.
+    """
+    check_suffix(out, STRIP_SUFFIXES)
+    if not 1 <= count <= MOST_PANELS:
+        raise ParameterError(f"a strip of {count} pictures: choose 1 to {MOST_PANELS}")
+    with ExitStack() as stack:
+        panels, takes, left_out = _panels(results, options, stack)
+        last_s = max(panel.last_s for panel in panels)
+        film_times(options, last_s)
+        times_s = np.linspace(options.from_s, last_s if options.to_s is None else options.to_s, count)
+        rows: list[list[NDArray[np.uint8]]] = []
+        for number, panel in enumerate(panels):
+            rows.append([panel.picture(float(time_s)) for time_s in times_s])
+            if progress is not None:
+                progress(number + 1, len(panels))
+        texts = [_text(panel) for panel in panels]
+        caption = _caption(takes, options)
+        save_still(strip_picture(rows, texts, caption, [f"{time_s:.2f} s" for time_s in times_s]), out)
+    return left_out
+
+
+# --- panels ---
+
+
+def _panels(
+    results: Mapping[Path, Result], options: FilmOptions, stack: ExitStack
+) -> tuple[list[Panel], list[Take], list[LeftOut]]:
+    """Return the panels, which the stack closes, the episodes that they show, and the results that have none.
+
+    Raises:
+        ParameterError: There are too many.
+        ReplayError: No episode can be drawn.
+    """
+    recording = options.recording
+    count = len(results) + (recording is not None)
+    if count > MOST_PANELS:
+        raise ParameterError(f"{count} panels: at most {MOST_PANELS} have room; name fewer result files")
+    panels: list[Panel] = []
+    size = {"width": options.width, "height": options.height}
+    # Before the runs, which may take minutes.
+    if recording is not None:
+        panels.append(RecordedPanel(recording.file, start_s=recording.start_s, rate_hz=recording.rate_hz, **size))
+        stack.callback(panels[-1].close)
+    takes, left_out = _takes(results, options)
+    configurations = [RunConfiguration.of(take.result) for take in takes]
+    for take, configuration, title in zip(takes, configurations, _titles(configurations), strict=True):
+        panels.append(SimulatedPanel(take, title=title, detail=versions_text(configuration), **size))
+        stack.callback(panels[-1].close)
+    return panels, takes, left_out
+
+
+def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
+    """Return the engine of each configuration, and what they do not all share; the legend names the trial."""
+    labels = configuration_labels(configurations)
+    if len(configurations) == 1:
+        parts = configuration_parts(configurations[0])
+        labels = [", ".join(text for kind, text in parts if (kind, text) != PLAIN and kind != "jitter")]
+    split = [label.partition(", ") for label in labels]
+    return [f"{BACKEND_TITLES.get(engine, engine)}{comma}{rest}" for engine, comma, rest in split]
+
+
+def _takes(results: Mapping[Path, Result], options: FilmOptions) -> tuple[list[Take], list[LeftOut]]:
+    """Return the episodes that can be drawn, and why others cannot.
+
+    Raises:
+        ReplayError: None can be drawn.
+    """
+    takes: list[Take] = []
+    left_out: list[LeftOut] = []
+    views, use_withheld = options.views_per_frame, options.use_withheld
+    for file, result in results.items():
+        try:
+            takes.append(take_of(result, file, views_per_frame=views, use_withheld=use_withheld))
+        except GaugeError as error:
+            left_out.append(LeftOut(file=file, reason=str(error)))
+    if not takes:
+        reasons = "; ".join(f"{one.file.name}: {one.reason}" for one in left_out)
+        raise ReplayError(f"no result can be drawn: {reasons}")
+    return takes, left_out
+
+
+def _text(panel: Panel) -> PanelText:
+    return PanelText(title=panel.title, detail=panel.detail, note=panel.note)
+
+
+def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:
+    experiment = takes[0].experiment
+    end_s = max(take.last_s for take in takes) if options.to_s is None else options.to_s
+    texts = [reference_text(one.band, one.reference, end_s=end_s, trial=one.experiment.trial) for one in takes]
+    remarks = []
+    if options.speed != 1.0:
+        remarks.append(f"speed x {options.speed:.3g}")
+    if any(take.result.score.rmse_normalized is not None for take in takes):
+        remarks.append("score 1: mean distance of single real trials")
+    return Caption(
+        title=experiment.name,
+        subtitle=experiment.title,
+        reference="; ".join(filter(None, dict.fromkeys(texts))),
+        remark=", ".join(remarks),
+    )

@@ -1,0 +1,249 @@
+"""One panel of a film: an episode of an engine, with its reference, its tracked points and their paths so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
+from gauge_envs.envs.rendering.tracked import MOST_PATHS, reference_ghosts
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.pages.text import ALIGNED_TITLE, METRIC_TITLES, interval_text, score_text
+from gauge_envs.references.bands import Band
+from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
+from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.compare.scores import COMPARED_METRICS
+
+__all__ = ["Panel", "SimulatedPanel", "Take", "score_line", "take_of"]
+
+FloatArray = NDArray[np.float64]
+
+PATH_STEP = 3
+"""Samples between the points of a path, which are 60 a second."""
+
+PATH_POINTS = 240
+"""Points of a path; it shows the last four seconds."""
+
+SHOWN_SCORES = 2
+"""Number of scores below a panel."""
+
+
+class Panel(Protocol):
+    """One panel of a film.
+
+    Attributes:
+        title: What the panel shows, as the name of the engine.
+        detail: What identifies it further, as versions.
+        note: Line below the picture, as its score.
+        last_s: Time of its last picture [s].
+    """
+
+    title: str
+    detail: str
+    note: str
+    last_s: float
+
+    def picture(self, time_s: float) -> NDArray[np.uint8]:
+        """Return the picture at a time [s] that is not before that of the last call, shape [height, width, 3]."""
+
+    def close(self) -> None:
+        """Free what the panel holds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Take:
+    """An episode that can be drawn.
+
+    Attributes:
+        result: Its result.
+        experiment: Its experiment, with the start that it had.
+        replay: Where its bodies are.
+        band: The band that it is compared with, or None.
+        reference: Places of the band's mean in space; None where it has none.
+    """
+
+    result: Result
+    experiment: Experiment
+    replay: Replay
+    band: Band | None
+    reference: ReferencePath | None
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last view in which all bodies have a place [s]; an episode that diverged may have others."""
+        replay = self.replay
+        known = [np.isfinite(points).all(axis=(1, 2)) for points in (replay.poses, *replay.nodes_m.values())]
+        is_known = np.logical_and.reduce(known)
+        count = len(is_known) if is_known.all() else int(np.argmin(is_known))
+        return max(count - 1, 0) / replay.rate_hz
+
+
+def take_of(result: Result, file: Path, *, views_per_frame: int = 1, use_withheld: bool = False) -> Take:
+    """Run the episode of a result again and return what can be drawn of it.
+
+    Args:
+        result: Content of the result file.
+        file: The result file.
+        views_per_frame: Least number of views of rigid bodies in each frame: 1, 2, 3 or 6; deformable bodies have one.
+        use_withheld: Whether to use also a band of low quality.
+
+    Raises:
+        ReplayError: See `gauge_envs.runs.replay.replay`.
+        GaugeError: See `gauge_envs.runs.replay.replayed_experiment`.
+    """
+    experiment = replayed_experiment(result)
+    # The default is stored beside the result, so that it is run once.
+    needs_more = not experiment.scene.deformables and views_per_frame > default_views_per_frame(experiment.scene)
+    replay = load_or_replay(result, file, views_per_frame=views_per_frame if needs_more else None)
+    band = reference_band(experiment, use_withheld=use_withheld)
+    reference = reference_path(experiment, band)
+    return Take(result=result, experiment=experiment, replay=replay, band=band, reference=reference)
+
+
+class SimulatedPanel:
+    """Pictures of an episode.
+
+    Args:
+        take: The episode.
+        title: Name of the engine and what distinguishes its configuration.
+        detail: Versions.
+        width: Width of the pictures [pixels].
+        height: Height of the pictures [pixels].
+    """
+
+    def __init__(self, take: Take, *, title: str, detail: str, width: int, height: int) -> None:
+        self.title, self.detail, self.note = title, detail, score_line(take.result, take.band)
+        self.last_s = take.last_s
+        self._take = take
+        self._is_place = take.experiment.score.observable in (Observable.POSITION, Observable.MARKER_POSITION)
+        self._rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
+        self._canvas = Pictures("rgb_array", width=width, height=height)
+
+    def picture(self, time_s: float) -> NDArray[np.uint8]:
+        """Return the picture at a time [s], shape [height, width, 3]; after its last view the episode stands still.
+
+        Raises:
+            RenderError: The machine has no OpenGL library.
+        """
+        replay = self._take.replay
+        at = min(time_s, self.last_s) * replay.rate_hz
+        poses = dict(zip(replay.bodies, _poses_at(replay.poses, at), strict=True))
+        nodes_m = {name: _between(points, at) for name, points in replay.nodes_m.items()}
+        return self._canvas.draw(
+            self._take.experiment,
+            self._rest_nodes_m,
+            band=self._take.band,
+            poses=poses,
+            nodes_m=nodes_m,
+            overlay=self.overlay(time_s, poses),
+        )
+
+    def overlay(self, time_s: float, poses: dict[str, FloatArray]) -> Overlay:
+        """Return what is drawn on top of the scene at a time.
+
+        Args:
+            time_s: The time [s].
+            poses: Poses of the moving bodies at that time, shape [7] each.
+        """
+        markers_m, paths = self._simulated(min(time_s, self.last_s))
+        recorded_m, ghosts = np.zeros((0, 3)), {}
+        reference = self._take.reference
+        if reference is not None:
+            if len(reference.names) <= MOST_PATHS:
+                paths += [OverlayPath(points_m=line, color=RECORDED_COLOR) for line in _lines(reference.places_m)]
+            at = time_s * FRAME_RATE_HZ
+            if at <= len(reference.places_m) - 1:
+                recorded_m = _between(reference.places_m, at)
+                ghosts = reference_ghosts(self._take.experiment, reference, recorded_m, time_s=time_s, poses=poses)
+                recorded_m = np.array([pose[:3] for pose in ghosts.values()]) if ghosts else recorded_m
+        return Overlay(markers_m=markers_m, recorded_m=recorded_m, paths=tuple(paths), ghosts=ghosts)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._canvas.close()
+
+    def _simulated(self, time_s: float) -> tuple[FloatArray, list[OverlayPath]]:
+        """Return the tracked points at a time [m], shape [n, 3], and their paths so far."""
+        if not self._is_place:
+            # Curvatures and areas are no places; their markers are known at the frames.
+            markers_m = self._take.replay.markers_m.astype(np.float64)
+            return _between(markers_m, min(time_s * FRAME_RATE_HZ, len(markers_m) - 1)), []
+        assert self._take.result.trajectory is not None
+        times_s, samples = self._take.result.trajectory.arrays()
+        places_m = 1e-3 * samples.reshape(len(samples), -1, 3)
+        now = np.stack([np.interp(time_s, times_s, line) for line in places_m.reshape(len(places_m), -1).T])
+        markers_m = now.reshape(-1, 3)
+        if len(markers_m) > MOST_PATHS:
+            return markers_m, []
+        # Steps from the start, and not from the present, keep the points of a path where they are.
+        past = places_m[: np.searchsorted(times_s, time_s)][::PATH_STEP][-PATH_POINTS:]
+        return markers_m, [OverlayPath(points_m=line) for line in _lines(np.concatenate([past, markers_m[None]]))]
+
+
+def score_line(result: Result, band: Band | None) -> str:
+    """Return the scores of a result in a line, the primary one first.
+
+    Args:
+        result: The result.
+        band: The band that is shown, or None.
+    """
+    if result.outcome is Outcome.DIVERGED:
+        return f"diverged: {result.diverged_reason}" if result.diverged_reason else "diverged"
+    score = result.score
+    order = sorted(COMPARED_METRICS, key=lambda key: key != score.primary)
+    texts = []
+    for key in order:
+        metric = COMPARED_METRICS[key]
+        title = ALIGNED_TITLE if key == "rmse_aligned" else METRIC_TITLES[key]
+        raw = getattr(score, metric.raw)
+        normalized = None if metric.normalized is None else getattr(score, metric.normalized)
+        if normalized is not None:
+            interval = None if metric.interval is None else getattr(score, metric.interval)
+            texts.append(f"{title} {interval_text(normalized, interval)}")
+        elif raw is not None:
+            unit = score.unit if metric.unit is None else metric.unit
+            texts.append(f"{title} {score_text(raw)}{'' if unit == '1' else f' {unit}'}")
+    if texts:
+        return ", ".join(texts[:SHOWN_SCORES])
+    return "not scored" if band is None else "not scored: the reference is withheld"
+
+
+# --- between views ---
+
+
+def _between(points: NDArray[np.floating], at: float) -> FloatArray:
+    """Return points between two views, which are rows, by linear interpolation."""
+    first = min(int(at), len(points) - 1)
+    later = min(first + 1, len(points) - 1)
+    share = at - first if later > first else 0.0
+    here = points[first].astype(np.float64)
+    if share == 0.0:
+        return here
+    mixed: FloatArray = (1.0 - share) * here + share * points[later]
+    return mixed
+
+
+def _poses_at(poses: NDArray[np.floating], at: float) -> FloatArray:
+    """Return poses between two views, shape [body_count, 7]."""
+    first = min(int(at), len(poses) - 1)
+    pair = poses[first : first + 2].astype(np.float64)
+    # A quaternion and its negative are the same orientation.
+    opposite = (pair[0, :, 3:] * pair[-1, :, 3:]).sum(axis=1) < 0.0
+    pair[-1, opposite, 3:] *= -1.0
+    mixed = _between(pair, at - first)
+    mixed[:, 3:] /= np.linalg.norm(mixed[:, 3:], axis=1, keepdims=True)
+    return mixed
+
+
+def _lines(places_m: FloatArray) -> list[FloatArray]:
+    """Return the path of each point, shape [view_count, 3], of places of shape [view_count, point_count, 3]."""
+    return [places_m[:, index] for index in range(places_m.shape[1])]

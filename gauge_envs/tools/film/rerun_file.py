@@ -1,0 +1,308 @@
+"""Episodes as recordings for the Rerun viewer: bodies, cloth, markers, the recorded mean, and g(t).
+
+The result file has g(t) alone, so the episode is run again (`runs.replay`), which fails if g(t) differs from the file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from gauge_envs.envs.rendering.ghost import ghost_trajectory
+from gauge_envs.envs.rendering.skin import Skin
+from gauge_envs.errors import MissingExtraError, ResultFileError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band
+from gauge_envs.runs.replay import Replay, replay, replayed_experiment
+from gauge_envs.runs.result import Result
+from gauge_envs.scene import Box, Cloth, ConvexUnion, Cylinder, Motion, Plane, Pose, Rod, Rope, Shape, SoftBody, Sphere
+from gauge_envs.scene.geometry import Capsule, Compound, Ellipsoid
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+
+__all__ = ["write_rerun"]
+
+FloatArray = NDArray[np.float64]
+
+TIMELINE = "time"
+COLORS = {
+    Motion.DYNAMIC: (230, 133, 43, 255),
+    Motion.KINEMATIC: (77, 128, 191, 255),
+    Motion.FIXED: (184, 168, 143, 255),
+}
+PLANE_COLOR = (205, 208, 212, 255)
+GHOST_COLOR = (60, 150, 90, 110)
+MARKER_COLOR = (25, 25, 25, 255)
+PLANE_SIZE_M = (2.0, 2.0, 0.002)
+MARKER_RADIUS_M = 0.003
+PATH_RADIUS_M = 0.001
+MOST_PLOTTED = 24
+"""Largest number of coordinates in the plots; a wall of bricks has 354."""
+
+
+def write_rerun(result: Result, file: Path, *, use_withheld: bool = False) -> Path:
+    """Write an episode as a recording for the Rerun viewer, and return its path.
+
+    Args:
+        result: A result of an installed engine.
+        file: The recording, `*.rrd`; its folder is created.
+        use_withheld: Show also a reference that is withheld by default.
+
+    Raises:
+        MissingExtraError: The extra `rerun` is not installed.
+        ReplayError: The episode cannot be run again, or its g(t) differs from that of the result.
+        ResultFileError: The recording cannot be written.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise MissingExtraError("the recording for Rerun", "rerun", error) from error
+    experiment = replayed_experiment(result)
+    again = replay(result)
+    band = reference_band(experiment, use_withheld=use_withheld)
+    stream = rerun.RecordingStream(f"gauge-envs {experiment.name}")
+    recording = _Recording(rerun, stream, experiment, again)
+    recording.bodies()
+    recording.deformables()
+    recording.markers()
+    assert result.trajectory is not None
+    times_s, samples = result.trajectory.arrays()
+    if band is not None:
+        recording.ghost(band, samples[::SAMPLES_PER_FRAME])
+    recording.plots(band, times_s, samples)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        stream.save(file, default_blueprint=_blueprint())
+        stream.flush()
+        stream.disconnect()
+    except (OSError, RuntimeError) as error:
+        raise ResultFileError(f"{file}: cannot be written: {error}") from error
+    return file
+
+
+def _blueprint() -> Any:
+    """Return the layout of the viewer: the scene on the left, the coordinates on the right."""
+    import rerun.blueprint as layout
+
+    return layout.Blueprint(
+        layout.Horizontal(
+            layout.Spatial3DView(origin="/world", name="scene"),
+            layout.TimeSeriesView(origin="/g", name="g(t)"),
+            column_shares=[3, 2],
+        ),
+        collapse_panels=True,
+    )
+
+
+class _Recording:
+    """What is logged of one episode.
+
+    Args:
+        rerun: The module.
+        stream: The recording.
+        experiment: The experiment with the start of the episode.
+        again: The episode.
+    """
+
+    def __init__(self, rerun: Any, stream: Any, experiment: Experiment, again: Replay) -> None:
+        self._rerun = rerun
+        self._stream = stream
+        self._experiment = experiment
+        self._scene = experiment.scene
+        self._again = again
+        self._view_times_s = np.arange(len(again.poses)) / again.rate_hz
+        self._frame_times_s = np.arange(len(again.markers_m)) / FRAME_RATE_HZ
+        stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+    def bodies(self) -> None:
+        """Log the shape of each rigid body, and the pose of those that move."""
+        for body in self._scene.bodies:
+            color = PLANE_COLOR if isinstance(body.shape, Plane) else COLORS[body.motion]
+            self._shape(f"world/bodies/{body.name}", body.shape, color)
+            if body.name in self._again.bodies:
+                poses = self._again.poses[:, self._again.bodies.index(body.name)]
+                self._poses(f"world/bodies/{body.name}", self._view_times_s, poses[:, :3], poses[:, 3:])
+            else:
+                self._stream.log(f"world/bodies/{body.name}", self._transform(body.pose), static=True)
+
+    def deformables(self) -> None:
+        """Log the surface of each sheet and solid, and the line of each rope and rod, at each view."""
+        for body in self._scene.deformables:
+            nodes = np.asarray(self._again.nodes_m[body.name], dtype=np.float64)
+            path = f"world/bodies/{body.name}"
+            color = COLORS[Motion.DYNAMIC]
+            faces = Skin(body, nodes[0]).faces if isinstance(body, Cloth | SoftBody) else None
+            for time_s, points in zip(self._view_times_s, nodes, strict=True):
+                self._stream.set_time(TIMELINE, duration=float(time_s))
+                if faces is None:
+                    assert isinstance(body, Rope | Rod)
+                    line = self._rerun.LineStrips3D([points], radii=body.radius_m, colors=[color])
+                    self._stream.log(path, line)
+                else:
+                    self._stream.log(path, self._mesh(points, faces, color))
+
+    def markers(self) -> None:
+        """Log the markers of deformable bodies at each frame."""
+        for time_s, points in zip(self._frame_times_s, self._again.markers_m, strict=True):
+            if len(points):
+                self._points("world/markers", float(time_s), points, MARKER_COLOR)
+
+    def ghost(self, band: Band, frames: FloatArray) -> None:
+        """Log the recorded mean where it is a place in space: as bodies, or as markers.
+
+        A mean has positions alone; a ghost body turns as the simulated one.
+
+        Args:
+            band: The band.
+            frames: g(t) at the frames, shape [frame_count, coordinate_count].
+        """
+        observable = self._experiment.score.observable
+        if observable.unit != "mm":
+            return
+        points = 1e-3 * ghost_trajectory(band, frames).reshape(len(frames), -1, 3)
+        known = np.isfinite(points).all(axis=(1, 2))
+        times_s = np.arange(len(frames))[known] / FRAME_RATE_HZ
+        if observable is Observable.MARKER_POSITION:
+            for time_s, places in zip(times_s, points[known], strict=True):
+                self._points("world/mean/markers", float(time_s), places, GHOST_COLOR)
+            return
+        simulated = 1e-3 * frames.reshape(len(frames), -1, 3)
+        views = round(self._again.rate_hz / FRAME_RATE_HZ)
+        for number, name in enumerate(self._experiment.recorded):
+            path = f"world/mean/{name}"
+            turned = self._again.poses[::views, self._again.bodies.index(name), 3:][: len(frames)]
+            self._shape(path, self._scene.body(name).shape, GHOST_COLOR)
+            self._poses(path, times_s, points[known, number], turned[known])
+            self._path(f"world/paths/{name}/mean", points[known, number], GHOST_COLOR)
+            self._path(f"world/paths/{name}/simulated", simulated[:, number], COLORS[Motion.DYNAMIC])
+
+    def plots(self, band: Band | None, times_s: FloatArray, samples: FloatArray) -> None:
+        """Log the scored coordinates with the mean and two standard deviations, or g(t) without a band.
+
+        Args:
+            band: The band, or None.
+            times_s: Times of the samples [s], shape [sample_count].
+            samples: g(t), shape [sample_count, coordinate_count].
+        """
+        names = self._experiment.coordinates if band is None else band.coordinates
+        values = samples if band is None else band.project(samples)
+        for number, name in enumerate(names[:MOST_PLOTTED]):
+            path = f"g/{name}"
+            self._series(f"{path}/simulated", times_s, values[:, number], COLORS[Motion.DYNAMIC], width=2.0)
+            if band is None:
+                continue
+            frames_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+            mean, spread = band.mean[:, number], 2.0 * band.sigma[:, number]
+            self._series(f"{path}/mean", frames_s, mean, GHOST_COLOR, width=2.0)
+            self._series(f"{path}/low", frames_s, mean - spread, GHOST_COLOR, width=0.7)
+            self._series(f"{path}/high", frames_s, mean + spread, GHOST_COLOR, width=0.7)
+
+    # --- parts ---
+
+    def _series(
+        self, path: str, times_s: FloatArray, values: FloatArray, color: tuple[int, ...], *, width: float
+    ) -> None:
+        known = np.isfinite(values)
+        self._stream.log(
+            path, self._rerun.SeriesLines(colors=[color], widths=[width], names=[path.removeprefix("g/")]), static=True
+        )
+        self._rerun.send_columns(
+            path,
+            indexes=[self._rerun.TimeColumn(TIMELINE, duration=times_s[known])],
+            columns=self._rerun.Scalars.columns(scalars=values[known]),
+            recording=self._stream,
+        )
+
+    def _poses(self, path: str, times_s: FloatArray, positions_m: Any, quaternions: Any) -> None:
+        self._rerun.send_columns(
+            path,
+            indexes=[self._rerun.TimeColumn(TIMELINE, duration=times_s)],
+            columns=self._rerun.Transform3D.columns(
+                translation=np.asarray(positions_m), quaternion=np.roll(np.asarray(quaternions), -1, axis=1)
+            ),
+            recording=self._stream,
+        )
+
+    def _points(self, path: str, time_s: float, points_m: Any, color: tuple[int, ...]) -> None:
+        self._stream.set_time(TIMELINE, duration=time_s)
+        self._stream.log(path, self._rerun.Points3D(np.asarray(points_m), radii=MARKER_RADIUS_M, colors=[color]))
+
+    def _path(self, path: str, points_m: FloatArray, color: tuple[int, ...]) -> None:
+        lines = self._rerun.LineStrips3D([points_m], radii=PATH_RADIUS_M, colors=[color])
+        self._stream.log(path, lines, static=True)
+
+    def _transform(self, pose: Pose) -> Any:
+        w, x, y, z = pose.quaternion
+        return self._rerun.Transform3D(
+            translation=pose.position_m, quaternion=self._rerun.Quaternion(xyzw=(x, y, z, w))
+        )
+
+    def _mesh(self, points_m: FloatArray, faces: NDArray[np.intp], color: tuple[int, ...]) -> Any:
+        return self._rerun.Mesh3D(
+            vertex_positions=points_m,
+            triangle_indices=faces,
+            vertex_normals=_normals(points_m, faces),
+            albedo_factor=color,
+        )
+
+    def _shape(self, path: str, shape: Shape, color: tuple[int, ...]) -> None:
+        """Log a shape in its own frame, each part of it on a path of its own."""
+        for number, (solid, pose) in enumerate(_solids(shape)):
+            place = f"{path}/shape-{number}"
+            self._stream.log(place, self._transform(pose), static=True)
+            self._stream.log(place, self._solid(solid, color), static=True)
+
+    def _solid(self, shape: Any, color: tuple[int, ...]) -> Any:
+        solid = self._rerun.components.FillMode.Solid
+        look = {"colors": [color], "fill_mode": solid}
+        if isinstance(shape, Box):
+            return self._rerun.Boxes3D(half_sizes=[0.5 * np.asarray(shape.size_m)], **look)
+        if isinstance(shape, Sphere):
+            return self._rerun.Ellipsoids3D(radii=[shape.radius_m], **look)
+        if isinstance(shape, Ellipsoid):
+            return self._rerun.Ellipsoids3D(half_sizes=[shape.radii_m], **look)
+        if isinstance(shape, Cylinder):
+            return self._rerun.Cylinders3D(lengths=[shape.length_m], radii=[shape.radius_m], **look)
+        if isinstance(shape, Capsule):
+            # The viewer's capsule stands on the origin.
+            low = [(0.0, 0.0, -0.5 * shape.length_m)]
+            return self._rerun.Capsules3D(lengths=[shape.length_m], radii=[shape.radius_m], translations=low, **look)
+        points, faces = _hull(np.asarray(shape))
+        return self._rerun.Mesh3D(vertex_positions=points, triangle_indices=faces, albedo_factor=color)
+
+
+def _solids(shape: Any) -> list[tuple[Any, Pose]]:
+    """Return the solids of a shape with their poses in the body frame; a convex piece is its array of vertices."""
+    origin = Pose(position_m=(0.0, 0.0, 0.0))
+    if isinstance(shape, Plane):
+        return [(Box(size_m=PLANE_SIZE_M), Pose(position_m=(0.0, 0.0, -0.5 * PLANE_SIZE_M[2])))]
+    if isinstance(shape, ConvexUnion):
+        return [(piece, origin) for piece in shape.pieces_m]
+    if isinstance(shape, Compound):
+        return [(solid, part.pose) for part in shape.parts for solid, _ in _solids(part.shape)]
+    return [(shape, origin)]
+
+
+def _hull(points_m: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return vertices and outward triangles of a convex solid, each triangle with vertices of its own."""
+    hull = ConvexHull(points_m)
+    corners = points_m[hull.simplices]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = (across * hull.equations[:, :3]).sum(axis=1) < 0.0
+    corners[inward] = corners[inward][:, ::-1]
+    return corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.intp).reshape(-1, 3)
+
+
+def _normals(points_m: FloatArray, faces: NDArray[np.intp]) -> FloatArray:
+    """Return the normal of a surface at each node, shape [node_count, 3]."""
+    corners = points_m[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(points_m)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], across)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

@@ -1,0 +1,21 @@
+"""Checks of a leaderboard: folders of result files that vendors of engines submit.
+
+    gauge leaderboard check leaderboard/
+
+A submission is one configuration of one version of an engine:
+
+    leaderboard/<engine>/<version>/<configuration>/
+        submission.toml         what was run, by whom, and why experiments are left out
+        README.md               optional
+        results/*.json          result files of `gauge run`, one for each experiment
+
+No number of a submission is believed. Scores are computed anew from the trajectory in each file, and a sample of the
+episodes can be run again. `docs/leaderboard.md` states each rule.
+"""
+
+from gauge_envs.tools.leaderboard.check import LeaderboardCheck, SubmissionCheck, check_leaderboard
+from gauge_envs.tools.leaderboard.faults import Fault
+from gauge_envs.tools.leaderboard.reruns import Rerun
+from gauge_envs.tools.leaderboard.statement import Statement
+
+__all__ = ["Fault", "LeaderboardCheck", "Rerun", "Statement", "SubmissionCheck", "check_leaderboard"]

@@ -1,0 +1,284 @@
+"""Check submissions: their files, what they state, their trajectories, their scores, and a sample run again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from gauge_envs.errors import GaugeError, ResultFileError
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.files import versions
+from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.imported import BUNDLED_DATA
+from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result_file import load_result, result_file_name
+from gauge_envs.tools.leaderboard.faults import Fault
+from gauge_envs.tools.leaderboard.layout import SubmissionFiles, find_submissions, relative_name, submission_files
+from gauge_envs.tools.leaderboard.reruns import Rerun, RerunStatus, rerun, rerun_sample
+from gauge_envs.tools.leaderboard.scores import differing_scores, rescored
+from gauge_envs.tools.leaderboard.statement import STATEMENT_FILE, Statement, read_statement
+from gauge_envs.tools.leaderboard.trajectory import trajectory_faults
+
+__all__ = ["LeaderboardCheck", "SubmissionCheck", "check_leaderboard"]
+
+Found = Iterator[tuple[str, str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubmissionCheck:
+    """What the check of one submission found.
+
+    Attributes:
+        folder: Folder of the submission, relative to the one that was checked.
+        statement: Its `submission.toml`; None if that is faulty.
+        results: Results without faults, with scores that were computed anew, in the order of the experiments.
+        faults: What is wrong.
+        notes: What a reader should know, a sentence each.
+        reruns: Episodes that were run again.
+        content_sha256: Hash of names and contents of its files; empty if a file cannot be read.
+    """
+
+    folder: str
+    statement: Statement | None = None
+    results: tuple[Result, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    notes: tuple[str, ...] = ()
+    reruns: tuple[Rerun, ...] = ()
+    content_sha256: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.faults
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeaderboardCheck:
+    """What the check of a leaderboard found.
+
+    Attributes:
+        submissions: Its submissions, sorted by folder.
+        faults: What is wrong outside of submissions.
+    """
+
+    submissions: tuple[SubmissionCheck, ...]
+    faults: tuple[Fault, ...] = ()
+
+    @property
+    def all_faults(self) -> tuple[Fault, ...]:
+        """All faults, those of submissions included."""
+        return (*self.faults, *(fault for one in self.submissions for fault in one.faults))
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.all_faults
+
+
+def check_leaderboard(
+    root: Path, *, rerun_count: int = 0, salt: str = "", advance: Callable[[str], None] = lambda text: None
+) -> LeaderboardCheck:
+    """Check all submissions of a leaderboard, or a single one.
+
+    Args:
+        root: Folder of the leaderboard, or of one submission.
+        rerun_count: Number of episodes of each submission that are run again.
+        salt: Text that the submitters do not know; it enters the choice of these episodes.
+        advance: Receives the name of each file before it is checked, and of each episode before it runs.
+
+    Raises:
+        ResultFileError: The folder cannot be listed, or holds no submission.
+    """
+    folders, faults = find_submissions(root)
+    if not folders and not faults:
+        raise ResultFileError(f"{root}: holds no submission, as <engine>/<version>/<configuration>/{STATEMENT_FILE}")
+    checks = [_check_submission(folder, root, rerun_count, salt, advance) for folder in folders]
+    return LeaderboardCheck(submissions=tuple(_without_doubles(checks)), faults=tuple(faults))
+
+
+def _without_doubles(checks: Sequence[SubmissionCheck]) -> Iterator[SubmissionCheck]:
+    """Yield the checks, with a fault for a submission that states the same as an earlier one."""
+    earlier: dict[tuple[object, ...], str] = {}
+    for one in checks:
+        said = one.statement
+        if said is not None:
+            key = (said.engine, said.version, said.parameters, *sorted(said.settings.items()))
+            first = earlier.setdefault(key, one.folder)
+            if first != one.folder:
+                reason = f"states the engine, version, parameters and settings of {first}; a configuration counts once"
+                one = replace(one, faults=(*one.faults, Fault(file=one.folder, reason=reason)))
+        yield one
+
+
+def _check_submission(
+    folder: Path, root: Path, rerun_count: int, salt: str, advance: Callable[[str], None]
+) -> SubmissionCheck:
+    files = submission_files(folder, root)
+    name = relative_name(folder, root)
+    faults = list(files.faults)
+    if files.statement is None:
+        return SubmissionCheck(folder=name, faults=tuple(faults))
+    stated = read_statement(files.statement, relative_name(files.statement, root))
+    if isinstance(stated, Fault):
+        return SubmissionCheck(folder=name, faults=(*faults, stated))
+    where = relative_name(files.statement, root)
+    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _path_faults(folder, stated)]
+    results, seen, found = _checked_results(files, stated, root, advance)
+    faults += found
+    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(stated, seen)]
+    content = _content_sha256(files, folder)
+    reruns: list[Rerun] = []
+    if rerun_count:
+        for result in rerun_sample(list(results.values()), rerun_count, content_sha256=content, salt=salt):
+            advance(f"run {result.id}")
+            reruns.append(_rerun(result))
+    by_id = {result.id: file for file, result in results.items()}
+    faults += [
+        Fault(file=by_id[one.id], key="trajectory", reason=f"run again: {one}") for one in reruns if one.is_fault
+    ]
+    order = {variant.id: place for place, variant in enumerate(variants())}
+    return SubmissionCheck(
+        folder=name,
+        statement=stated,
+        results=tuple(sorted(results.values(), key=lambda result: order[result.id])),
+        faults=tuple(faults),
+        notes=tuple(_notes(results.values())),
+        reruns=tuple(reruns),
+        content_sha256=content,
+    )
+
+
+def _rerun(result: Result) -> Rerun:
+    try:
+        return rerun(result)
+    except GaugeError as error:
+        return Rerun(id=result.id, status=RerunStatus.NOT_RUN, unit=result.score.unit, cause=str(error))
+
+
+def _content_sha256(files: SubmissionFiles, folder: Path) -> str:
+    try:
+        return files.sha256(folder)
+    except OSError:
+        return ""
+
+
+def _path_faults(folder: Path, stated: Statement) -> Found:
+    parts = folder.resolve().parts[-3:]
+    for key, part in zip(("engine", "version", "configuration"), parts, strict=False):
+        if getattr(stated, key) != part:
+            yield key, f"is {getattr(stated, key)!r}, but the folder is {part!r}"
+
+
+def _checked_results(
+    files: SubmissionFiles, stated: Statement, root: Path, advance: Callable[[str], None]
+) -> tuple[dict[str, Result], set[str], list[Fault]]:
+    """Return the rescored results without faults by file, the ids of all that can be read, and the faults."""
+    results: dict[str, Result] = {}
+    faults: list[Fault] = []
+    earlier: dict[str, str] = {}
+    engine_versions: dict[str, str] | None = None
+    for file in files.results:
+        name = relative_name(file, root)
+        advance(name)
+        try:
+            result = load_result(file)
+        except ResultFileError as error:
+            faults.append(Fault(file=name, reason=str(error).removeprefix(f"{file}: ")))
+            continue
+        found = list(_result_faults(file, result, stated))
+        first = earlier.setdefault(result.id, name)
+        if first != name:
+            found.append(("id", f"is {result.id}, which {first} has too; one result for each experiment is expected"))
+        common = {key: text for key, text in result.versions.items() if key not in versions() or key == "gauge-envs"}
+        engine_versions = engine_versions or common
+        if common != engine_versions:
+            found.append(("versions", f"are {_listed(common)}, but {_listed(engine_versions)} in the first file"))
+        if not found:
+            experiment = load_experiment(result.id, stated.parameters)
+            found = list(trajectory_faults(result, experiment))
+            if not found:
+                computed = rescored(result, experiment)
+                if result.versions["gauge-envs"] == versions()["gauge-envs"]:
+                    found = list(differing_scores(result.score, computed.score))
+                results |= {} if found else {name: computed}
+        faults += [Fault(file=name, key=key, reason=reason) for key, reason in found]
+    return results, set(earlier), faults
+
+
+def _result_faults(file: Path, result: Result, stated: Statement) -> Found:
+    """Yield what a result states that the submission or the rules of the leaderboard do not allow."""
+    known = {variant.id for variant in variants()}
+    if result.id not in known:
+        yield "id", f"is {result.id!r}, which is not one of the {len(known)} experiments of the benchmark"
+        return
+    expected = {
+        "backend": stated.engine,
+        "parameters": stated.parameters,
+        "settings_given": stated.settings_given(),
+        "task_sha256": task_sha256(find_variant(result.id).family),
+        "seed": 0,
+        "jitter": {},
+        "marker_proxy": MarkerProxy.MATERIAL.value,
+        "dataset": BUNDLED_DATA,
+        "asset": {},
+    }
+    for key, value in expected.items():
+        if getattr(result, key) != value:
+            yield key, f"is {getattr(result, key)!r}, expected {value!r}{_hints(stated).get(key, '')}"
+    if result.outcome not in (Outcome.FINISHED, Outcome.DIVERGED):
+        yield "outcome", f"is {result.outcome.value!r}: leave the file out, and give the reason in left_out"
+    if result.score.withheld is not None:
+        yield "score.withheld", "the reference is withheld: run without --use-withheld"
+    version = result.versions.get(stated.package)
+    if version != stated.version:
+        yield f"versions.{stated.package}", f"is {version!r}, expected {stated.version!r}, as {STATEMENT_FILE} states"
+    if "gauge-envs" not in result.versions:
+        yield "versions.gauge-envs", "is missing"
+    if file.name != result_file_name(result):
+        yield "", f"is named otherwise than gauge run names it: {result_file_name(result)}"
+
+
+def _hints(stated: Statement) -> dict[str, str]:
+    return {
+        "backend": f", the engine of {STATEMENT_FILE}",
+        "parameters": f", as {STATEMENT_FILE} states",
+        "settings_given": f", as {STATEMENT_FILE} states; settings are the same for all experiments",
+        "task_sha256": ", the hash of the installed task file: run it again with this version of gauge-envs",
+        "seed": ": the calibrated start is run once",
+    }
+
+
+def _coverage_faults(stated: Statement, seen: set[str]) -> Found:
+    """Yield each experiment that has neither a result nor a reason, and each reason for none."""
+    names = [variant.name for variant in variants()]
+    present = {identifier.removeprefix("GAUGE/") for identifier in seen}
+    for pattern in stated.left_out:
+        stem = pattern.removeprefix("GAUGE/")
+        matched = [name for name in names if fnmatchcase(name, stem)]
+        if not matched:
+            yield f"left_out.{pattern!r}", "matches no experiment of the benchmark"
+        elif both := [name for name in matched if name in present]:
+            yield f"left_out.{pattern!r}", f"also has a result: {', '.join(both)}"
+    stems = [pattern.removeprefix("GAUGE/") for pattern in stated.left_out]
+    missing = [n for n in names if n not in present and not any(fnmatchcase(n, stem) for stem in stems)]
+    if missing:
+        some = f"{', '.join(missing[:6])}{f' and {len(missing) - 6} more' if len(missing) > 6 else ''}"
+        yield "left_out", f"no result and no reason for {some}: add the files, or the reason in left_out"
+
+
+def _notes(results: Iterable[Result]) -> Iterator[str]:
+    made_with = {result.versions["gauge-envs"] for result in results}
+    installed = versions()["gauge-envs"]
+    for version in sorted(made_with - {installed}):
+        yield (
+            f"made with gauge-envs {version}, checked with {installed}: stated scores were not compared, "
+            "those computed anew count"
+        )
+
+
+def _listed(texts: dict[str, str]) -> str:
+    return ", ".join(f"{name} {text}" for name, text in sorted(texts.items())) or "none"

@@ -1,0 +1,22 @@
+"""Recipes: contact settings of an engine for a measured behaviour, and back, by simulation."""
+
+from gauge_envs.tools.recipes.aim import FREE_FRICTION, Aim
+from gauge_envs.tools.recipes.engines import engine_names, engine_settings
+from gauge_envs.tools.recipes.measure import Measured, measured
+from gauge_envs.tools.recipes.probes import Probe, Rebound, Rest, Slide
+from gauge_envs.tools.recipes.search import Recipe, find_recipe
+
+__all__ = [
+    "FREE_FRICTION",
+    "Aim",
+    "Measured",
+    "Probe",
+    "Rebound",
+    "Recipe",
+    "Rest",
+    "Slide",
+    "engine_names",
+    "engine_settings",
+    "find_recipe",
+    "measured",
+]

@@ -1,0 +1,150 @@
+"""Drake's point contact: stiffness and dissipation of geometries."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import Field
+from scipy.optimize import brentq
+
+from gauge_envs.backends.drake.impacts import rebound
+from gauge_envs.backends.shared.spring_damper import damping_ratio_of
+from gauge_envs.scene import GRAVITY_M_PER_S2, ContactMode
+from gauge_envs.tools.recipes.aim import Aim
+from gauge_envs.tools.recipes.engines.base import ContactSettings
+from gauge_envs.tools.recipes.probes import DROP_M, Build
+
+__all__ = ["DrakeSettings"]
+
+RATES = np.geomspace(0.5, 0.01, 60)
+"""Natural frequency of a contact times the step, from hard to soft. Above 0.5 a rebound depends on its phase most."""
+
+LONGEST_IMPACT_S = 0.1
+"""Longest impact [s], pi over the natural frequency. At 2 m/s a body then sinks in by 63 mm."""
+
+RIGID_RATE = 1.0
+"""The same without rebound, as in the backend's sustained contacts."""
+
+MOST_RELAXATION_STEPS = 100.0
+"""Largest relaxation time [steps]."""
+
+MARGIN = 0.8
+"""Share of the allowed depth that settings aim at."""
+
+
+class DrakeSettings(ContactSettings):
+    """Contact properties of a body, on ground that is much stiffer. The contact approximation is SAP.
+
+    Attributes:
+        friction: Static and dynamic coefficient of friction.
+        point_contact_stiffness: Stiffness of all contact points of the body together [N/m].
+        relaxation_time: Relaxation time of the pair [s].
+    """
+
+    engine: ClassVar[str] = "drake"
+    is_soft: ClassVar[bool] = True
+
+    friction: float = Field(default=0.0, ge=0.0)
+    point_contact_stiffness: float = Field(default=1e6, gt=0.0)
+    relaxation_time: float = Field(default=0.1, ge=0.0)
+
+    @classmethod
+    def aimed(cls, aim: Aim) -> Self:
+        """Return the hardest contact that rebounds enough in Drake's implicit steps, with the dissipation left."""
+        step = aim.timestep_s
+        hardness = 0.0
+        if aim.depth_m is not None:
+            share = MARGIN if aim.stiffness_n_per_m is None else 1.0
+            hardness = step * math.sqrt(GRAVITY_M_PER_S2 / (share * aim.depth_m))
+        if aim.rebound is None:
+            rate, relaxation = max(RIGID_RATE, hardness), 1.0
+            if aim.stiffness_n_per_m is not None:
+                # Critically damped: the damping ratio is half the relaxation time times the natural frequency.
+                rate, relaxation = hardness, 2.0 / hardness
+        elif aim.damping_n_s_per_m is not None:
+            rate, relaxation = hardness, 2.0 * damping_ratio_of(aim.rebound) / hardness
+        else:
+            weight = GRAVITY_M_PER_S2 * step / math.sqrt(2.0 * GRAVITY_M_PER_S2 * DROP_M)
+            given = hardness if aim.stiffness_n_per_m is not None else None
+            least = max(hardness, math.pi * step / LONGEST_IMPACT_S)
+            rate, relaxation = _rebounding(aim.rebound, weight, least=least, given=given)
+        return cls(
+            timestep_s=step,
+            friction=aim.friction,
+            point_contact_stiffness=aim.mass_kg * (rate / step) ** 2,
+            relaxation_time=relaxation * step,
+        )
+
+    @property
+    def sliding_friction(self) -> float:
+        """Coefficient of friction of the pair."""
+        return self.friction
+
+    def build(self, mass_kg: float) -> Build:
+        """Return point contact with SAP; the stiffness is that of the mass."""
+        rate = self.timestep_s * math.sqrt(self.point_contact_stiffness / mass_kg)
+        given = {
+            "preset": "point",
+            "approximation": "sap",
+            "sustained_rate": rate,
+            "sustained_relaxation_steps": self.relaxation_time / self.timestep_s,
+        }
+        return Build(friction=self.friction, restitution=0.0, mode=ContactMode.SUSTAINED, settings=given)
+
+    def snippet(self, mass_kg: float) -> str:
+        """Return Python for Drake; `properties(n)` is for a body on n contact points."""
+        return (
+            "from pydrake.geometry import AddContactMaterial, ProximityProperties\n"
+            "from pydrake.multibody.plant import ContactModel, CoulombFriction, DiscreteContactApproximation\n\n"
+            f"TIME_STEP = {self.timestep_s:.9g}  # AddMultibodyPlantSceneGraph(builder, TIME_STEP)\n\n"
+            "def properties(point_count=1, is_ground=False):\n"
+            "    # Drake gives a pair of geometries one contact point: put spheres at the corners of a box.\n"
+            f"    friction = CoulombFriction({self.friction:g}, {self.friction:g})\n"
+            f"    stiffness = 1e20 if is_ground else {self.point_contact_stiffness:g} / point_count\n"
+            "    found = ProximityProperties()\n"
+            "    AddContactMaterial(found, point_stiffness=stiffness, friction=friction)\n"
+            f"    relaxation = 0.0 if is_ground else {self.relaxation_time:g}  # those of a pair add up\n"
+            '    found.AddProperty("material", "relaxation_time", relaxation)\n'
+            "    return found\n\n"
+            "def set_contact(plant):\n"
+            "    plant.set_contact_model(ContactModel.kPoint)\n"
+            "    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)\n"
+        )
+
+    @classmethod
+    def limits(cls, quantity: str) -> str:
+        """Return what Drake's discrete contact limits."""
+        return {
+            "restitution": "Drake has no coefficient of restitution: a rebound is a spring, and Drake's implicit steps "
+            "dissipate the more, the stiffer the spring is for the step",
+            "penetration_m": "Drake's contact is a spring: its depth at rest is the weight over the stiffness, and a "
+            "rebound needs a soft spring",
+            "friction": "on a contact that is soft for the step, the plate has not settled within the slide",
+        }.get(quantity, "")
+
+
+def _rebounding(restitution: float, weight: float, *, least: float, given: float | None) -> tuple[float, float]:
+    """Return rate and relaxation time in steps for a restitution, from a repetition of Drake's scheme.
+
+    Args:
+        restitution: The restitution.
+        weight: Speed that gravity adds in a step, over the incoming speed.
+        least: Smallest rate, which the allowed depth and the longest impact state.
+        given: Rate that a stiffness states; None for the hardest one that rebounds enough.
+    """
+    rates = [given] if given is not None else [max(float(rate), least) for rate in RATES]
+    # At equal restitution the first one is the hardest.
+    means = [float(rebound("relaxation", rate, 0.0, weight).mean()) for rate in rates]
+    enough = [index for index, mean in enumerate(means) if mean >= restitution]
+    if not enough:
+        return rates[int(np.argmax(means))], 0.0
+    rate = rates[enough[0]]
+
+    def excess(relaxation: float) -> float:
+        return float(rebound("relaxation", rate, relaxation, weight).mean()) - restitution
+
+    if excess(MOST_RELAXATION_STEPS) > 0.0:
+        return rate, MOST_RELAXATION_STEPS
+    return rate, float(brentq(excess, 0.0, MOST_RELAXATION_STEPS, xtol=1e-6))

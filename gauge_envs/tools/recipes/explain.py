@@ -1,0 +1,188 @@
+"""What contact settings of an engine mean: the behaviour that they give, by simulation and in closed form."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import ValidationError
+
+from gauge_envs.errors import ParameterError, first_fault
+from gauge_envs.files import json_ready
+from gauge_envs.runs.rollout import DivergedError
+from gauge_envs.tools.recipes.aim import FRICTION_RANGE, MASS_RANGE_KG, TIMESTEP_RANGE_S
+from gauge_envs.tools.recipes.closed_forms import ContactForm
+from gauge_envs.tools.recipes.engines.base import ContactSettings
+from gauge_envs.tools.recipes.measure import Measured, measured, scatter_texts
+
+__all__ = ["Meaning", "explain", "parsed_contact"]
+
+MEASURED_IN = (
+    "Drops from 0.2 m onto one contact; a plate of 0.12 m rests on four, creeps on a slope of half the friction, and "
+    "slides 10 degrees beyond the friction angle."
+)
+"""The four scenes in words."""
+
+ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)\s*=\s*(?:\"([^\"]*)\"|'([^']*)'|(.*?))(?=\s+[A-Za-z_]\w*\s*=|$)")
+"""One setting: a name, an equals sign, and values up to the next name; quotes as in XML are allowed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meaning:
+    """What settings give.
+
+    Attributes:
+        engine: Name of the engine.
+        versions: Versions of its packages.
+        mass_kg: Mass of the body [kg].
+        settings: The settings.
+        found: What was measured; None if a simulation diverged.
+        closed_form: The documented closed form; None where the engine documents none.
+        explanation: What the numbers are, or why the simulation diverged.
+    """
+
+    engine: str
+    versions: Mapping[str, str]
+    mass_kg: float
+    settings: ContactSettings
+    found: Measured | None
+    closed_form: ContactForm | None
+    explanation: str
+
+    @property
+    def reached(self) -> dict[str, float | None]:
+        """Measured values by name; None for those that were not measured."""
+        names = ("friction", "restitution", "penetration_m", "creep_m_s", "time_constant_s")
+        if self.found is None:
+            return dict.fromkeys(names)
+        rest = self.found.rest
+        values = (
+            self.found.slide.friction,
+            self.found.rebound.mean,
+            rest.penetration_m,
+            self.found.creep_m_s,
+            rest.time_constant_s,
+        )
+        return dict(zip(names, values, strict=True))
+
+    @property
+    def expected(self) -> dict[str, float | None] | None:
+        """Values of the closed form by the same names; None without one."""
+        form = self.closed_form
+        if form is None:
+            return None
+        return {
+            "friction": self.settings.sliding_friction,
+            "restitution": form.restitution,
+            "penetration_m": form.penetration_m,
+            "creep_m_s": form.creep_m_s,
+            "time_constant_s": form.time_constant_s,
+        }
+
+    def json(self) -> dict[str, Any]:
+        """Return the meaning as one JSON-ready object."""
+        ready: dict[str, Any] = json_ready(
+            {
+                "engine": self.engine,
+                "asked": {"mass_kg": self.mass_kg, "timestep_s": self.settings.timestep_s},
+                "settings": self.settings.model_dump(mode="json"),
+                "snippet": self.settings.snippet(self.mass_kg),
+                "reached": self.reached,
+                "closed_form": self.expected,
+                "explanation": self.explanation,
+                "versions": dict(self.versions),
+            }
+        )
+        return ready
+
+
+def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) -> ContactSettings:
+    """Return the settings that a text states, as `solref=0.02 1 solimp=0.9 0.95 0.001`; others are the engine's.
+
+    Args:
+        engine: Class of the engine's settings.
+        text: Names and values; values are separated by blanks or commas, and may stand in quotes.
+        timestep_s: Time step [s].
+
+    Raises:
+        ParameterError: The text names no setting, an unknown one, or a wrong value.
+    """
+    found: dict[str, Any] = {}
+    for name, quoted, single, bare in ASSIGNMENT.findall(text.strip()):
+        if name in found:
+            raise ParameterError(f"{engine.engine} contact {text!r}: {name} is stated twice")
+        found[name] = _values(quoted or single or bare)
+    known = [*(name for name in engine.model_fields if name != "timestep_s"), *engine.also]
+    left = ASSIGNMENT.sub("", text.strip()).strip()
+    if not found or left:
+        raise ParameterError(
+            f"{engine.engine} contact {text!r}: expected settings as name=values; settings: {', '.join(known)}"
+        )
+    if "timestep_s" in found:
+        raise ParameterError("the time step is an option of its own: --timestep 0.002")
+    try:
+        return engine.model_validate({**found, "timestep_s": timestep_s})
+    except ValidationError as error:
+        key, reason = first_fault(error, noun="setting")
+        where = f"{key!r}: " if key else ""
+        raise ParameterError(f"{engine.engine} contact: {where}{reason}; settings: {', '.join(known)}") from None
+
+
+def _values(text: str) -> Any:
+    parts = [_value(part) for part in re.split(r"[\s,]+", text.strip("[]() \t")) if part]
+    return parts[0] if len(parts) == 1 else tuple(parts)
+
+
+def _value(text: str) -> Any:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
+    """Simulate contact settings, and put the closed form beside them.
+
+    Args:
+        settings: The settings.
+        mass_kg: Mass of the body [kg].
+
+    Raises:
+        MissingExtraError: The engine is not installed.
+        ParameterError: Mass, time step or friction is out of the range that can be measured, or a setting is so
+            large or small that the closed form overflows.
+    """
+    ranges = (
+        ("mass", mass_kg, MASS_RANGE_KG, " kg"),
+        ("timestep", settings.timestep_s, TIMESTEP_RANGE_S, " s"),
+        ("friction", settings.sliding_friction, FRICTION_RANGE, ""),
+    )
+    for name, value, (low, high), unit in ranges:
+        if not low <= value <= high:
+            raise ParameterError(f"{name} {value:g}{unit}: contacts are measured for {low:g} to {high:g}{unit}")
+    versions = settings.backend().versions()
+    try:
+        form = settings.closed_form()
+    except ArithmeticError:
+        raise ParameterError(
+            f"{settings.engine} contact: its equation overflows with these numbers; state them in the engine's units"
+        ) from None
+    found: Measured | None = None
+    try:
+        found = measured(settings, mass_kg)
+        text = " ".join([MEASURED_IN, *scatter_texts(found)])
+    except DivergedError as error:
+        text = f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
+    return Meaning(
+        engine=settings.engine,
+        versions=versions,
+        mass_kg=mass_kg,
+        settings=settings,
+        found=found,
+        closed_form=form,
+        explanation=text,
+    )

@@ -1,0 +1,271 @@
+"""Recipes of fabrics: an engine's constants for a measured fabric, and the stiffness that a simulated strip has."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gauge_envs.backends.registry import backend
+from gauge_envs.errors import ParameterError
+from gauge_envs.files import json_ready
+from gauge_envs.runs.rollout import DivergedError
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.fabrics import (
+    MAPPINGS,
+    EngineConstants,
+    Fabric,
+    bending_length_m,
+    plate_bending_stiffness,
+    shear_stiffness,
+    uniaxial_stiffness,
+)
+from gauge_envs.tools.conformance import Lab, Measurement, checks
+from gauge_envs.tools.conformance.cloth_strips import (
+    BENT_FREE_M,
+    bending_stiffness,
+    cantilever_strip,
+    hanging_strip,
+    stretch_stiffness,
+)
+
+__all__ = [
+    "FABRIC_ENGINES",
+    "NOTHING_LOST",
+    "NOT_SIMULATED",
+    "FabricRecipe",
+    "fabric_engine",
+    "fabric_recipe",
+    "fabric_snippet",
+]
+
+FABRIC_ENGINES = tuple(MAPPINGS)
+"""Engines whose constants are known, simulated or not."""
+
+NOT_SIMULATED = {"isaac": "Isaac Sim is not run by this package, so that nothing is simulated"}
+"""Engines that are not simulated, with the reason."""
+
+SETTINGS: Mapping[str, Mapping[str, Any]] = {"genesis": {"preset": "out_of_box"}}
+"""Settings with which an engine is simulated, in place of the default of its backend.
+
+Genesis's constants state nominal springs, and its defaults determine what comes of them. The default of this package's
+backend has springs of its own, which no constant of `PBD.Cloth` expresses.
+"""
+
+NOTHING_LOST = "Stretch and bending stiffness are reached in simulation, and shear by the law of the engine."
+
+BENT_SHARE = 0.2
+"""Free length of the cantilever over that of the conformance check, so that a soft fabric swings within a second."""
+
+CELLS = 6
+"""Cells along the free length, as in the conformance check."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FabricRecipe:
+    """Constants of one engine for one fabric, and what they give.
+
+    Attributes:
+        engine: Name of the engine.
+        versions: Versions of its packages; empty if it is not simulated.
+        name: Name of the fabric.
+        mapped: The engine's constants, with what the mapping loses.
+        stretch_n_per_m: K_s of a simulated strip that hangs [N/m]; None if it was not simulated.
+        bend_n_m: Bending stiffness per width of a simulated cantilever [N m]; None if it was not simulated.
+        timestep_s: Time step of the engine [s]; None if it was not simulated.
+        faults: What went wrong in a simulation.
+        wall_s: Wall time of the simulations [s].
+    """
+
+    engine: str
+    versions: Mapping[str, str]
+    name: str
+    mapped: EngineConstants
+    stretch_n_per_m: float | None
+    bend_n_m: float | None
+    timestep_s: float | None
+    faults: tuple[str, ...]
+    wall_s: float
+
+    @property
+    def asked(self) -> dict[str, float]:
+        """Measured constants by name, and the bending length (D / (areal density g))^(1/3) [m]."""
+        fabric = self.mapped.fabric
+        return {
+            "stretch_n_per_m": fabric.stretch_stiffness_n_per_m,
+            "shear_n_per_m": fabric.shear_stiffness_n_per_m,
+            "bend_n_m": plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad),
+            "bending_length_m": bending_length_m(fabric),
+            "areal_density_kg_per_m2": fabric.areal_density_kg_per_m2,
+            "thickness_m": fabric.thickness_m,
+        }
+
+    @property
+    def reached(self) -> dict[str, float | None]:
+        """Stiffness of the simulated strips by name; None for what was not simulated."""
+        length = None
+        if self.bend_n_m is not None and self.bend_n_m > 0.0:
+            weight = self.mapped.fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
+            length = math.cbrt(self.bend_n_m / weight)
+        return {
+            "stretch_n_per_m": self.stretch_n_per_m,
+            "shear_n_per_m": None,
+            "bend_n_m": self.bend_n_m,
+            "bending_length_m": length,
+        }
+
+    @property
+    def mapping_gives(self) -> dict[str, float]:
+        """Stiffness of the engine's law at small strain, without a simulation."""
+        return {"stretch_n_per_m": uniaxial_stiffness(self.mapped), "shear_n_per_m": shear_stiffness(self.mapped)}
+
+    @property
+    def error(self) -> dict[str, float | None]:
+        """Reached less asked values by name; None for what was not simulated."""
+        found = self.reached
+        return {key: None if value is None else value - self.asked[key] for key, value in found.items()}
+
+    @property
+    def misses(self) -> tuple[str, ...]:
+        """Simulated values beyond the tolerances of the conformance checks of cloth."""
+        widths = {"stretch_n_per_m": "cloth-stretch", "bend_n_m": "cloth-bending"}
+        found: list[str] = []
+        for key, name in widths.items():
+            value, target = self.reached[key], self.asked[key]
+            tolerance = checks((name,))[0].tolerance
+            if value is not None and not abs(value - target) <= tolerance.relative * target:
+                found.append(key)
+        return tuple(found)
+
+    @property
+    def explanation(self) -> str:
+        """What the mapping loses, what a strip misses, and what is not simulated."""
+        texts = [f"A fall-back sets {fallback}." for fallback in self.mapped.fallbacks]
+        texts += [f"The mapping loses {loss}." for loss in self.mapped.lost]
+        for key in self.misses:
+            value = self.reached[key]
+            assert value is not None, "a miss was simulated"
+            ratio = value / self.asked[key]
+            texts.append(f"{key}: the simulated strip has {value:.4g}, {ratio:.3g} of what is asked.")
+        texts += [f"{fault}." for fault in self.faults]
+        return " ".join(texts) or NOTHING_LOST
+
+    def json(self) -> dict[str, Any]:
+        """Return the recipe as one JSON-ready object, with the names of a contact's recipe."""
+        ready: dict[str, Any] = json_ready(
+            {
+                "engine": self.engine,
+                "material": self.name,
+                "asked": self.asked,
+                "settings": self.mapped.constants,
+                "snippet": fabric_snippet(self.mapped),
+                "reached": self.reached,
+                "error": self.error,
+                "misses": self.misses,
+                "detail": {"mapping_gives": self.mapping_gives, "timestep_s": self.timestep_s},
+                "wall_s": self.wall_s,
+                "explanation": self.explanation,
+                "versions": dict(self.versions),
+            }
+        )
+        return ready
+
+
+def fabric_engine(name: str) -> str:
+    """Return the key of an engine in `gauge_envs.scene.fabrics.MAPPINGS`.
+
+    Raises:
+        ParameterError: The engine has no mapping of cloth.
+    """
+    key = "isaac" if name == "isaac_sim" else name
+    if key not in MAPPINGS:
+        raise ParameterError(f"engine {name!r} has no mapping of fabrics: choose one of {', '.join(MAPPINGS)}")
+    return key
+
+
+def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | None = None) -> FabricRecipe:
+    """Return a fabric in an engine's constants, and the stiffness that simulated strips have with them.
+
+    Args:
+        name: Name of the fabric.
+        fabric: Its measured constants.
+        engine: Name of the engine.
+        timestep_s: Time step [s]; None for the default of the engine's backend, which depends on the fabric.
+
+    Raises:
+        MissingExtraError: The engine is not installed.
+        ParameterError: The engine has no mapping of cloth, or takes no such time step.
+    """
+    key = fabric_engine(engine)
+    mapped = MAPPINGS[key](fabric)
+    if key in NOT_SIMULATED:
+        return FabricRecipe(
+            engine=key,
+            versions={},
+            name=name,
+            mapped=mapped,
+            stretch_n_per_m=None,
+            bend_n_m=None,
+            timestep_s=None,
+            faults=(NOT_SIMULATED[key],),
+            wall_s=0.0,
+        )
+    simulated = backend(key)
+    given = dict(SETTINGS.get(key, {})) | ({} if timestep_s is None else {"timestep_s": timestep_s})
+    start = time.perf_counter()
+    free_m = BENT_SHARE * BENT_FREE_M
+    hung, bent = hanging_strip(fabric), cantilever_strip(fabric, free_m, height_m=0.0)
+    faults: list[str] = []
+    values: list[float | None] = []
+    steps: list[float] = []
+    for quantity, scene, cell, measure in (
+        ("stretch_n_per_m", hung, {}, stretch_stiffness),
+        ("bend_n_m", bent, {"cell_m": free_m / CELLS}, bending_stiffness),
+    ):
+        lab = Lab(simulated, given | cell)
+        measured: Measurement | None = None
+        try:
+            measured = measure(lab.rollout(scene, scene.duration_s))
+        except DivergedError as error:
+            faults.append(f"{quantity}: the simulation diverges: {error}")
+        if measured is not None and not math.isfinite(measured.measured):
+            faults.append(f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {measured.hint}")
+            measured = None
+        values.append(None if measured is None else measured.measured)
+        steps.append(float(lab.settings_in_force.get("timestep_s", math.nan)))
+    return FabricRecipe(
+        engine=key,
+        versions=simulated.versions(),
+        name=name,
+        mapped=mapped,
+        stretch_n_per_m=values[0],
+        bend_n_m=values[1],
+        timestep_s=steps[0],
+        faults=tuple(faults),
+        wall_s=time.perf_counter() - start,
+    )
+
+
+def fabric_snippet(mapped: EngineConstants) -> str:
+    """Return the constants of a fabric in the engine's own language."""
+    given = {name: f"{value:.6g}" for name, value in mapped.constants.items()}
+    if mapped.engine == "newton":
+        bend = given["edge_ke_times_mean_edge_length"]
+        return (
+            "builder.add_cloth_mesh(\n"
+            f"    ...,\n    density={mapped.fabric.areal_density_kg_per_m2:.6g},\n"
+            f"    tri_ke={given['tri_ke']},\n    tri_ka={given['tri_ka']},\n"
+            f"    edge_ke={bend} / mean_edge_length,  # mean length of the edges of your mesh [m]\n)\n"
+        )
+    if mapped.engine == "mujoco":
+        return (
+            f'<elasticity young="{given["young"]}" poisson="{given["poisson"]}" thickness="{given["thickness"]}" '
+            'elastic2d="both"/>\n'
+            "<!-- MJCF states no shear stiffness: this flex has half of the stretch stiffness. -->\n"
+        )
+    if mapped.engine == "genesis":
+        names = ", ".join(f"{name}={value}" for name, value in given.items())
+        return f"material = gs.materials.PBD.Cloth(rho={mapped.fabric.areal_density_kg_per_m2:.6g}, {names})\n"
+    return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())

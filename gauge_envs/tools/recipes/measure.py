@@ -1,0 +1,89 @@
+"""Measure contact settings on an engine: friction, restitution, depth at rest and creep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gauge_envs.tools.recipes.engines.base import ContactSettings
+from gauge_envs.tools.recipes.probes import Probe, Rebound, Rest, Slide
+
+__all__ = ["Measured", "measured", "probe_of", "scatter_texts"]
+
+SCATTER = 0.02
+"""Range of restitutions between phases that is worth a sentence: twice the error that counts as none."""
+
+MOST_DRIFT_PER_S = 0.05
+"""Largest change of the depth within a second, over the depth, of a plate that counts as settled."""
+
+FRICTION_SCATTER = 0.02
+"""Relative difference between two plates that is worth a sentence: twice the error that counts as none."""
+
+LIFT_M = 1e-3
+"""Hop of a sliding plate that is worth a sentence [m]: a thirtieth of its thickness."""
+
+LEAST_DRIFT_M_PER_S = 1e-6
+"""Change of the depth that is rounding [m/s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What settings give.
+
+    Attributes:
+        slide: Friction of a slide, and how far the plate hops.
+        rebound: Restitution of drops.
+        rest: Plate at rest.
+        creep_m_s: Creep on a slope that friction holds [m/s].
+    """
+
+    slide: Slide
+    rebound: Rebound
+    rest: Rest
+    creep_m_s: float
+
+
+def probe_of(settings: ContactSettings, mass_kg: float) -> Probe:
+    """Return the scenes on the engine of the settings."""
+    return Probe(backend=settings.backend(), mass_kg=mass_kg, timestep_s=settings.timestep_s)
+
+
+def measured(settings: ContactSettings, mass_kg: float, *, friction: float | None = None) -> Measured:
+    """Simulate all four scenes.
+
+    Args:
+        settings: The settings.
+        mass_kg: Mass of the bodies [kg].
+        friction: Friction for which slopes are chosen; that of the settings if None.
+
+    Raises:
+        DivergedError: The engine failed, or a body left the scene.
+    """
+    probe, build = probe_of(settings, mass_kg), settings.build(mass_kg)
+    slope = settings.sliding_friction if friction is None else friction
+    return Measured(
+        slide=probe.slide(build, slope),
+        rebound=probe.drop(build),
+        rest=probe.rest(build),
+        creep_m_s=probe.creep(build, slope),
+    )
+
+
+def scatter_texts(found: Measured) -> list[str]:
+    """Return what one number for each quantity leaves out: hops, scatter between drops, a depth that still changes."""
+    texts = []
+    slide, rebound, rest = found.slide, found.rebound, found.rest
+    if abs(slide.along - slide.turned) > FRICTION_SCATTER * abs(slide.friction):
+        texts.append(
+            f"A plate with its edges along the slope slides with friction {slide.along:.3g}, one that is turned by 30 "
+            f"degrees with {slide.turned:.3g}; the friction is their mean."
+        )
+    if slide.lift_m > LIFT_M:
+        texts.append(f"While it slides, the plate hops by up to {1e3 * slide.lift_m:.2g} mm.")
+    if rebound.high - rebound.low > SCATTER:
+        texts.append(
+            f"Single drops rebound with {rebound.low:.3f} to {rebound.high:.3f}, depending on where in a time step "
+            "they strike; the restitution is their mean."
+        )
+    if abs(rest.drift_m_s) > max(MOST_DRIFT_PER_S * abs(rest.penetration_m), LEAST_DRIFT_M_PER_S):
+        texts.append(f"After 2 s the plate at rest still moves by {rest.drift_m_s:.1e} m/s, so its depth is not final.")
+    return texts

@@ -1,0 +1,327 @@
+"""Four scenes in which a contact is measured on any engine: drop, slide, creep and rest.
+
+A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. The scenes go
+through the contract of backends alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import Backend, scene_support
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.runs.rollout import Rollout, record
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.recipes.closed_forms import friction_of_slide
+
+__all__ = [
+    "BALL_COUNT",
+    "BALL_RADIUS_M",
+    "CREEP_SHARE",
+    "DROP_M",
+    "PLATE_CONTACTS",
+    "PLATE_M",
+    "SLIDE_BEYOND_DEG",
+    "Build",
+    "Probe",
+    "Rebound",
+    "Rest",
+    "Slide",
+    "creep_slope_rad",
+    "first_rebound",
+    "slide_slope_rad",
+]
+
+G = GRAVITY_M_PER_S2
+
+PLATE_M = (0.12, 0.12, 0.03)
+"""Edges of the plate [m]. It tips only where friction exceeds 4."""
+
+PLATE_CONTACTS = 4
+"""Corners on which the plate rests."""
+
+BALL_RADIUS_M = 0.03
+"""Radius of the balls [m]."""
+
+DROP_M = 0.2
+"""Height of the drop [m], which gives 2 m/s."""
+
+BALL_COUNT = 8
+"""Balls that drop from slightly different heights, so that steps meet their impacts in different phases."""
+
+BALL_DISTANCE_M = 0.2
+"""Distance of neighbouring balls [m]."""
+
+SLIDE_BEYOND_DEG = 10.0
+"""Slope of the slide beyond the friction angle [degrees]."""
+
+CREEP_SHARE = 0.5
+"""Slope of the creep over the coefficient of friction: half of what friction holds."""
+
+TURN_DEG = 30.0
+"""Turn of the edges of a plate against the slope [degrees]: then one corner carries most, and engines that choose the
+tangents of contacts by the axes of the world have no axis along the slope."""
+
+SLIDE_S, CREEP_S, REST_S = 0.5, 1.0, 2.0
+"""Simulated times [s]."""
+
+SLIDE_FROM_S, CREEP_FROM_S, REST_FROM_S = 0.1, 0.5, 1.8
+"""Start of the part that is measured [s]."""
+
+SAMPLE_S = 1e-3
+"""Desired time between samples [s]; a step that is longer is the time between samples."""
+
+NO_RISE_M = 1e-7
+"""Rise of a ball that is rounding [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Build:
+    """A contact through the contract of backends.
+
+    Attributes:
+        friction: Coefficient of friction in the scene.
+        restitution: Coefficient of restitution in the scene.
+        mode: Kind of contact in the scene.
+        settings: Settings of the backend, without the drive interval.
+    """
+
+    friction: float
+    restitution: float
+    mode: ContactMode
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rebound:
+    """Restitution of drops: the mean, the smallest and the largest of the phases of a step."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slide:
+    """A plate that slides down a slope.
+
+    Attributes:
+        along: Coefficient with which Coulomb's law gives the acceleration of a plate whose edges lie along the slope.
+        turned: The same for a plate that is turned by `TURN_DEG`, so that a corner leads.
+        lift_m: Largest distance by which a centre leaves the slope [m].
+    """
+
+    along: float
+    turned: float
+    lift_m: float
+
+    @property
+    def friction(self) -> float:
+        """Mean of both coefficients."""
+        return 0.5 * (self.along + self.turned)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """A plate at rest on level ground.
+
+    Attributes:
+        penetration_m: Depth in the ground [m]; negative above it.
+        drift_m_s: Speed at which the depth still changes [m/s].
+        time_constant_s: Twice the inverse of the damping per mass of the approach [s]; None where it is not resolved.
+    """
+
+    penetration_m: float
+    drift_m_s: float
+    time_constant_s: float | None
+
+
+def slide_slope_rad(friction: float) -> float:
+    """Return the slope of the slide [rad]."""
+    return math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
+
+
+def creep_slope_rad(friction: float) -> float:
+    """Return the slope of the creep [rad]."""
+    return math.atan(CREEP_SHARE * friction)
+
+
+def _plane(lean_rad: float = 0.0, turn_deg: float = 0.0) -> RigidBody:
+    pose = Pose.from_rotation((0.0, 0.0, 0.0), _lean(lean_rad, turn_deg))
+    return RigidBody(name="ground", shape=Plane(), motion=Motion.FIXED, pose=pose, mass_kg=0.0)
+
+
+def _lean(lean_rad: float, turn_deg: float) -> Rotation:
+    """Return the rotation of a plane that falls along x, with its own axes turned about its normal."""
+    return Rotation.from_euler("zy", [math.radians(turn_deg), lean_rad])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """Measures contacts on one engine.
+
+    Attributes:
+        backend: The engine.
+        mass_kg: Mass of plate and balls [kg].
+        timestep_s: Time step [s].
+    """
+
+    backend: Backend
+    mass_kg: float
+    timestep_s: float
+
+    def slide(self, build: Build, friction: float) -> Slide:
+        """Return the friction of a plate that slides, from its accelerations by Coulomb's law, and how far it hops.
+
+        A plate whose hops turn it about the normal has a smaller value than its contacts: parts of their friction point
+        sideways.
+
+        Args:
+            build: The contact.
+            friction: Friction that is expected, for the slope.
+        """
+        slope = slide_slope_rad(friction)
+        found, lifts_m = [], []
+        for turn_deg in (0.0, TURN_DEG):
+            times_s, path_m, lift_m = self._downhill(build, slope, SLIDE_S, turn_deg)
+            seen = times_s >= SLIDE_FROM_S
+            # One fit for both, so that both accelerations are means with the same weights.
+            fit = np.polyfit(times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
+            found.append(friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1])))
+            lifts_m.append(float(lift_m.max()))
+        return Slide(along=found[0], turned=found[1], lift_m=max(lifts_m))
+
+    def creep(self, build: Build, friction: float) -> float:
+        """Return the speed [m/s] of a plate on a slope that friction holds."""
+        times_s, path_m, _ = self._downhill(build, creep_slope_rad(friction), CREEP_S, TURN_DEG)
+        seen = times_s >= CREEP_FROM_S
+        return float(np.polyfit(times_s[seen], path_m[seen], 1)[0])
+
+    def rest(self, build: Build) -> Rest:
+        """Return depth and approach of a plate that is let go just where it touches level ground."""
+        rollout = self._rollout((self._plate(), _plane()), ("plate",), build, REST_S)
+        depth_m = 0.5 * PLATE_M[2] - rollout.position("plate")[:, 2]
+        seen = rollout.times_s >= REST_FROM_S
+        drift = float(np.polyfit(rollout.times_s[seen], depth_m[seen], 1)[0])
+        return Rest(
+            penetration_m=float(depth_m[seen].mean()),
+            drift_m_s=drift,
+            time_constant_s=_time_constant_s(depth_m, rollout.interval_s),
+        )
+
+    def drop(self, build: Build) -> Rebound:
+        """Return the restitution of balls that drop, from the height of their first rebound: e^2 = h' / h."""
+        speed = math.sqrt(2.0 * G * DROP_M)
+        balls = tuple(
+            RigidBody(
+                name=f"ball-{index}",
+                shape=Sphere(radius_m=BALL_RADIUS_M),
+                motion=Motion.DYNAMIC,
+                pose=Pose(
+                    position_m=(
+                        (index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M,
+                        0.0,
+                        BALL_RADIUS_M + DROP_M + speed * self.timestep_s * index / BALL_COUNT,
+                    )
+                ),
+                mass_kg=self.mass_kg,
+            )
+            for index in range(BALL_COUNT)
+        )
+        names = tuple(ball.name for ball in balls)
+        rollout = self._rollout((*balls, _plane()), names, build, 2.6 * speed / G)
+        found = [first_rebound(rollout.position(name)[:, 2] - BALL_RADIUS_M, rollout.interval_s) for name in names]
+        return Rebound(mean=float(np.mean(found)), low=min(found), high=max(found))
+
+    def _downhill(
+        self, build: Build, slope_rad: float, seconds: float, turn_deg: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return times [s] of a plate on a slope, and its displacements down the slope and off it [m]."""
+        rollout = self._rollout(
+            (self._plate(slope_rad, turn_deg), _plane(slope_rad, turn_deg)), ("plate",), build, seconds
+        )
+        sine, cosine = math.sin(slope_rad), math.cos(slope_rad)
+        moved = rollout.displacement("plate")
+        return rollout.times_s, moved @ np.array([cosine, 0.0, -sine]), moved @ np.array([sine, 0.0, cosine])
+
+    def _plate(self, lean_rad: float = 0.0, turn_deg: float = 0.0) -> RigidBody:
+        rotation = _lean(lean_rad, turn_deg)
+        place = vector(rotation.apply([0.0, 0.0, 0.5 * PLATE_M[2]]))
+        pose = Pose.from_rotation(place, rotation)
+        return RigidBody(
+            name="plate", shape=Box(size_m=PLATE_M), motion=Motion.DYNAMIC, pose=pose, mass_kg=self.mass_kg
+        )
+
+    def _rollout(self, bodies: tuple[RigidBody, ...], names: tuple[str, ...], build: Build, seconds: float) -> Rollout:
+        interval_s = self.timestep_s * max(1, round(SAMPLE_S / self.timestep_s))
+        contact = Contact(
+            first=names, second=("ground",), friction=build.friction, restitution=build.restitution, mode=build.mode
+        )
+        scene = Scene(bodies=bodies, contacts=(contact,), duration_s=seconds)
+        if missing := scene_support(self.backend, scene).missing:
+            raise UnsupportedSceneError(f"{self.backend.name} cannot simulate the recipe: {'; '.join(missing)}")
+        given = {**build.settings, "timestep_s": self.timestep_s, "drive_interval_s": interval_s}
+        with closing(self.backend.build(scene, given)) as simulation:
+            simulation.reset(0)
+            limit = scene.speed_limit_m_per_s + G * seconds
+            return record(simulation, scene, seconds, interval_s=interval_s, speed_limit_m_per_s=limit)
+
+
+def first_rebound(height_m: NDArray[np.float64], interval_s: float) -> float:
+    """Return the restitution of a ball's first rebound, the square root of the heights' ratio.
+
+    Positions under constant acceleration lie on a parabola in any scheme with constant steps. Its vertex is the height,
+    also between two samples, and of a ball that still rises at the end.
+
+    Args:
+        height_m: Height of the ball's lowest point above the ground [m], shape [sample_count], from its release on.
+        interval_s: Time between samples [s].
+    """
+    rises = np.diff(height_m)
+    fallen = np.flatnonzero((rises < 0.0) & (height_m[1:] < 0.5 * height_m[0]))
+    if not len(fallen):
+        return float("nan")
+    up = fallen[0] + np.flatnonzero(rises[fallen[0] :] > NO_RISE_M)
+    if not len(up):
+        return 0.0
+    down = up[0] + np.flatnonzero(rises[up[0] :] <= 0.0)
+    top = int(down[0]) if len(down) else len(height_m) - 1
+    highest = float(height_m[top])
+    middle = min(top, len(height_m) - 2)
+    if middle > 0:
+        before, at, after = height_m[middle - 1 : middle + 2]
+        bend = before - 2.0 * at + after
+        # Samples in contact do not lie on the parabola of the flight.
+        if abs(bend / (-G * interval_s**2) - 1.0) < 0.05:
+            highest = float(at - (after - before) ** 2 / (8.0 * bend))
+    return math.sqrt(max(highest, 0.0) / float(height_m[0]))
+
+
+MOST_NOISE = 0.01
+"""Largest misfit of the approach to rest, over its size, with which its time constant is read."""
+
+
+def _time_constant_s(depth_m: NDArray[np.float64], interval_s: float) -> float | None:
+    """Return the time constant of a damped approach to rest, fitted as a linear recurrence of second order."""
+    left = depth_m - depth_m[-1]
+    moving = np.flatnonzero(np.abs(left) > 0.02 * np.abs(left).max())
+    if len(moving) < 8 or moving[-1] > len(left) - 3:
+        return None
+    part = left[: moving[-1] + 2]
+    table = np.column_stack([part[1:-1], part[:-2]])
+    solution = np.linalg.lstsq(table, part[2:], rcond=None)[0]
+    misfit = np.abs(table @ solution - part[2:]).max() / np.abs(part).max()
+    product = -float(solution[1])
+    if misfit > MOST_NOISE or not 0.0 < product < 1.0:
+        return None
+    # The product of the two roots is exp(-2 t / time constant).
+    return -2.0 * interval_s / math.log(product)

@@ -1,0 +1,306 @@
+"""Find contact settings that give a behaviour, by simulation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from scipy.optimize import brentq
+
+from gauge_envs.files import json_ready
+from gauge_envs.runs.rollout import DivergedError
+from gauge_envs.tools.recipes.aim import TIMESTEP_RANGE_S, Aim
+from gauge_envs.tools.recipes.engines.base import ContactSettings
+from gauge_envs.tools.recipes.measure import Measured, measured, probe_of, scatter_texts
+
+__all__ = ["DEPTH_SHARE", "FRICTION_SHARE", "RESTITUTION_TOLERANCE", "Recipe", "find_recipe", "misses"]
+
+RESTITUTION_TOLERANCE = 0.01
+"""Error of a restitution that counts as none, as in the conformance checks of rebounds."""
+
+FRICTION_SHARE = 0.01
+"""Relative error of a friction that counts as none, as in the conformance checks of slides."""
+
+DEPTH_SHARE = 0.05
+"""Relative error of a depth at rest that counts as none, where a stiffness states it."""
+
+MOST_TRIALS = 10
+"""Most simulations of one search between two values that bracket the target."""
+
+BRACKETS = (0.05, 0.2, 0.5, 1.0)
+"""Steps from the start of a search to its end, as shares of the way, until the target is bracketed."""
+
+FINER = (2, 4)
+"""Parts of the time step with which the cause of a miss is sought."""
+
+STIFFER = 30.0
+"""Largest factor on a stiffness that a search tries."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Settings of one engine and what they give.
+
+    Attributes:
+        engine: Name of the engine.
+        versions: Versions of its packages.
+        aim: The request.
+        settings: The settings.
+        found: What was measured; None if a simulation diverged.
+        explanation: Why values are missed, and what limits those that are reached.
+        wall_s: Wall time of the search and the measurement [s], without the start of the engine.
+    """
+
+    engine: str
+    versions: Mapping[str, str]
+    aim: Aim
+    settings: ContactSettings
+    found: Measured | None
+    explanation: str
+    wall_s: float
+
+    @property
+    def reached(self) -> dict[str, float | None]:
+        """Measured values by name; None for those that were not measured."""
+        if self.found is None:
+            return dict.fromkeys(("friction", "restitution", "penetration_m", "creep_m_s"))
+        return {
+            "friction": self.found.slide.friction,
+            "restitution": self.found.rebound.mean,
+            "penetration_m": self.found.rest.penetration_m,
+            "creep_m_s": self.found.creep_m_s,
+        }
+
+    @property
+    def error(self) -> dict[str, float | None]:
+        """Reached less asked values by name; None for what was not asked or not measured."""
+        friction = self.aim.friction if self.aim.is_friction_asked else None
+        asked = {"friction": friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
+        errors: dict[str, float | None] = {}
+        for name, target in asked.items():
+            value = self.reached[name]
+            errors[name] = None if target is None or value is None else value - target
+        return errors
+
+    @property
+    def detail(self) -> dict[str, float | None]:
+        """What the reached values leave out, by name: both plates, the hop, and the range of single drops."""
+        found = self.found
+        if found is None:
+            return dict.fromkeys(("friction_along", "friction_turned", "hop_m", "restitution_low", "restitution_high"))
+        return {
+            "friction_along": found.slide.along,
+            "friction_turned": found.slide.turned,
+            "hop_m": found.slide.lift_m,
+            "restitution_low": found.rebound.low,
+            "restitution_high": found.rebound.high,
+        }
+
+    @property
+    def misses(self) -> tuple[str, ...]:
+        """Names of the asked values that are not reached; empty after a divergence."""
+        return () if self.found is None else misses(self.aim, self.found)
+
+    def json(self) -> dict[str, Any]:
+        """Return the recipe as one JSON-ready object."""
+        settings = self.settings.model_dump(mode="json")
+        values = {
+            "engine": self.engine,
+            "asked": self.aim.asked(),
+            "settings": settings,
+            "snippet": self.settings.snippet(self.aim.mass_kg),
+            "reached": self.reached,
+            "error": self.error,
+            "misses": self.misses,
+            "detail": self.detail,
+            "wall_s": self.wall_s,
+            "explanation": self.explanation,
+            "versions": dict(self.versions),
+        }
+        ready: dict[str, Any] = json_ready(values)
+        return ready
+
+
+def misses(aim: Aim, found: Measured) -> tuple[str, ...]:
+    """Return the names of the asked values that are not reached."""
+    values = {
+        "friction": found.slide.friction,
+        "restitution": found.rebound.mean,
+        "penetration_m": found.rest.penetration_m,
+    }
+    return tuple(name for name, value in values.items() if _is_missed(aim, name, value))
+
+
+def _is_missed(aim: Aim, name: str, value: float) -> bool:
+    if name == "friction":
+        return aim.is_friction_asked and not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
+    if name == "restitution":
+        return aim.rebound is not None and not abs(value - aim.rebound) <= RESTITUTION_TOLERANCE
+    if aim.depth_m is None:
+        return False
+    if aim.stiffness_n_per_m is None:
+        return not value <= aim.depth_m
+    return not abs(value - aim.depth_m) <= DEPTH_SHARE * aim.depth_m
+
+
+def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
+    """Return the settings of an engine that come nearest to a behaviour, with what they give.
+
+    The rule of the engine's backend is the first proposal. What it misses is sought along one number of it, first the
+    depth of a soft contact, then restitution, then friction.
+
+    Args:
+        engine: Class of the engine's settings.
+        aim: The behaviour.
+
+    Raises:
+        MissingExtraError: The engine is not installed.
+    """
+    versions = engine.backend().versions()
+    start = time.perf_counter()
+    settings = engine.aimed(aim)
+    try:
+        settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump())
+        found = measured(settings, aim.mass_kg, friction=aim.friction)
+    except DivergedError as error:
+        text = f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
+        return Recipe(
+            engine=engine.engine,
+            versions=versions,
+            aim=aim,
+            settings=settings,
+            found=None,
+            explanation=text,
+            wall_s=time.perf_counter() - start,
+        )
+    recipe = Recipe(
+        engine=engine.engine,
+        versions=versions,
+        aim=aim,
+        settings=settings,
+        found=found,
+        explanation="",
+        wall_s=0.0,
+    )
+    text = _explanation(engine, recipe, found)
+    return replace(recipe, explanation=text, wall_s=time.perf_counter() - start)
+
+
+def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
+    """Return settings after the searches for what the proposal misses."""
+    target = aim
+    settings = engine.aimed(target)
+    if engine.is_soft and aim.stiffness_n_per_m is not None and aim.depth_m is not None:
+        stiffness = aim.stiffness_n_per_m
+
+        def depth_error(factor: float) -> float:
+            tried = engine.aimed(target.changed(stiffness_n_per_m=factor * stiffness))
+            depth_m = probe_of(tried, aim.mass_kg).rest(tried.build(aim.mass_kg)).penetration_m
+            return 1.0 - depth_m / (aim.depth_m or 1.0)
+
+        factor = _root(depth_error, 1.0, 1.0 / STIFFER, STIFFER, DEPTH_SHARE)
+        if factor != 1.0:
+            target = target.changed(stiffness_n_per_m=factor * stiffness)
+    if aim.rebound is not None:
+        target = _aimed_restitution(engine, target, aim.rebound)
+    settings = engine.aimed(target)
+    if not aim.is_friction_asked:
+        return settings
+
+    def friction_error(value: float) -> float:
+        tried = engine.aimed(target.changed(friction=value))
+        return probe_of(tried, aim.mass_kg).slide(tried.build(aim.mass_kg), aim.friction).friction / aim.friction - 1.0
+
+    friction = _root(friction_error, aim.friction, 0.5 * aim.friction, 2.0 * aim.friction, FRICTION_SHARE)
+    return settings if friction == aim.friction else engine.aimed(target.changed(friction=friction))
+
+
+def _aimed_restitution(engine: type[ContactSettings], target: Aim, restitution: float) -> Aim:
+    """Return an aim whose settings give a restitution, or come nearest to it."""
+
+    def error(value: float) -> float:
+        tried = engine.aimed(target if value == restitution else target.changed(restitution=value))
+        return probe_of(tried, target.mass_kg).drop(tried.build(target.mass_kg)).mean - restitution
+
+    low, high = engine.aims
+    value = _root(error, restitution, low, high, RESTITUTION_TOLERANCE)
+    return target if value == restitution else target.changed(restitution=value)
+
+
+def _root(error: Callable[[float], float], start: float, low: float, high: float, tolerance: float) -> float:
+    """Return the start where its error is within the tolerance, or else what a search for a smaller error finds.
+
+    The error grows with its argument, as a rule and with noise.
+    """
+    tried: dict[float, float] = {}
+
+    def seen(value: float) -> float:
+        if value not in tried:
+            tried[value] = error(value)
+        # Within the tolerance the search ends.
+        return 0.0 if abs(tried[value]) < 0.5 * tolerance else tried[value]
+
+    last, first = start, seen(start)
+    if abs(first) < tolerance:
+        return start
+    end = low if first > 0.0 else high
+    for share in BRACKETS:
+        value = start + share * (end - start)
+        if value != last and seen(value) * first <= 0.0:
+            if seen(value) != 0.0:
+                brentq(seen, *sorted((last, value)), xtol=1e-5, maxiter=MOST_TRIALS, disp=False)
+            break
+        last = value
+    return min(tried, key=lambda value: abs(tried[value]))
+
+
+# --- explanation -----------------------------------------------------------------------------------------------------
+
+
+def _explanation(engine: type[ContactSettings], recipe: Recipe, found: Measured) -> str:
+    """Return why values are missed, with a simulation of the suspected cause."""
+    aim = recipe.aim
+    texts = []
+    for name in recipe.misses:
+        reached, error = recipe.reached[name], recipe.error[name]
+        unit = " m" if name == "penetration_m" else ""
+        texts.append(f"{name}: {reached:.3g}{unit} is reached, {error:+.2g} from what is asked.")
+        if limit := engine.limits(name):
+            texts.append(f"{limit[0].upper()}{limit[1:]}.")
+        if name != "penetration_m" or engine.is_soft:
+            texts.append(_step_text(engine, aim, name))
+    if aim.rebound and (other := recipe.settings.other_body()) is not None:
+        text, settings = other
+        mean = probe_of(settings, aim.mass_kg).drop(settings.build(aim.mass_kg)).mean
+        texts.append(f"{text} the same settings give a restitution of {mean:.3f}.")
+    texts += scatter_texts(found)
+    return " ".join(texts if recipe.misses else ["All values that are asked are reached.", *texts])
+
+
+def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:
+    """Return whether a shorter time step reaches a value that is missed, on the engine of the search."""
+    text = ""
+    for part in FINER:
+        step_s = aim.timestep_s / part
+        if step_s < TIMESTEP_RANGE_S[0]:
+            break
+        finer = aim.changed(timestep_s=step_s)
+        try:
+            value = _reached_alone(engine.searched_on(), finer, name)
+        except DivergedError:
+            return f"With a time step of {step_s:.3g} s the simulation diverges."
+        if not _is_missed(finer, name, value):
+            return f"With a time step of {step_s:.3g} s the same search reaches {value:.3g}."
+        text = f"A time step of {step_s:.3g} s does not reach it either ({value:.3g})."
+    return text
+
+
+def _reached_alone(engine: type[ContactSettings], aim: Aim, name: str) -> float:
+    """Return what a search reaches in one quantity."""
+    settings = _searched(engine, aim)
+    probe, build = probe_of(settings, aim.mass_kg), settings.build(aim.mass_kg)
+    if name == "friction":
+        return probe.slide(build, aim.friction).friction
+    return probe.drop(build).mean if name == "restitution" else probe.rest(build).penetration_m

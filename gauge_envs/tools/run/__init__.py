@@ -1,0 +1,1 @@
+"""Run experiments and score them; score trajectories from files."""

@@ -1,0 +1,386 @@
+"""Define the parts of a sanity check: configuration, verdicts, phenomena in reality and in simulation, and causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from scipy.stats import t as student
+
+from gauge_envs.files import json_ready
+from gauge_envs.tools.sanity.contact_capacity import ContactCapacity
+from gauge_envs.tools.sanity.foot import FootGeometry
+from gauge_envs.tools.sanity.foot_contact import FootContact
+
+__all__ = [
+    "COVERAGE",
+    "INSIDE_WITHIN",
+    "VISIBLE_WITHIN",
+    "Cause",
+    "ContactGroup",
+    "Cure",
+    "Curve",
+    "GroupOutcome",
+    "Need",
+    "PhenomenonResult",
+    "Reality",
+    "RealityKind",
+    "Report",
+    "SettingTrial",
+    "TrainingConfiguration",
+    "Verdict",
+]
+
+INSIDE_WITHIN = 1.0
+"""Largest deviation of the verdict `inside`, in half-widths of the interval of reality."""
+
+VISIBLE_WITHIN = 2.5
+"""Largest deviation of the verdict `visible`, in half-widths of the interval of reality."""
+
+COVERAGE = 0.95
+"""Share of further real trials that the interval of a measured row covers."""
+
+ONE_RECORDING_FACTOR = 2.0
+"""Half-width of the interval of one recording, in standard uncertainties."""
+
+
+class Verdict(StrEnum):
+    """Distance between a measured value and reality, in half-widths of the interval of reality."""
+
+    INSIDE = "inside"
+    """In the interval: a real trial could give this value, or the law is met within its tolerance."""
+    VISIBLE = "visible"
+    """Outside of the interval, by at most 2.5 half-widths from its centre: a careful observer sees the difference."""
+    WRONG = "wrong"
+    """Farther away, or a failure of another kind, such as divergence."""
+    DECLINED = "declined"
+    """Not measured: it does not apply to the target, or the backend cannot build the scene with these settings."""
+
+
+class RealityKind(StrEnum):
+    """What a row is compared with."""
+
+    MEASURED = "measured"
+    """Real trials: their mean, scatter and number."""
+    LAW = "law"
+    """A law of mechanics, with a tolerance whose reason is stated."""
+
+
+class Need(StrEnum):
+    """What a target must have for a phenomenon to apply to it."""
+
+    GRAVITY = "gravity"
+    CONTACT = "contact"
+    FRICTION = "friction"
+    FOOT = "foot"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactGroup:
+    """Pairs of geoms of a model that collide with the same constants.
+
+    Attributes:
+        geoms: Description of the geoms, such as `floor with torso, bthigh and 6 more`.
+        pair_count: Number of pairs of geoms.
+        constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
+        is_used: Whether the experiments run with these constants.
+        settings: Settings of the backend that give all contacts these constants.
+    """
+
+    geoms: str
+    pair_count: int
+    constants: Mapping[str, Any]
+    is_used: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfiguration:
+    """Numerical settings that a policy is trained with.
+
+    Attributes:
+        name: Name that the user gave, such as `HalfCheetah-v5`.
+        source: Description of what it was read from.
+        backend: Name of the physics engine.
+        settings: Settings of that backend for every scene; other settings are the backend's default.
+        origins: Origin of each setting by its name, such as `option` or `floor with torso, ...`.
+        frame_skip: Steps of the engine for one action; None when unknown.
+        contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
+        notes: Properties that are not carried over, or that need attention.
+        inapplicable: Needs of phenomena that the target does not meet, with the reason.
+        gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when the target states none.
+        up: Unit vector away from the ground, shape [3].
+        is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
+        foot_geometry: Foot of the robot; None when the target has none, or does not state it.
+        language: Name of the language in which changes are written; see `gauge_envs.tools.sanity.languages`.
+        foot_contact: Friction and restitution that a foot meets, as the target's materials state them; None if unknown.
+        capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
+    """
+
+    name: str
+    source: str
+    backend: str
+    settings: Mapping[str, Any]
+    origins: Mapping[str, str] = field(default_factory=dict)
+    frame_skip: int | None = None
+    contact_groups: tuple[ContactGroup, ...] = ()
+    notes: tuple[str, ...] = ()
+    inapplicable: Mapping[Need, str] = field(default_factory=dict)
+    gravity_m_per_s2: tuple[float, float, float] | None = None
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    is_model: bool = False
+    foot_geometry: FootGeometry | None = None
+    language: str = "toml"
+    foot_contact: FootContact | None = None
+    capacity: ContactCapacity | None = None
+
+    @property
+    def contact_sets(self) -> dict[str, dict[str, Any]]:
+        """Settings for each set of contact constants that is judged, by its geoms; one without name if unknown."""
+        sets: dict[str, dict[str, Any]] = {}
+        contact = {name for group in self.contact_groups for name in group.settings}
+        options = {name: value for name, value in self.settings.items() if name not in contact}
+        for group in self.contact_groups:
+            settings = {**options, **group.settings}
+            if group.is_used and settings not in sets.values():
+                sets[group.geoms] = settings
+        return sets or {"": dict(self.settings)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reality:
+    """Value of a phenomenon for real objects, and the interval in which a simulation is as good as a real trial.
+
+    Attributes:
+        kind: Whether real trials or a law give the value.
+        value: Mean of real trials, or value from a law, in the phenomenon's unit.
+        tolerance: Half-width of the interval, in the same unit.
+        source: Source of the value.
+        rationale: Reason for the tolerance.
+        scatter: Standard deviation of real trials, or standard uncertainty of one recording; None for a law.
+        trial_count: Number of real trials; 0 for a law.
+    """
+
+    kind: RealityKind
+    value: float
+    tolerance: float
+    source: str
+    rationale: str
+    scatter: float | None = None
+    trial_count: int = 0
+
+    @classmethod
+    def measured(cls, value: float, *, scatter: float, trial_count: int, source: str) -> Reality:
+        """Return what real trials gave, with the interval that covers 95 % of further trials.
+
+        Args:
+            value: Mean of the trials.
+            scatter: Standard deviation of the trials; for one trial, the standard uncertainty of its measurement.
+            trial_count: Number of trials.
+            source: Source of the trials.
+        """
+        if trial_count == 1:
+            factor, rationale = ONE_RECORDING_FACTOR, "two standard uncertainties of one recording"
+        else:
+            quantile = float(student.ppf(0.5 + 0.5 * COVERAGE, trial_count - 1))
+            factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
+            rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
+        return cls(
+            kind=RealityKind.MEASURED,
+            value=value,
+            tolerance=factor * scatter,
+            source=source,
+            rationale=rationale,
+            scatter=scatter,
+            trial_count=trial_count,
+        )
+
+    @classmethod
+    def law(cls, value: float, *, tolerance: float, source: str, rationale: str) -> Reality:
+        """Return what a law states, with a tolerance and its reason."""
+        return cls(kind=RealityKind.LAW, value=value, tolerance=tolerance, source=source, rationale=rationale)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lowest and highest value of the verdict `inside`."""
+        return self.value - self.tolerance, self.value + self.tolerance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """Curve of a quantity over time.
+
+    Attributes:
+        label: Name of the quantity with its unit.
+        times_s: Times of `default` [s], shape [sample_count].
+        default: Values with the backend's default, shape [sample_count]; empty when there are none.
+        configured_times_s: Times of `configured` [s].
+        configured: Values in this configuration; empty when there are none.
+        reality: Centre of the interval of reality at `times_s`; empty when only one value is known.
+        tolerance: Half-width of the interval at `times_s`; empty when only one value is known.
+    """
+
+    label: str
+    times_s: tuple[float, ...] = ()
+    default: tuple[float, ...] = ()
+    configured_times_s: tuple[float, ...] = ()
+    configured: tuple[float, ...] = ()
+    reality: tuple[float, ...] = ()
+    tolerance: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingTrial:
+    """One change of settings in the search for a cause.
+
+    Attributes:
+        changes: Changed settings with their new values.
+        value: Measured value of the phenomenon; None when the backend declined or the rollout diverged.
+        on_default: Whether the backend's default was changed instead of the configuration.
+    """
+
+    changes: Mapping[str, Any]
+    value: float | None
+    on_default: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """Settings that are responsible for a visible or wrong phenomenon.
+
+    Attributes:
+        settings: Names of the settings; empty when no change of a few settings explains the error.
+        line: Explanation in one line.
+        tried: All changes that were tried.
+    """
+
+    settings: tuple[str, ...]
+    line: str
+    tried: tuple[SettingTrial, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cure:
+    """The change of a few settings that mends most phenomena, as measured.
+
+    Attributes:
+        changes: Changed settings with their new values.
+        line: The change in the target's own language, and what it mends.
+        flag_count: Number of visible or wrong rows before the change.
+        mended_count: Number of these rows that are inside after the change.
+        new_flags: Rows that are visible or wrong only after the change.
+    """
+
+    changes: Mapping[str, Any]
+    line: str
+    flag_count: int
+    mended_count: int
+    new_flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupOutcome:
+    """Outcome of a phenomenon with one set of contact constants.
+
+    Attributes:
+        geoms: Geoms that touch with these constants.
+        value: Measured value; None when not measured.
+        verdict: The verdict.
+        remark: Why it was not measured, or how it failed; empty otherwise.
+    """
+
+    geoms: str
+    value: float | None
+    verdict: Verdict
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhenomenonResult:
+    """Result of one phenomenon.
+
+    Attributes:
+        phenomenon: Id, such as `creep-wood`.
+        title: Title, such as `static friction, wood: creep on 10 degrees`.
+        experiment: Gymnasium id of the experiment; empty when nothing is simulated.
+        unit: Unit of the values; `1` for a pure number.
+        reality: Value for real objects.
+        default: Value with the backend's default; None when not measured.
+        configured: Value in this configuration; None when not measured.
+        verdict: Verdict of this configuration.
+        default_verdict: Verdict of the backend's default.
+        cause: Responsible settings; None when the configuration is inside reality's scatter or was declined.
+        remark: Why it was not measured, or how it failed; empty otherwise.
+        curve: Curve over time; None when there is none.
+        advisory: Why the verdict does not count for the whole configuration; empty when it counts.
+        applies: Whether the phenomenon applies to the target.
+        geoms: Geoms whose contact constants decide the row; empty when all contacts have the same.
+        groups: Outcome for each set of contact constants; empty when all contacts have the same.
+    """
+
+    phenomenon: str
+    title: str
+    experiment: str
+    unit: str
+    reality: Reality
+    default: float | None
+    configured: float | None
+    verdict: Verdict
+    default_verdict: Verdict
+    cause: Cause | None = None
+    remark: str = ""
+    curve: Curve | None = None
+    advisory: str = ""
+    applies: bool = True
+    geoms: str = ""
+    groups: tuple[GroupOutcome, ...] = ()
+
+    @property
+    def is_flag(self) -> bool:
+        """Whether the row is visible or wrong, and counts."""
+        return self.verdict in (Verdict.VISIBLE, Verdict.WRONG) and not self.advisory
+
+    @property
+    def effect(self) -> float | None:
+        """Difference between this configuration and reality, in the row's unit; None when nothing was measured."""
+        return None if self.configured is None else self.configured - self.reality.value
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all attributes, JSON-ready."""
+        values: dict[str, Any] = json_ready(asdict(self))
+        return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Result of a sanity check.
+
+    Attributes:
+        configuration: The checked configuration.
+        rows: One result for each phenomenon, in a fixed order.
+        versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
+        wall_s: Time that the check took [s].
+        cure: The change that mends most rows; None when no row is flagged or no change mends one.
+        notes: What limits the check, such as an expired time limit.
+    """
+
+    configuration: TrainingConfiguration
+    rows: tuple[PhenomenonResult, ...]
+    versions: Mapping[str, str]
+    wall_s: float
+    cure: Cure | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def worst(self) -> Verdict:
+        """The worst verdict of all rows that count; `declined` only when nothing was measured."""
+        order = (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE)
+        found = {Verdict.INSIDE if row.advisory else row.verdict for row in self.rows}
+        return next((verdict for verdict in order if verdict in found), Verdict.DECLINED)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all attributes, JSON-ready."""
+        values: dict[str, Any] = json_ready(asdict(self))
+        return values | {"worst": self.worst.value}

@@ -1,0 +1,213 @@
+"""Read compiled models of MuJoCo and MJX, and what environments state beside them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gauge_envs.tools.sanity.probe.values import ProbeError, flat, found, is_number, is_of
+
+__all__ = ["capture_mujoco", "mujoco_model"]
+
+MOST_GEOMS = 2000
+
+NAMED_OPTIONS = {"integrator": "mjtIntegrator", "cone": "mjtCone", "solver": "mjtSolver", "jacobian": "mjtJacobian"}
+"""Options of MuJoCo that are written by the name of their constant, since numbers change between versions."""
+
+FLAGS = {"disableflags": "mjtDisableBit", "enableflags": "mjtEnableBit"}
+
+ARRAYS = (
+    *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia", "body_mocapid"),
+    *("jnt_type", "jnt_bodyid", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range"),
+    *(
+        "geom_bodyid",
+        "geom_contype",
+        "geom_conaffinity",
+        "geom_condim",
+        "geom_priority",
+        "geom_solmix",
+        "geom_friction",
+    ),
+    *("geom_solref", "geom_solimp", "geom_margin", "geom_gap", "geom_size", "geom_pos", "geom_quat", "geom_rbound"),
+    *("pair_dim", "pair_geom1", "pair_geom2", "pair_friction", "pair_solref", "pair_solreffriction", "pair_solimp"),
+    *("pair_margin", "pair_gap", "exclude_signature"),
+)
+"""Arrays of a compiled model of MuJoCo that are written as they are."""
+
+MESHES = ("mjGEOM_MESH", "mjGEOM_SDF")
+
+STANDING = ("home", "stand", "standing")
+"""Names of keyframes in which robots stand."""
+
+COUNTS = ("nflex", "flg_adhesion", "flg_surfacevel")
+"""Numbers of a compiled model that show parts which are not written."""
+
+MODEL_PLACES = (
+    *("mj_model", "_mj_model", "model", "_model", "sim.mj_model", "sim.model", "physics.model.ptr", "physics.model"),
+    *("physics.model._model", "env.mj_model", "_env.mj_model"),
+)
+"""Attributes that hold the compiled model of an environment."""
+
+LIMIT_PLACES = ("", "cfg.sim", "sim.cfg", "_config", "config", "sim")
+"""Attributes that hold the limits of contacts and constraints of MJX and MuJoCo Warp."""
+
+
+def mujoco_model(target: Any) -> Any:
+    """Return the compiled model that a target is or holds; None where there is none."""
+    if is_of(target, "mujoco", "MjSpec"):
+        return target.compile()
+    for holder in (target, found(target, "unwrapped")):
+        for value in (holder, *(found(holder, place) for place in MODEL_PLACES)):
+            if is_of(value, "mujoco", "MjModel") or is_mjx_model(value):
+                return value
+    return None
+
+
+def is_mjx_model(value: Any) -> bool:
+    """Return whether a value is a model of MJX, whose arrays have MuJoCo's names."""
+    return type(value).__name__ == "Model" and type(value).__module__.startswith("mujoco.mjx")
+
+
+def capture_mujoco(target: Any) -> dict[str, Any]:
+    """Return options, contact constants and masses of a compiled model."""
+    import mujoco
+
+    model = mujoco_model(target)
+    if model.ngeom > MOST_GEOMS:
+        raise ProbeError(f"the model has {model.ngeom} geoms, the limit is {MOST_GEOMS}")
+    names = [name for name in dir(mujoco.MjModel.from_xml_string("<mujoco/>").opt) if not name.startswith("_")]
+    options: dict[str, Any] = {name: getattr(model.opt, name, None) for name in names}
+    options = {name: value for name, value in options.items() if is_number(value)}
+    known = {}
+    for name, value in options.items():
+        if name in NAMED_OPTIONS:
+            options[name] = getattr(mujoco, NAMED_OPTIONS[name])(int(value)).name
+        elif name in FLAGS:
+            bits = getattr(mujoco, FLAGS[name]).__members__
+            known[name] = sorted(bit for bit in bits if bit.startswith(("mjDSBL_", "mjENBL_")))
+            options[name] = [bit for bit in known[name] if int(value) & int(bits[bit])]
+        else:
+            listed = flat(value)
+            options[name] = listed[0] if len(listed) == 1 else listed
+    type_names = {int(value): name for name, value in mujoco.mjtGeom.__members__.items()}
+    types = [type_names[int(kind)] for kind in flat(model.geom_type)]
+    found_hulls, chosen = hulls(model, types)
+    title = bytes(model.names).split(b"\0")[0].decode()
+    starts = [int(start) for start in flat(model.jnt_qposadr)]
+    firsts = [int(first) for first in flat(model.jnt_dofadr)]
+    qpos0, armature, damping = flat(model.qpos0), flat(model.dof_armature), flat(model.dof_damping)
+    driven_joints, driven_bodies = driven(model)
+    runs_on = implementation(target, model)
+    data = {
+        "implementation": runs_on,
+        "options": options,
+        "known_flags": known,
+        "counts": {name: int(getattr(model, name)) for name in COUNTS if hasattr(model, name)},
+        "arrays": {
+            **{name: flat(getattr(model, name)) for name in ARRAYS},
+            "jnt_ref": [qpos0[start] for start in starts],
+            "jnt_armature": [armature[first] for first in firsts],
+            "jnt_damping": [damping[first] for first in firsts],
+            "jnt_driven": [int(joint in driven_joints) for joint in range(model.njnt)],
+            "body_driven": [int(body in driven_bodies) for body in range(model.nbody)],
+        },
+        "geom_types": types,
+        "geom_hulls": chosen,
+        "geom_names": texts(model, model.name_geomadr),
+        "body_names": texts(model, model.name_bodyadr),
+        "hulls": found_hulls,
+        "keyframes": keyframes(model),
+        "limits": {} if runs_on == "c" else limits(target),
+        "frame_skip": frame_skip(target),
+    }
+    source = f"model {title or 'unnamed'!r}, MuJoCo {mujoco.__version__}"
+    return {"kind": "mujoco-model", "engine": "mujoco", "source": source, "data": data}
+
+
+def hulls(model: Any, types: list[str]) -> tuple[dict[str, list[float]], list[int]]:
+    """Return the hull of each mesh that collides, by number, and the hull of each geom; -1 where it has none."""
+    paired = {int(geom) for geom in flat(model.pair_geom1) + flat(model.pair_geom2)}
+    offers, accepts, meshes = flat(model.geom_contype), flat(model.geom_conaffinity), flat(model.geom_dataid)
+    chosen = [
+        int(mesh) if types[geom] in MESHES and (geom in paired or offers[geom] or accepts[geom]) else -1
+        for geom, mesh in enumerate(meshes)
+    ]
+    vertices, graph, found_hulls = flat(model.mesh_vert), flat(model.mesh_graph), {}
+    for mesh in sorted(set(chosen) - {-1}):
+        first, count = int(flat(model.mesh_vertadr)[mesh]), int(flat(model.mesh_vertnum)[mesh])
+        start = int(flat(model.mesh_graphadr)[mesh])
+        # The table of a hull holds its numbers of vertices and faces, an address for each vertex, and the vertices.
+        size = graph[start] if start >= 0 else 0
+        corners = graph[start + 2 + size : start + 2 + 2 * size] if start >= 0 else range(count)
+        rows = [3 * (first + int(corner)) for corner in corners]
+        found_hulls[str(mesh)] = [number for row in rows for number in vertices[row : row + 3]]
+    return found_hulls, chosen
+
+
+def driven(model: Any) -> tuple[set[int], set[int]]:
+    """Return the joints on which actuators act, and the bodies on which they act by tendons, at sites or directly."""
+    import mujoco
+
+    kinds, targets = flat(model.actuator_trntype), [int(target) for target in flat(model.actuator_trnid)[::2]]
+    joints, bodies = set(), set()
+    for number, target in enumerate(targets):
+        kind = mujoco.mjtTrn(int(kinds[number])).name
+        if kind == "mjTRN_JOINT":
+            joints.add(target)
+        elif kind == "mjTRN_JOINTINPARENT":
+            bodies.add(int(flat(model.jnt_bodyid)[target]))
+        elif kind == "mjTRN_BODY":
+            bodies.add(target)
+        elif kind in ("mjTRN_SITE", "mjTRN_SLIDERCRANK"):
+            bodies.add(int(flat(model.site_bodyid)[target]))
+        elif kind == "mjTRN_TENDON":
+            first, count = int(flat(model.tendon_adr)[target]), int(flat(model.tendon_num)[target])
+            for wrap in range(first, first + count):
+                owners = {"mjWRAP_JOINT": model.jnt_bodyid, "mjWRAP_SITE": model.site_bodyid}
+                owner = owners.get(mujoco.mjtWrap(int(flat(model.wrap_type)[wrap])).name)
+                if owner is not None:
+                    bodies.add(int(flat(owner)[int(flat(model.wrap_objid)[wrap])]))
+    return joints, bodies
+
+
+def keyframes(model: Any) -> dict[str, list[float]]:
+    """Return the coordinates of those keyframes in which robots stand."""
+    rows, names = flat(model.key_qpos), texts(model, model.name_keyadr)
+    places = {name: index * model.nq for index, name in enumerate(names) if name in STANDING}
+    return {name: rows[start : start + model.nq] for name, start in places.items()}
+
+
+def texts(model: Any, addresses: Any) -> list[str]:
+    """Return the names at some addresses in a model's table of names."""
+    table = bytes(model.names)
+    return [table[start : table.index(b"\0", start)].decode() for start in flat(addresses)]
+
+
+def implementation(target: Any, model: Any) -> str:
+    """Return `mjx` or `mujoco_warp` where one of them runs the model, else `c`."""
+    packages = {part.__module__.split(".")[0] for part in type(target).__mro__}
+    choice = str(found(target, "_config.impl") or found(target, "config.impl") or "")
+    if choice == "warp" or "mjlab" in packages:
+        return "mujoco_warp"
+    return "mjx" if is_mjx_model(model) or choice == "jax" or "mujoco_playground" in packages else "c"
+
+
+def limits(target: Any) -> dict[str, int]:
+    """Return the limits of contacts and constraints that a target states."""
+    values: dict[str, int] = {}
+    for place in LIMIT_PLACES:
+        for holder in (target, found(target, "unwrapped")):
+            for name in ("njmax", "nconmax", "naconmax"):
+                value = found(holder, place + "." + name)
+                if isinstance(value, int) and not isinstance(value, bool):
+                    values.setdefault(name, value)
+    return values
+
+
+def frame_skip(target: Any) -> int | None:
+    """Return the steps of the engine for one action; None where the target does not state it."""
+    for holder in (target, found(target, "unwrapped")):
+        for place in ("frame_skip", "n_substeps", "_n_substeps", "cfg.decimation"):
+            value = found(holder, place)
+            if isinstance(value, int) and not isinstance(value, bool):
+                return value
+    return None

@@ -1,0 +1,125 @@
+"""Run scenes of the suite with a configuration's settings, at the configuration's own step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import floor
+from typing import Any
+
+from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends.base import scene_support
+from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.variants import find_variant
+from gauge_envs.runs.rollout import DeclinedError, Rollout, record
+from gauge_envs.scene import Scene
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+__all__ = ["Scenario", "run_scenario", "settings_in_force"]
+
+
+def _unchanged(scene: Scene) -> Scene:
+    return scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """A scene of the suite and the time for which it is simulated.
+
+    Attributes:
+        name: Unique name, by which rollouts are cached.
+        variant: Variant of the suite, such as `SlopeSlider-1-wood`.
+        seconds: Simulated time [s].
+        parameters: Parameter set of the variant.
+        interval_s: Longest time between samples, unless a step is longer [s].
+        change: Function that changes the scene, for example removes a body.
+        nodes_of: Deformable bodies whose nodes are recorded.
+        engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
+    """
+
+    name: str
+    variant: str
+    seconds: float
+    parameters: Parameters = "calibrated"
+    interval_s: float = 0.002
+    change: Callable[[Scene], Scene] = field(default=_unchanged)
+    nodes_of: tuple[str, ...] = ()
+    engine_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def id(self) -> str:
+        """Gymnasium id of the variant."""
+        return find_variant(self.variant).id
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene, driven as the task file states."""
+        return self.change(load_experiment(self.variant, self.parameters).scene)
+
+
+def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout:
+    """Build a scenario's scene, run it and record it.
+
+    It is driven and sampled every few steps, as many as fit in the scenario's interval, or every step. Settings without
+    a step leave the step to the backend. The interval is then the one of its preset, 1/180 s by default.
+
+    Args:
+        backend: The backend.
+        scenario: The scenario.
+        settings: Settings of the backend; the backend's default for the scene completes them.
+
+    Raises:
+        DeclinedError: The backend cannot build the scene, or refuses the settings for it.
+        DivergedError: The engine fails, or a body is where or as fast as the scene's energy does not allow.
+    """
+    simulation = _built(backend, scenario, settings)
+    try:
+        simulation.reset(0)
+        return record(
+            simulation,
+            scenario.scene,
+            scenario.seconds,
+            interval_s=float(simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)),
+            nodes_of=scenario.nodes_of,
+            speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
+        )
+    finally:
+        simulation.close()
+
+
+def settings_in_force(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return every numerical setting that a scenario would run with, those of the preset included.
+
+    Raises:
+        DeclinedError: The backend cannot build the scene, or refuses the settings for it.
+    """
+    simulation = _built(backend, scenario, settings)
+    try:
+        return dict(simulation.settings)
+    finally:
+        simulation.close()
+
+
+def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> Simulation:
+    support = scene_support(backend, scenario.scene)
+    if not support:
+        raise DeclinedError(support.missing)
+    own = scenario.engine_settings.get(backend.name, {})
+    try:
+        return backend.build(scenario.scene, {**own, **_with_interval(settings, scenario.interval_s)})
+    except ParameterError as error:
+        raise DeclinedError((str(error),)) from error
+    # Engines refuse combinations of settings by exceptions of any kind; another scene may accept them.
+    except Exception as error:
+        raise DeclinedError((f"{type(error).__name__}: {error}",)) from error
+
+
+def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, Any]:
+    """Return settings with the drive interval for their step; unchanged when they state no step."""
+    step = settings.get("timestep_s")
+    if step is None:
+        return dict(settings)
+    return {**settings, "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6))}

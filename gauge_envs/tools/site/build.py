@@ -1,0 +1,231 @@
+"""Write a site: all pages into a new folder, which then takes the place of the old one."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from secrets import token_hex
+from typing import Any
+
+from gauge_envs.errors import GaugeError, ResultFileError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.pages.html import SITE_STYLE, Html, element, join, script_value, slug
+from gauge_envs.runs.replay import ReplayError, load_or_replay, replayed_experiment
+from gauge_envs.runs.result import Result
+from gauge_envs.tools.compare.comparison import ExperimentComparison, compare
+from gauge_envs.tools.site.engine_page import engine_page
+from gauge_envs.tools.site.experiment_page import experiment_page
+from gauge_envs.tools.site.model import Site, first_result
+from gauge_envs.tools.site.overview import overview_page
+from gauge_envs.tools.site.replay import ghost_text, replay_data
+from gauge_envs.tools.site.reproduce import reproduce_page
+
+__all__ = ["ReplayNote", "save_site"]
+
+MARK = "gauge-report-site.txt"
+"""File that marks a folder as a site, which a later one may replace."""
+
+MARK_TEXT = "A site of `gauge report`. The next one with this folder replaces everything in it.\n"
+
+SCRIPTS = ("replay.js", "three.min.js", "three.LICENSE.txt")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayNote:
+    """Why a configuration has no replay in an experiment.
+
+    Attributes:
+        id: Gymnasium id of the experiment.
+        label: Label of the configuration.
+        reason: The reason.
+    """
+
+    id: str
+    label: str
+    reason: str
+
+
+def save_site(
+    results: Mapping[Path, Result],
+    out: Path,
+    *,
+    replays: bool = True,
+    command: str = "gauge report",
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[ReplayNote, ...]:
+    """Write the site of results into a folder: a page for all, one for each experiment and engine, and replays.
+
+    The pages are written beside the folder and then take its place, so that an interruption leaves the old site.
+
+    Args:
+        results: Result files and their contents, one or more.
+        out: Folder of the site. It must be new, empty, or a site.
+        replays: Whether to run the episodes again for their poses; see `gauge_envs.runs.replay`.
+        command: Command that makes the site, which it shows.
+        progress: Receives the name of each experiment before its page is made.
+
+    Returns:
+        Why configurations have no replay; the pages say the same.
+
+    Raises:
+        ResultFileError: There is no result, the folder holds something else, or it cannot be written.
+    """
+    if not results:
+        raise ResultFileError("there is no result to report")
+    check_replaceable(out)
+    part = out.with_name(f".{out.name}.{token_hex(8)}.tmp")
+    try:
+        try:
+            (part / "assets").mkdir(parents=True)
+            notes = _write(results, part, replays=replays, command=command, progress=progress)
+            _replace(part, out)
+        except OSError as error:
+            if isinstance(error, GaugeError):
+                raise
+            raise ResultFileError(f"{out}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return notes
+
+
+def check_replaceable(out: Path) -> None:
+    """Check that a site may take the place of a folder.
+
+    Raises:
+        ResultFileError: The folder holds something else than a site.
+    """
+    try:
+        is_taken = out.is_symlink() or (out.exists() and (not out.is_dir() or any(out.iterdir())))
+    except OSError as error:
+        raise ResultFileError(f"{out}: cannot be read: {error.strerror or error}") from error
+    if is_taken and (out.is_symlink() or not (out / MARK).is_file()):
+        raise ResultFileError(f"{out}: holds something else than a site of gauge report; give another folder")
+
+
+def _replace(part: Path, out: Path) -> None:
+    old = out.with_name(f".{out.name}.{token_hex(8)}.old")
+    if out.exists():
+        out.replace(old)
+    try:
+        part.replace(out)
+    except OSError:
+        with suppress(OSError):
+            old.replace(out)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _write(
+    results: Mapping[Path, Result], out: Path, *, replays: bool, command: str, progress: Callable[[str], None]
+) -> tuple[ReplayNote, ...]:
+    comparison = compare(results.values())
+    site = Site(comparison=comparison, files={id(result): file for file, result in results.items()})
+    assets = files("gauge_envs.tools.site") / "assets"
+    for name in SCRIPTS:
+        (out / "assets" / name).write_bytes((assets / name).read_bytes())
+    _page(out / "assets" / "site.css", SITE_STYLE)
+    _page(out / MARK, MARK_TEXT)
+    notes: list[ReplayNote] = []
+    for one in comparison.experiments:
+        progress(one.name)
+        replay, own = _replays(site, one, out) if replays else (None, [])
+        notes += own
+        texts = [f"{note.label} has no replay: {note.reason}. Its curves are below." for note in own]
+        _page(out / site.experiment_page(one), experiment_page(site, one, replay, texts))
+    for name in site.engines:
+        _page(out / site.engine_page(name), engine_page(site, name))
+    _page(out / "reproduce.html", reproduce_page(site, command))
+    _page(out / "index.html", overview_page(site))
+    return tuple(notes)
+
+
+def _page(path: Path, text: str) -> None:
+    # A lone surrogate in a file of a stranger has no UTF-8.
+    path.write_bytes(text.encode("utf-8", errors="backslashreplace"))
+
+
+# --- replays ---
+
+
+def _replays(site: Site, one: ExperimentComparison, out: Path) -> tuple[Html | None, list[ReplayNote]]:
+    """Write the replay of each configuration in an experiment; return their element, and what has none and why."""
+    entries: list[dict[str, str]] = []
+    ghosts = []
+    notes = []
+    for index, cell in enumerate(one.cells):
+        result = first_result(cell)
+        if result is None:
+            continue
+        label = site.labels[index]
+        try:
+            data = _replay(site, index, result)
+        except GaugeError as error:
+            notes.append(ReplayNote(id=one.id, label=label, reason=str(error)))
+            continue
+        if data["ghost"] is not None:
+            ghosts.append(data["ghost"])
+        key = f"{slug(one.name)}.{site.slugs[index]}"
+        path = Path("data") / f"{key}.js"
+        (out / "data").mkdir(exist_ok=True)
+        _page(out / path, f"gaugeReplay({script_value(key)},{script_value(data)});\n")
+        entries.append({"key": key, "file": path.as_posix(), "label": label, "color": site.color(index)})
+    return (_replay_element(entries, ghost_text(ghosts)) if entries else None), notes
+
+
+def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
+    file = site.files.get(id(result))
+    if file is None:
+        raise ReplayError("its result file is not known")
+    replay = load_or_replay(result, file)
+    experiment = replayed_experiment(result)
+    band = reference_band(experiment, use_withheld=result.score.withheld is not None)
+    return replay_data(experiment, replay, band, label=site.labels[index], color=site.color(index))
+
+
+def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
+    speeds = join(
+        element("option", f"{text} speed", value=value, selected=value == "1")
+        for text, value in (("1/20", "0.05"), ("1/4", "0.25"), ("1/2", "0.5"), ("real", "1"), ("2 times", "2"))
+    )
+    controls = [
+        element("button", "Play", name="play", type="button"),
+        element("input", type="range", name="time", min=0, max=1, step="any", value=0, aria_label="time"),
+        element("output", "loading", name="now", aria_live="off"),
+        element("select", speeds, name="speed", aria_label="speed"),
+        element("button", "Reset view", name="view", type="button"),
+    ]
+    boxes = [
+        element("label", element("input", type="checkbox", name="engine", value=entry["key"]), f" {entry['label']}")
+        for entry in entries
+    ]
+    if ghost:
+        box = element("input", type="checkbox", name="ghost", checked=True)
+        boxes.append(element("label", box, " reference"))
+    choice = element("fieldset", element("legend", "Show"), *boxes)
+    canvas = element(
+        "canvas",
+        Html(""),
+        tabindex=0,
+        role="application",
+        aria_label="3D replay. Space plays, arrow keys step by a frame, A and D turn the view.",
+    )
+    stage = element("div", canvas, element("div", Html(""), class_="names"), class_="stage")
+    help_text = "Drag to turn, click and scroll to zoom. Keys in the picture: Space, left and right, Home, End, A, D. "
+    help_text += "Poses of the run, which was repeated and has the same g(t) as its result, bit for bit."
+    return join(
+        [
+            element(
+                "div",
+                stage,
+                element("div", *controls, choice, class_="controls"),
+                element("noscript", "The replay needs JavaScript."),
+                class_="replay",
+                data_replays=script_value(list(entries)),
+            ),
+            element("p", help_text, f" {ghost}" if ghost else "", class_="small"),
+        ]
+    )

@@ -1,0 +1,258 @@
+"""Replays as data of a page: shapes, quantized poses and nodes, and the real trajectory as a ghost.
+
+Positions are whole numbers of 16 bits between the ends of their range, orientations the components of the quaternion
+times 32767. `Quantized.step_m` states the rounding of positions.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.envs.rendering.ghost import reference_words
+from gauge_envs.envs.rendering.materials import USUAL
+from gauge_envs.envs.rendering.renderer import STRING_RADIUS_M
+from gauge_envs.envs.rendering.skin import Skin
+from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.runs.replay import Replay
+from gauge_envs.scene import (
+    Box,
+    Capsule,
+    Cloth,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Motion,
+    Plane,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+    Sphere,
+)
+from gauge_envs.scene.geometry import Pose, Shape
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+__all__ = ["Quantized", "ghost_text", "quantized", "replay_data", "scene_data"]
+
+FloatArray = NDArray[np.floating[Any]]
+
+MOST = 32767
+"""Largest stored number."""
+
+ROUND_M = 5
+"""Digits of lengths in metres that are written as text: 10 micrometres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantized:
+    """Positions as numbers of 16 bits.
+
+    Attributes:
+        values: Numbers from -32767 to 32767, of the shape of the positions, [..., 3].
+        centre_m: Position of number 0 [m].
+        step_m: Length of one count along each axis [m]; a position is wrong by half of it at most.
+    """
+
+    values: NDArray[np.int16]
+    centre_m: NDArray[np.float64]
+    step_m: NDArray[np.float64]
+
+    def restored(self) -> NDArray[np.float64]:
+        """Return the positions [m]."""
+        return self.centre_m + self.values * self.step_m
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready dictionary."""
+        return {"data": _packed(self.values), "centre": self.centre_m.tolist(), "step": self.step_m.tolist()}
+
+
+def quantized(positions_m: FloatArray) -> Quantized:
+    """Return positions [m], shape [..., 3], as numbers of 16 bits; a position that is not finite becomes the centre."""
+    points = positions_m.reshape(-1, 3).astype(np.float64)
+    finite = points[np.isfinite(points).all(axis=1)]
+    low, high = (finite.min(axis=0), finite.max(axis=0)) if len(finite) else (np.zeros(3), np.zeros(3))
+    centre, step = 0.5 * (low + high), np.maximum(0.5 * (high - low) / MOST, 1e-12)
+    counts = np.rint((positions_m - centre) / step)
+    values = np.where(np.isfinite(counts), counts, 0.0).astype(np.int16)
+    return Quantized(values=values, centre_m=centre, step_m=step)
+
+
+def _packed(values: NDArray[Any]) -> str:
+    """Return integers as base64, in the byte order of browsers."""
+    return b64encode(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes()).decode("ascii")
+
+
+# --- scene ---
+
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """Return the still part of a scene, JSON-ready: shapes, colours, strings and the camera."""
+    shapes: list[list[dict[str, Any]]] = []
+    known: dict[Shape, int] = {}
+    bodies = []
+    for body in scene.bodies:
+        if body.shape not in known:
+            known[body.shape] = len(shapes)
+            shapes.append(_solids(body.shape))
+        bodies.append(
+            {
+                "name": body.name,
+                "shape": known[body.shape],
+                "color": _color(USUAL[body.motion].color),
+                "pose": _pose(body.pose),
+            }
+        )
+    view = scene_view(scene)
+    return {
+        "shapes": shapes,
+        "bodies": bodies,
+        "strings": [{"body": joint.body, "anchor": list(joint.anchor_m)} for joint in scene.joints],
+        "string": {"radius": STRING_RADIUS_M},
+        "camera": {
+            "target": [round(float(x), ROUND_M) for x in view.target_m],
+            "distance": view.distance_m,
+            "azimuth": view.azimuth_deg,
+            "elevation": view.elevation_deg,
+            "fov": FIELD_OF_VIEW_DEG,
+        },
+    }
+
+
+def _color(rgba: Sequence[float]) -> str:
+    return "#" + "".join(f"{round(255 * part):02x}" for part in rgba[:3])
+
+
+def _pose(pose: Pose) -> list[float]:
+    """Return position and quaternion x y z w, the order of three.js."""
+    w, x, y, z = pose.quaternion
+    return [*pose.position_m, x, y, z, w]
+
+
+def _solids(shape: Shape) -> list[dict[str, Any]]:
+    """Return the solids of a shape, each with its place in the body frame."""
+    if isinstance(shape, Compound):
+        return [solid | {"pose": _pose(part.pose)} for part in shape.parts for solid in _solids(part.shape)]  # type: ignore[arg-type]
+    if isinstance(shape, Box):
+        return [{"kind": "box", "size": list(shape.size_m)}]
+    if isinstance(shape, Sphere):
+        return [{"kind": "sphere", "radius": shape.radius_m}]
+    if isinstance(shape, Cylinder):
+        return [{"kind": "cylinder", "radius": shape.radius_m, "length": shape.length_m}]
+    if isinstance(shape, Plane):
+        return [{"kind": "plane"}]
+    if isinstance(shape, ConvexUnion):
+        return [_hull(np.asarray(piece)) for piece in shape.pieces_m]
+    return [_part(shape)]
+
+
+def _part(shape: Capsule | Ellipsoid) -> dict[str, Any]:
+    if isinstance(shape, Capsule):
+        return {"kind": "capsule", "radius": shape.radius_m, "length": shape.length_m}
+    return {"kind": "ellipsoid", "radii": list(shape.radii_m)}
+
+
+def _hull(points_m: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the faces of a convex piece as triangles with outward normals."""
+    hull = ConvexHull(points_m)
+    triangles = points_m[hull.simplices]
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    inward = (across * hull.equations[:, :3]).sum(axis=1) < 0.0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return {"kind": "mesh", "triangles": np.round(triangles, ROUND_M + 1).ravel().tolist()}
+
+
+# --- motion ---
+
+
+def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, label: str, color: str) -> dict[str, Any]:
+    """Return a replay, JSON-ready.
+
+    Args:
+        experiment: The experiment with the scene and the start that ran.
+        replay: Poses and nodes.
+        band: Band of the experiment, or None; it becomes the ghost where it is of positions.
+        label: Name of the configuration.
+        color: Its colour in CSS.
+    """
+    positions = quantized(replay.poses[..., :3])
+    # Quaternions are stored x y z w, the order of three.js.
+    turns = np.rint(MOST * np.nan_to_num(replay.poses[..., [4, 5, 6, 3]])).clip(-MOST, MOST).astype(np.int16)
+    return {
+        "label": label,
+        "color": color,
+        "rate": replay.rate_hz,
+        "views": len(replay.poses),
+        "scene": scene_data(experiment.scene),
+        "moving": list(replay.bodies),
+        "positions": positions.to_dict(),
+        "turns": _packed(turns),
+        "soft": [_soft(body, replay.nodes_m[body.name]) for body in experiment.scene.deformables],
+        "markers": quantized(replay.markers_m).to_dict() | {"count": replay.markers_m.shape[1]}
+        if replay.markers_m.size
+        else None,
+        "ghost": None if band is None else _ghost(experiment, band),
+    }
+
+
+def _soft(body: Cloth | SoftBody | Rope | Rod, nodes_m: NDArray[np.float32]) -> dict[str, Any]:
+    data: dict[str, Any] = {"count": nodes_m.shape[1], "nodes": quantized(nodes_m).to_dict()}
+    if isinstance(body, Rope | Rod):
+        return data | {"kind": "line", "radius": body.radius_m, "color": _color(USUAL[Motion.DYNAMIC].color)}
+    faces = Skin(body, nodes_m[0].astype(np.float64)).faces
+    return data | {
+        "kind": "surface",
+        "faces": _packed(faces.astype(np.uint16)),
+        "color": _color(USUAL[Motion.DYNAMIC].color),
+    }
+
+
+def _ghost(experiment: Experiment, band: Band) -> dict[str, Any] | None:
+    """Return the real positions of bodies or markers at the frames; None if the band is of other quantities."""
+    path = reference_path(experiment, band)
+    if path is None:
+        return None
+    is_body = experiment.score.observable is Observable.POSITION
+    scene = experiment.scene
+    known = [bool(np.isfinite(row).all()) for row in path.places_m]
+    return {
+        "grade": band.grade.value,
+        "trials": band.trial_count,
+        "full": path.is_full,
+        "names": list(path.names),
+        "radii": [_radius(scene.body(name).shape) if is_body else None for name in path.names],
+        "places": [
+            np.round(row, ROUND_M).tolist() if is_known else None
+            for row, is_known in zip(path.places_m, known, strict=True)
+        ],
+        "measured": band.measured.tolist(),
+    }
+
+
+def _radius(shape: Shape) -> float | None:
+    return shape.radius_m if isinstance(shape, Sphere) else None
+
+
+def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
+    """Return what the ghost of a page is, in words; an empty text without one."""
+    if not ghosts:
+        return ""
+    ghost = ghosts[0]
+    grade = BandGrade(ghost["grade"])
+    what = reference_words(grade, ghost["trials"])
+    what += ", no recorded motion" if grade is BandGrade.LAW else ""
+    held = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
+    last = max((frame for frame, place in enumerate(ghost["places"]) if place is not None), default=0)
+    end = f" It ends at {last / FRAME_RATE_HZ:.2f} s." if last < len(ghost["places"]) - 1 else ""
+    return f"Ghost: {what}; not aligned in time.{held}{end}"

@@ -1,0 +1,251 @@
+"""The table of a sweep before it runs: every episode once, with its content key and the name of its file."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.scene.jitter import JITTER_FORMAT
+from gauge_envs.tools.sweep.engine_facts import EngineFacts, engine_facts
+from gauge_envs.tools.sweep.key import KEY_LENGTH, episode_key, experiment_sha256, run_sha256
+from gauge_envs.tools.sweep.spec import MOST_EPISODES, SweepSpec
+
+__all__ = ["SweepPlan", "SweepRun", "SweepTask", "plan_sweep", "remaining_tasks", "shard"]
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """Repeats of one experiment on one engine, with one choice of parameters and settings.
+
+    Attributes:
+        request: The request, with its first seed, its repeats and the jitter that applies.
+        experiment: Name of the experiment.
+        sha256: Hash that its episodes share.
+        versions: Versions of the engine's packages and of gauge-envs that the hash contains.
+        shares_worlds: Whether the repeats run as worlds of one simulation.
+        declined: Why no episode of it can run; None if the plan knows no reason.
+        steps: Time steps of an episode; None where the engine does not tell.
+        label: Short text of the parameters and settings.
+    """
+
+    request: RunRequest
+    experiment: str
+    sha256: str
+    versions: dict[str, str]
+    shares_worlds: bool
+    declined: str | None
+    steps: float | None
+    label: str
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """Engine and experiment; a worker stays with a group as long as it can."""
+        return self.request.backend, self.experiment
+
+    @property
+    def seeds(self) -> range:
+        """Seeds of the episodes."""
+        return range(self.request.seed, self.request.seed + self.request.repeats)
+
+    def file_name(self, seed: int) -> str:
+        """Return the name of the result file of an episode."""
+        return f"{self.experiment}.{self.request.backend}.{episode_key(self.sha256, seed)[:KEY_LENGTH]}.json"
+
+
+@dataclass(frozen=True)
+class SweepTask:
+    """Episodes that one call runs: repeats with consecutive seeds.
+
+    Attributes:
+        run: Their run.
+        seeds: Their seeds.
+    """
+
+    run: SweepRun
+    seeds: range
+
+    @property
+    def request(self) -> RunRequest:
+        """The request of these episodes alone."""
+        return replace(self.run.request, seed=self.seeds[0], repeats=len(self.seeds))
+
+    @property
+    def file_names(self) -> list[str]:
+        """Names of the result files."""
+        return [self.run.file_name(seed) for seed in self.seeds]
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """The runs of a sweep, each content once.
+
+    Attributes:
+        runs: The runs, grouped by engine and experiment.
+        duplicates: Episodes that were left out, because others have the same content.
+    """
+
+    runs: tuple[SweepRun, ...]
+    duplicates: int = 0
+
+    @property
+    def episode_count(self) -> int:
+        """Number of episodes."""
+        return sum(run.request.repeats for run in self.runs)
+
+
+def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
+    """Return the plan of a sweep. No simulation is built.
+
+    Args:
+        spec: What it covers.
+        isolate: Ask also the engines of this package in another process.
+
+    Raises:
+        ParameterError: The sweep has too many episodes, no experiment takes one of the parameters, or an engine does
+            not take a setting.
+        UnknownNameError: A pattern, an engine or a preset is unknown.
+        MissingExtraError: An engine is not installed.
+        AssetError: An experiment file cannot be used.
+    """
+    count = spec.episode_count()
+    if count > MOST_EPISODES:
+        # Python writes no integer of thousands of digits, which long lists give.
+        shown = f"{count:,}" if count < 10**15 else f"more than {10**15:,}"
+        raise ParameterError(
+            f"the sweep has {shown} episodes, the limit is {MOST_EPISODES:,}: shorten its lists, or split it"
+        )
+    subjects = [_Subject.load(spec, subject, parameters) for subject, parameters in _subjects(spec)]
+    _check_parameters(spec, subjects)
+    runs: dict[str, SweepRun] = {}
+    for backend in dict.fromkeys(spec.backends):
+        choices = list(spec.setting_choices(backend))
+        facts = engine_facts(backend, [one.experiment for one in subjects], choices, isolate=isolate)
+        for number, subject in enumerate(subjects):
+            for choice, settings in enumerate(choices):
+                run = _run(spec, backend, subject, settings, facts, (number, choice))
+                runs.setdefault(run.sha256, run)
+    plan = SweepPlan(tuple(runs.values()))
+    return replace(plan, duplicates=count - plan.episode_count)
+
+
+@dataclass(frozen=True)
+class _Subject:
+    """One experiment with one choice of parameters.
+
+    Attributes:
+        request: A request for it.
+        parameters: The parameters.
+        experiment: The experiment, or the calibrated one if it does not take the parameters.
+        refusal: Why it does not take the parameters, or None.
+        sha256: Hash of the experiment.
+    """
+
+    request: RunRequest
+    parameters: Parameters
+    experiment: Experiment
+    refusal: ParameterError | None
+    sha256: str
+
+    @classmethod
+    def load(cls, spec: SweepSpec, subject: Any, parameters: Parameters) -> _Subject:
+        given = RunRequest(subject, parameters=parameters, seed=spec.seed, repeats=spec.repeats)
+        request = replace(given, jitter=spec.start_jitter or given.scatter)
+        refusal = None
+        try:
+            experiment = request.experiment()
+        except ParameterError as error:
+            experiment, refusal = request.calibrated_experiment(), error
+        return cls(request, parameters, experiment, refusal, experiment_sha256(experiment))
+
+
+def _subjects(spec: SweepSpec) -> Iterator[tuple[Any, Parameters]]:
+    for subject in spec.subjects():
+        for parameters in spec.parameters:
+            yield subject, parameters
+
+
+def _check_parameters(spec: SweepSpec, subjects: Sequence[_Subject]) -> None:
+    """Raise an error for parameters that no experiment takes; the subjects are in the order of `_subjects`."""
+    count = len(spec.parameters)
+    for number in range(count):
+        refusals = [subject.refusal for subject in subjects[number::count]]
+        if refusals[0] is not None and None not in refusals:
+            raise refusals[0]
+
+
+def _run(
+    spec: SweepSpec,
+    backend: str,
+    subject: _Subject,
+    settings: dict[str, Any],
+    facts: EngineFacts,
+    place: tuple[int, int],
+) -> SweepRun:
+    declined = facts.declined.get(place[0]) or (None if subject.refusal is None else str(subject.refusal))
+    found = facts.settings.get(place)
+    jitter = subject.request.jitter
+    timestep_s = None if found is None else found.timestep_s
+    name = subject.experiment.name
+    return SweepRun(
+        request=replace(subject.request, backend=backend, settings=settings or None),
+        experiment=name,
+        sha256=run_sha256(
+            subject.sha256,
+            backend=backend,
+            versions=facts.versions,
+            settings=str(settings) if found is None else found.sha256,
+            parameters=subject.parameters,
+            jitter=None if jitter is None else {**jitter.to_dict(), "format": JITTER_FORMAT},
+        ),
+        versions=facts.versions,
+        shares_worlds=facts.shares_worlds,
+        declined=declined,
+        steps=None if timestep_s is None else subject.experiment.scene.duration_s / timestep_s,
+        label=", ".join([str(subject.parameters), *(f"{key}={value}" for key, value in settings.items())]),
+    )
+
+
+def remaining_tasks(plan: SweepPlan, done: Container[str]) -> Iterator[SweepTask]:
+    """Yield the tasks whose episodes have no file yet.
+
+    Repeats of an engine that runs them as worlds of one simulation form one task; other episodes are tasks of their
+    own. The bits are the same either way.
+
+    Args:
+        plan: The plan.
+        done: Names of the files that exist.
+    """
+    for run in plan.runs:
+        missing = [seed for seed in run.seeds if run.file_name(seed) not in done]
+        for seeds in _consecutive(missing) if run.shares_worlds else (range(seed, seed + 1) for seed in missing):
+            yield SweepTask(run, seeds)
+
+
+def _consecutive(seeds: Sequence[int]) -> Iterator[range]:
+    first = 0
+    for number in range(1, len(seeds) + 1):
+        if number == len(seeds) or seeds[number] != seeds[number - 1] + 1:
+            yield range(seeds[first], seeds[number - 1] + 1)
+            first = number
+
+
+def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
+    """Return one of several parts of a plan. Neighbouring runs stay together, since they share engine and experiment.
+
+    Args:
+        plan: The plan.
+        number: Number of the part, from 0.
+        count: Number of parts.
+
+    Raises:
+        ParameterError: There is no such part.
+    """
+    if not 0 <= number < count:
+        raise ParameterError(f"shard {number}/{count}: expected a number from 0 to {count - 1}")
+    total = len(plan.runs)
+    return replace(plan, runs=plan.runs[number * total // count : (number + 1) * total // count])

@@ -1,0 +1,164 @@
+"""Tables of sweeps: the plan, the outcomes and the answers to queries."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.files import json_ready, printable
+from gauge_envs.pages.table import Column, Table
+from gauge_envs.pages.text import value_text
+from gauge_envs.runs.result import Outcome
+from gauge_envs.tools.sweep.estimate import Cost, EarlierCosts
+from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
+
+__all__ = [
+    "cost_text",
+    "duration_text",
+    "outcome_table",
+    "plan_rows",
+    "plan_table",
+    "query_csv",
+    "query_records",
+    "query_table",
+]
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration in the unit that fits it, as `4.2 min`."""
+    for size, unit in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.1f} s"
+
+
+def cost_text(cost: Cost, workers: int) -> str:
+    """Return the estimate of a sweep in words."""
+    if not cost.known and not cost.unknown:
+        return "nothing is left to run"
+    if not cost.known:
+        return f"cost unknown: no earlier results of these engines and experiments for {cost.unknown} episodes"
+    text = (
+        f"about {duration_text(cost.engine_s)} in the engines for {cost.known} episodes, by earlier results; "
+        f"{duration_text(cost.engine_s / workers)} on {workers} workers, without start and building"
+    )
+    return f"{text}; unknown for {cost.unknown} episodes" if cost.unknown else text
+
+
+def plan_rows(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) -> list[dict[str, Any]]:
+    """Return a row for each engine and experiment of a plan, with the episodes that are left and their cost."""
+    left: dict[tuple[str, str], list[SweepTask]] = {}
+    for task in tasks:
+        left.setdefault(task.run.group, []).append(task)
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for run in plan.runs:
+        row = rows.setdefault(
+            run.group,
+            {"backend": run.group[0], "experiment": run.group[1], "runs": 0, "episodes": 0, "declined": 0},
+        )
+        row["runs"] += 1
+        row["episodes"] += run.request.repeats
+        row["declined"] += run.request.repeats if run.declined else 0
+        row.setdefault("reason", run.declined)
+    for group, row in rows.items():
+        waiting = left.get(group, [])
+        cost = costs.of(task for task in waiting if task.run.declined is None)
+        row["left"] = sum(len(task.seeds) for task in waiting)
+        row["engine_s"] = cost.engine_s if cost.known else None
+        row["unknown"] = cost.unknown
+    return list(rows.values())
+
+
+def plan_table(rows: Sequence[Mapping[str, Any]], *, wide: bool) -> Table:
+    """Return a plan as a table: a row for each engine, or with `wide` for each engine and experiment."""
+    if wide:
+        return Table(columns=PLAN_COLUMNS, rows=rows)
+    columns = tuple(column for column in PLAN_COLUMNS if column.key != "experiment")
+    return Table(columns=columns, rows=_sums(rows))
+
+
+def _sums(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    sums: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        one = sums.setdefault(row["backend"], {"backend": row["backend"], "engine_s": None})
+        for key in ("runs", "episodes", "left", "declined", "unknown"):
+            one[key] = one.get(key, 0) + row[key]
+        if row["engine_s"] is not None:
+            one["engine_s"] = (one["engine_s"] or 0.0) + row["engine_s"]
+    return list(sums.values())
+
+
+def outcome_table(counts: Mapping[tuple[str, Outcome], int]) -> Table:
+    """Return the number of episodes of each outcome, a row for each engine.
+
+    Args:
+        counts: Number of episodes by engine and outcome.
+    """
+    rows = [
+        {"backend": name} | {outcome.value: counts.get((name, outcome), 0) for outcome in Outcome}
+        for name in dict.fromkeys(backend for backend, _ in counts)
+    ]
+    columns = (Column("backend", "engine"), *(Column(one.value, one.value, str, is_number=True) for one in Outcome))
+    return Table(columns=columns, rows=rows)
+
+
+def query_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
+    """Return the answer to a query as a table."""
+    numbers = [all(isinstance(row[index], int | float | None) for row in rows) for index in range(len(columns))]
+    return Table(
+        columns=tuple(
+            Column(str(index), name, lambda value: value_text(_plain(value)), is_number=is_number)
+            for index, (name, is_number) in enumerate(zip(columns, numbers, strict=True))
+        ),
+        rows=[{str(index): value for index, value in enumerate(row)} for row in rows],
+    )
+
+
+def query_csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return the answer to a query as CSV with a header.
+
+    Bytes are written in hexadecimal digits, and control characters as escapes: a file of a stranger may hold some,
+    which a terminal would execute.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(map(_csv_value, columns))
+    writer.writerows(map(_csv_value, row) for row in rows)
+    return text.getvalue()
+
+
+def query_records(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[dict[str, Any]]:
+    """Return the answer to a query as JSON-ready objects; bytes are written in hexadecimal digits.
+
+    Raises:
+        ParameterError: Two columns have the same name.
+    """
+    if len({*columns}) < len(columns):
+        twice = next(name for name, count in Counter(columns).items() if count > 1)
+        raise ParameterError(f"two columns have the name {twice!r}, and JSON keeps one: name them with AS")
+    return [json_ready({name: _plain(value) for name, value in zip(columns, row, strict=True)}) for row in rows]
+
+
+def _plain(value: Any) -> Any:
+    return value.hex() if isinstance(value, bytes) else value
+
+
+def _csv_value(value: Any) -> Any:
+    value = _plain(value)
+    return "\n".join(map(printable, value.split("\n"))) if isinstance(value, str) else value
+
+
+PLAN_COLUMNS = (
+    Column("backend", "engine"),
+    Column("experiment", "experiment"),
+    Column("runs", "runs", str, is_number=True),
+    Column("episodes", "episodes", str, is_number=True),
+    Column("left", "left", str, is_number=True),
+    Column("declined", "declined", str, is_number=True),
+    Column("engine_s", "engine time", duration_text, is_number=True),
+    Column("unknown", "without estimate", str, is_number=True),
+)

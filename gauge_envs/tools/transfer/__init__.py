@@ -1,0 +1,1 @@
+"""Replay policies elsewhere, and show what uncertain inputs do to a reward."""

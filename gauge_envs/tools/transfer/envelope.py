@@ -1,0 +1,317 @@
+"""Run an experiment or a control task at many points of its measured uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
+
+from gauge_envs.envs.control.limit import LimitReport
+from gauge_envs.envs.control.play import Policy
+from gauge_envs.envs.control.worlds import ControlWorlds
+from gauge_envs.envs.vector import GaugeVectorEnv
+from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
+from gauge_envs.scene import Scene
+from gauge_envs.tools.transfer.policy_replays import make_control_env
+from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
+
+__all__ = ["Envelope", "LawPolicy", "control_envelope", "experiment_envelope", "sobol_sigmas"]
+
+FloatArray = NDArray[np.float64]
+
+LARGEST_SAMPLE_COUNT = 2**16
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawPolicy:
+    """The law's own policy.
+
+    Attributes:
+        fraction: Share of the law's limit that it uses.
+        informed: Whether it knows the constants of each world. Otherwise it takes the actions that it takes with the
+            calibrated constants.
+
+    Raises:
+        ParameterError: The share is negative or not finite.
+    """
+
+    fraction: float = 0.95
+    informed: bool = False
+
+    def __post_init__(self) -> None:
+        # A comparison with NaN is false.
+        if not 0.0 <= self.fraction < math.inf:
+            raise ParameterError(f"fraction is {self.fraction:g}, expected a finite share of the limit from 0")
+
+    @property
+    def title(self) -> str:
+        """Description for reports."""
+        knows = "knows the constants" if self.informed else "with its actions for the calibrated constants"
+        return f"the law's policy at {self.fraction:g} of the limit, {knows}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Envelope:
+    """A quantity at points of the measured uncertainty.
+
+    Attributes:
+        id: Gymnasium id.
+        backend: Name of the engine.
+        quantity: Name of the quantity: `reward`, `normalized RMSE` or `deviation`.
+        unit: Its unit; `1` for a ratio.
+        policy: What acted.
+        scene: The calibrated scene.
+        parameters: The uncertain parameters.
+        sigmas: Points, in standard uncertainties, shape [n, len(parameters)].
+        values: The quantity at the points, shape [n]; NaN where an episode diverged.
+        calibrated: The quantity at the calibrated values.
+        endings: Ending of each episode of a control task; `complete` or `diverged` for an experiment.
+        calibrated_ending: Ending at the calibrated values.
+        ratios: What was reached over what the law allows at the point, shape [n]; None for an experiment.
+    """
+
+    id: str
+    backend: str
+    quantity: str
+    unit: str
+    policy: str
+    scene: Scene
+    parameters: tuple[UncertainParameter, ...]
+    sigmas: FloatArray
+    values: FloatArray
+    calibrated: float
+    endings: tuple[str, ...]
+    calibrated_ending: str
+    ratios: FloatArray | None = None
+
+
+def sobol_sigmas(count: int, dimensions: int, *, seed: int = 0) -> FloatArray:
+    """Return normally distributed points of a scrambled Sobol sequence, shape [count, dimensions].
+
+    Args:
+        count: Number of points, a power of 2.
+        dimensions: Number of coordinates.
+        seed: Seed of the scrambling.
+
+    Raises:
+        ParameterError: The number is no power of 2 from 2 to 65536.
+    """
+    if not 2 <= count <= LARGEST_SAMPLE_COUNT or count & (count - 1):
+        raise ParameterError(f"{count} samples: a Sobol sequence needs a power of 2 from 2 to {LARGEST_SAMPLE_COUNT}")
+    uniform = qmc.Sobol(dimensions, scramble=True, rng=seed).random(count)
+    # A scrambled point may lie on the border of the cube, where the normal distribution is infinite.
+    return np.asarray(norm.ppf(np.clip(uniform, 0.5 / count, 1.0 - 0.5 / count)))
+
+
+def experiment_envelope(
+    variant: str,
+    *,
+    samples: int = 256,
+    backend: str = "mujoco",
+    settings: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    batch: int = 256,
+    notify: Callable[[int], None] = lambda _: None,
+) -> Envelope:
+    """Run an experiment at points of its uncertainty, in a vector environment whose worlds have the constants.
+
+    The quantity is the normalized RMSE of the score where the experiment has a band, and otherwise the root mean square
+    distance of g(t) from that of the calibrated values.
+
+    Args:
+        variant: Variant or id.
+        samples: Number of points, a power of 2.
+        backend: Name of the engine.
+        settings: Settings that replace those of the preset.
+        seed: Seed of the points.
+        batch: Number of worlds in one vector environment.
+        notify: Function that gets the number of points that are done.
+
+    Raises:
+        ParameterError: The numbers are out of range, or the experiment has no uncertain parameter.
+        GaugeError: See `GaugeVectorEnv`.
+    """
+    experiment = load_experiment(variant)
+    parameters = uncertain_parameters(experiment)
+    sigmas = _points(experiment.id, parameters, samples, seed)
+    common: dict[str, Any] = {"backend": backend, "settings": settings}
+    (calibrated,) = _batch(experiment, [{}], **common)
+    assert calibrated.frames is not None
+    is_scored = calibrated.score is not None
+    values: list[float] = []
+    endings: list[str] = []
+    for first in range(0, samples, _checked_batch(batch)):
+        rows = sigmas[first : first + batch]
+        for one in _batch(experiment, [overrides_at(parameters, row.tolist()) for row in rows], **common):
+            endings.append("complete" if one.frames is not None else "diverged")
+            if one.frames is None:
+                values.append(np.nan)
+            elif is_scored:
+                values.append(np.nan if one.score is None else one.score)
+            else:
+                values.append(_distance(one.frames, calibrated.frames))
+        notify(len(values))
+    return Envelope(
+        id=experiment.id,
+        backend=backend,
+        quantity="normalized RMSE" if is_scored else "deviation",
+        unit="1" if is_scored else experiment.score.observable.unit,
+        policy="none",
+        scene=experiment.scene,
+        parameters=parameters,
+        sigmas=sigmas,
+        values=np.array(values),
+        calibrated=calibrated.score if calibrated.score is not None else 0.0,
+        endings=tuple(endings),
+        calibrated_ending="complete",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    score: float | None
+    frames: FloatArray | None
+
+
+def _batch(experiment: TaskExperiment, parameters: Sequence[Mapping[str, Any]], **arguments: Any) -> list[_Outcome]:
+    envs = GaugeVectorEnv(experiment.variant, num_envs=len(parameters), world_parameters=parameters, **arguments)
+    try:
+        envs.reset(seed=0)
+        actions = np.zeros(envs.action_space.shape or 0, dtype=envs.action_space.dtype)
+        over = np.zeros(len(parameters), dtype=np.bool_)
+        while not over.all():
+            _, _, terminations, truncations, _ = envs.step(actions)
+            over |= terminations | truncations
+        return [
+            _Outcome(None if score is None else score.rmse_normalized, None)
+            if episode.fault is not None
+            else _Outcome(None if score is None else score.rmse_normalized, episode.trajectory().frames)
+            for score, episode in zip(envs.scores(), envs.episodes, strict=True)
+        ]
+    finally:
+        envs.close()
+
+
+def _distance(frames: FloatArray, others: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum((frames - others) ** 2, axis=1))))
+
+
+def control_envelope(
+    task: str,
+    *,
+    policy: Policy | LawPolicy | None = None,
+    samples: int = 256,
+    backend: str = "mujoco",
+    settings: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    batch: int = 256,
+    notify: Callable[[int], None] = lambda _: None,
+) -> Envelope:
+    """Run a control task at points of its uncertainty, many worlds at a time; the quantity is an episode's reward.
+
+    All episodes have the seed 0, and so the same goal.
+
+    Args:
+        task: Name or id of the task.
+        policy: Policy, checked with the task, or the law's; None for `LawPolicy()`.
+        samples: Number of points, a power of 2.
+        backend: Name of the engine.
+        settings: Settings that replace those of the preset.
+        seed: Seed of the points.
+        batch: Number of worlds at a time, which bounds the memory.
+        notify: Function that gets the number of points that are done.
+
+    Raises:
+        ParameterError: The numbers are out of range, or the task has no uncertain parameter.
+        GaugeError: See `ControlEnv`.
+    """
+    policy = policy or LawPolicy()
+
+    with closing(make_control_env(task, backend=backend, settings=settings)) as env:
+        parameters, scene = task_uncertainties(env), env.experiment.scene
+    sigmas = _points(f"GAUGE/{task.removeprefix('GAUGE/')}", parameters, samples, seed)
+    actions: list[NDArray[np.float32]] = []
+    with closing(ControlWorlds(task, [{}], backend=backend, settings=settings)) as worlds:
+        ((calibrated, report),) = _episodes(worlds, _recorded(worlds, policy, actions))
+    found: list[tuple[float, LimitReport]] = []
+    for first in range(0, samples, _checked_batch(batch)):
+        constants = [overrides_at(parameters, row.tolist()) for row in sigmas[first : first + batch]]
+        with closing(ControlWorlds(task, constants, backend=backend, settings=settings)) as worlds:
+            found += _episodes(worlds, _acting(worlds, policy, actions))
+        notify(len(found))
+    return Envelope(
+        id=f"GAUGE/{task.removeprefix('GAUGE/')}",
+        backend=backend,
+        quantity="reward",
+        unit="1",
+        policy=policy.title if isinstance(policy, LawPolicy) else "given policy",
+        scene=scene,
+        parameters=parameters,
+        sigmas=sigmas,
+        values=np.array([paid for paid, _ in found]),
+        calibrated=calibrated,
+        endings=tuple(one.ending.value for _, one in found),
+        calibrated_ending=report.ending.value,
+        ratios=np.array([one.ratio for _, one in found]),
+    )
+
+
+def _points(name: str, parameters: Sequence[UncertainParameter], samples: int, seed: int) -> FloatArray:
+    if not parameters:
+        raise ParameterError(f"{name} has no uncertain parameter with a stated uncertainty")
+    return sobol_sigmas(samples, len(parameters), seed=seed)
+
+
+def _checked_batch(batch: int) -> int:
+    if batch < 1:
+        raise ParameterError(f"{batch} worlds in a batch: give 1 or more")
+    return batch
+
+
+Act = Callable[[int, int, FloatArray], NDArray[np.floating]]
+"""Action of a world, by its number, for the number of a frame and the observation."""
+
+
+def _episodes(worlds: ControlWorlds, act: Act) -> list[tuple[float, LimitReport]]:
+    """Run an episode in each world; return the sum of its rewards and its report."""
+    begun = worlds.begin(dict.fromkeys(range(len(worlds)), 0))
+    observations = {number: observation for number, (observation, _) in begun.items()}
+    paid, frame = [0.0] * len(worlds), 0
+    while observations:
+        steps = worlds.step({number: act(number, frame, one) for number, one in observations.items()})
+        for number, (_, reward, *_) in steps.items():
+            paid[number] += reward
+        observations = {number: step[0] for number, step in steps.items() if not (step[2] or step[3])}
+        frame += 1
+    return [(one, env.report()) for one, env in zip(paid, worlds.envs, strict=True)]
+
+
+def _recorded(worlds: ControlWorlds, policy: Policy | LawPolicy, actions: list[NDArray[np.float32]]) -> Act:
+    """Return the policy in the calibrated world; the actions of the law's are recorded."""
+    if not isinstance(policy, LawPolicy):
+        return lambda _, __, observation: policy(observation)
+
+    def act(number: int, _: int, __: FloatArray) -> NDArray[np.floating]:
+        actions.append(worlds.envs[number].law_action(policy.fraction))
+        return actions[-1]
+
+    return act
+
+
+def _acting(worlds: ControlWorlds, policy: Policy | LawPolicy, actions: Sequence[NDArray[np.float32]]) -> Act:
+    """Return the policy in other worlds; a law's that is not informed takes the recorded actions, and then none."""
+    if not isinstance(policy, LawPolicy):
+        return lambda _, __, observation: policy(observation)
+    if policy.informed:
+        return lambda number, _, __: worlds.envs[number].law_action(policy.fraction)
+    none = np.zeros_like(actions[-1])
+    return lambda _, frame, __: actions[frame] if frame < len(actions) else none

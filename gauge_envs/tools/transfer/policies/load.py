@@ -1,0 +1,144 @@
+"""Load a policy by its file or its place in a module, and check that it fits a task."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.play import Policy
+from gauge_envs.errors import PolicyError
+from gauge_envs.tools.transfer.policies.normalization import read_normalization
+from gauge_envs.tools.transfer.policies.onnx import load_onnx
+from gauge_envs.tools.transfer.policies.sb3 import load_sb3
+
+__all__ = ["checked_policy", "load_policies", "load_policy"]
+
+
+def load_policies(
+    sources: Sequence[str], env: ControlEnv, *, normalization: Sequence[Path] = (), trust: bool = False
+) -> dict[str, Policy]:
+    """Return policies by their sources, in order; each is checked with the task.
+
+    Args:
+        sources: One or more sources, see `load_policy`.
+        env: The task, without wrappers.
+        normalization: No file of statistics, one for all policies, or one for each.
+        trust: Whether loading may run code of the files.
+
+    Raises:
+        PolicyError: See `load_policy`; or a source is given twice, or the number of statistics is wrong.
+        MissingExtraError: The package that reads a policy is not installed.
+    """
+    if not sources:
+        raise PolicyError("give one policy or more")
+    if len({*sources}) < len(sources):
+        raise PolicyError(f"a policy is given twice: {', '.join(sources)}")
+    if len(normalization) not in (0, 1, len(sources)):
+        raise PolicyError(
+            f"{len(normalization)} files of statistics for {len(sources)} policies: give one for all, or one for each"
+        )
+    files: list[Path | None] = [*normalization] if len(normalization) > 1 else [*normalization, None][:1] * len(sources)
+    return {
+        source: load_policy(source, env, normalization=file, trust=trust)
+        for source, file in zip(sources, files, strict=True)
+    }
+
+
+def load_policy(source: str, env: ControlEnv, *, normalization: Path | None = None, trust: bool = False) -> Policy:
+    """Return a policy that fits a task.
+
+    Args:
+        source: A Stable-Baselines3 file (`.zip`), an ONNX file (`.onnx`), or `module:function`, where the function
+            takes an observation and returns an action.
+        env: The task, without wrappers.
+        normalization: Statistics of `VecNormalize` beside the policy, or None.
+        trust: Whether loading may run code: of a module, or of the pickles in a Stable-Baselines3 file whose network
+            cannot be built from its weights.
+
+    Raises:
+        PolicyError: The source is no policy, needs `trust`, or does not fit the task's spaces.
+        MissingExtraError: The package that reads it is not installed.
+    """
+    shape = env.observation_space.shape or ()
+    actions = int(np.prod(env.action_space.shape or ()))
+    suffix = Path(source).suffix.lower()
+    if suffix == ".zip":
+        policy = load_sb3(Path(source), observation_size=shape[0], action_size=actions, trust=trust)
+    elif suffix == ".onnx":
+        policy = load_onnx(Path(source), observation_size=shape[0])
+    elif ":" in source:
+        policy = _function(source, trust=trust)
+    else:
+        raise PolicyError(f"{source}: expected a .zip of Stable-Baselines3, a .onnx, or module:function")
+    if normalization is not None:
+        policy = _normalized(policy, normalization, observation_size=shape[0])
+    return checked_policy(source, policy, env)
+
+
+def _normalized(policy: Policy, file: Path, *, observation_size: int) -> Policy:
+    statistics = read_normalization(file, observation_size=observation_size)
+    return lambda observation: policy(np.asarray(statistics.apply(observation)))
+
+
+def _function(source: str, *, trust: bool) -> Policy:
+    """Return a function of a module; the folder of the command is searched too."""
+    if not trust:
+        raise PolicyError(f"{source}: importing a module runs its code: add --trust (trust=True) if you trust it")
+    name, _, attribute = source.partition(":")
+    if "" not in sys.path:
+        sys.path.insert(0, "")
+    try:
+        module = importlib.import_module(name)
+    except ImportError as error:
+        raise PolicyError(f"{source}: the module cannot be imported: {error}") from error
+    except (Exception, SystemExit) as error:  # A module of a user may raise anything, and may be a script.
+        raise PolicyError(f"{source}: importing the module raised {type(error).__name__}: {error}") from error
+    try:
+        found = getattr(module, attribute)
+    except AttributeError:
+        raise PolicyError(f"{source}: module {name!r} has no {attribute!r}") from None
+    except Exception as error:
+        raise PolicyError(f"{source}: reading {attribute!r} raised {type(error).__name__}: {error}") from error
+    if not callable(found):
+        raise PolicyError(f"{source}: it is a {type(found).__name__}, expected a function of an observation")
+    return found
+
+
+def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:
+    """Return a policy whose actions are checked and clipped to the task's action space.
+
+    It is called once, with an observation of zeros.
+
+    Args:
+        name: Name of the policy in messages.
+        policy: Function that returns an action for an observation of shape [n].
+        env: The task, without wrappers.
+
+    Raises:
+        PolicyError: The policy raises an error, or its action has the wrong size or is not a number.
+    """
+    space = env.action_space
+    assert isinstance(space, spaces.Box)
+
+    def act(observation: NDArray[np.float64]) -> NDArray[np.float32]:
+        try:
+            action = np.asarray(policy(observation), dtype=np.float32)
+        except PolicyError:
+            raise
+        except (Exception, SystemExit) as error:  # A policy of a stranger may raise anything.
+            raise PolicyError(f"{name}: the policy raised {type(error).__name__}: {error}") from error
+        if action.size != int(np.prod(space.shape)):
+            raise PolicyError(f"{name}: the action has shape {action.shape}, the task takes {space.shape}")
+        if not np.isfinite(action).all():
+            raise PolicyError(f"{name}: the action is {action.ravel().tolist()}, expected finite numbers")
+        return np.clip(action.reshape(space.shape), space.low, space.high)
+
+    act(np.zeros(env.observation_space.shape or ()))
+    return act

@@ -1,0 +1,206 @@
+"""Reward that policies were promised in training, against the reward that they keep in other worlds."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.uncertainty import LEVEL
+from gauge_envs.tools.transfer.policy_replays import Replay, Replays, ReplayWorld, WorldKind
+
+__all__ = ["FALL_SHARE", "Estimate", "TransferReport", "WorldTransfer", "transfer_report"]
+
+FALL_SHARE = 0.9
+"""A policy falls where it keeps less than this share of its promise, as far as the law allows that there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A mean with its 95 % interval.
+
+    Attributes:
+        value: The mean.
+        low: Lower end; None with a single episode, which has no interval.
+        high: Upper end; None with a single episode.
+    """
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldTransfer:
+    """What policies keep in one world.
+
+    Attributes:
+        world: The world.
+        reward: Mean reward of an episode.
+        kept: Reward over the reward that was promised, both means over policies and starts.
+        ratio: Mean of what was reached over what the law allows there; above 1 the engine pays too much.
+        largest_ratio: Largest such ratio of an episode.
+        z: Mean distance from the law's limit, in standard uncertainties of the limit.
+        endings: Number of episodes by their ending.
+        allowed: The largest reward that the law allows here, over that in the training. It is 1 for a task whose reward
+            is a share of the limit.
+        falls: Whether less than `FALL_SHARE` of the promise is kept, with the whole interval. The promise is first
+            reduced to what the law allows where that is less.
+    """
+
+    world: ReplayWorld
+    reward: Estimate
+    kept: Estimate
+    ratio: float
+    largest_ratio: float
+    z: float
+    endings: Mapping[str, int]
+    allowed: float
+    falls: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransferReport:
+    """Promise and what is kept of it.
+
+    Attributes:
+        task: Id of the task.
+        policies: Names of the policies.
+        starts: Number of starts.
+        training: The training's world, where `kept` is 1.
+        others: The other worlds, in the order of their replays.
+        kept: Mean of `kept` over the other worlds, which count equally.
+        first_fall: The first world in which the policies fall: configurations before constants, small changes before
+            large ones, and the worst of them; None if they fall nowhere.
+        left_out: Reason for each world that could not be run, by its name.
+    """
+
+    task: str
+    policies: tuple[str, ...]
+    starts: int
+    training: WorldTransfer
+    others: tuple[WorldTransfer, ...]
+    kept: Estimate
+    first_fall: WorldTransfer | None
+    left_out: Mapping[str, str]
+
+
+def transfer_report(replays: Replays) -> TransferReport:
+    """Return what policies keep of the reward that their training promised.
+
+    Policies and starts are two crossed samples, because every policy runs from every start. The worlds are a fixed
+    list. With one policy, an interval covers starts only.
+
+    Args:
+        replays: The episodes.
+
+    Raises:
+        ParameterError: There is no world but the training, or the reward that was promised is not positive.
+    """
+    if len(replays.worlds) < 2:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in replays.left_out.items())
+        raise ParameterError(f"{replays.task}: no world could be run besides the training. {reasons}".rstrip())
+    rewards = _rewards(replays)
+    promised = float(rewards[0].mean())
+    if not promised > 0.0:
+        raise ParameterError(
+            f"{replays.task}: the policies earn {promised:.3g} in {replays.worlds[0].name}, where they were trained. "
+            "Without a positive promise no share of it can be kept; state the training's engine and settings"
+        )
+    shares = rewards.mean(axis=(1, 2)) / promised
+    # A share is a ratio of means: to first order its error is the mean of these deviations.
+    deviations = (rewards - shares[:, None, None] * rewards[0]) / promised
+    largest = [_largest_reward(replays, world.name) for world in replays.worlds]
+    rows = [
+        _world(
+            world,
+            [one for one in replays.episodes if one.world == world.name],
+            reward=_estimate(float(rewards[number].mean()), rewards[number]),
+            kept=Estimate(value=1.0) if number == 0 else _estimate(float(shares[number]), deviations[number]),
+            allowed=largest[number] / largest[0],
+        )
+        for number, world in enumerate(replays.worlds)
+    ]
+    others = tuple(rows[1:])
+    return TransferReport(
+        task=replays.task,
+        policies=replays.policies,
+        starts=replays.starts,
+        training=rows[0],
+        others=others,
+        kept=_estimate(float(shares[1:].mean()), deviations[1:].mean(axis=0)),
+        first_fall=min((row for row in others if row.falls), key=_order, default=None),
+        left_out=replays.left_out,
+    )
+
+
+def _rewards(replays: Replays) -> NDArray[np.float64]:
+    """Return the rewards, shape [worlds, policies, starts]."""
+    places = {world.name: number for number, world in enumerate(replays.worlds)}
+    rewards = np.full((len(places), len(replays.policies), replays.starts), np.nan)
+    for one in replays.episodes:
+        rewards[places[one.world], replays.policies.index(one.policy), one.start] = one.reward
+    return rewards
+
+
+def _estimate(value: float, table: NDArray[np.float64]) -> Estimate:
+    """Return a mean with its interval.
+
+    Args:
+        value: The mean.
+        table: What scatters about it, or about zero, shape [policies, starts].
+    """
+    half = _half_width(table)
+    return Estimate(value=value) if half is None else Estimate(value=value, low=value - half, high=value + half)
+
+
+def _half_width(table: NDArray[np.float64]) -> float | None:
+    """Return half of the interval of the mean over policies and starts, shape [policies, starts]; None for one episode.
+
+    The mean squares of policies and of starts add up, with the degrees of freedom of Welch and Satterthwaite for
+    Student's t. Both contain the scatter of single episodes, so this scatter counts twice: with few starts, a
+    difference of three mean squares is often too small. Source: the variance of a two-way layout with random effects;
+    GUM (JCGM 100:2008), annex G.4.
+    """
+    means = [table.mean(axis=1 - axis) for axis in (0, 1) if table.shape[axis] > 1]
+    if not means:
+        return None
+    # Each variance of means over their number estimates a part of the variance of the mean.
+    parts = [float(one.var(ddof=1)) / len(one) for one in means]
+    variance = sum(parts)
+    if variance <= 0.0:
+        return 0.0
+    freedom = variance**2 / sum(part**2 / (len(one) - 1) for part, one in zip(parts, means, strict=True))
+    return float(student.ppf(0.5 * (1.0 + LEVEL), freedom)) * math.sqrt(variance)
+
+
+def _largest_reward(replays: Replays, world: str) -> float:
+    return next(one.largest_reward for one in replays.episodes if one.world == world)
+
+
+def _world(
+    world: ReplayWorld, episodes: Sequence[Replay], *, reward: Estimate, kept: Estimate, allowed: float
+) -> WorldTransfer:
+    ratios = [one.report.ratio for one in episodes]
+    highest = kept.value if kept.high is None else kept.high
+    return WorldTransfer(
+        world=world,
+        reward=reward,
+        kept=kept,
+        ratio=float(np.mean(ratios)),
+        largest_ratio=max(ratios),
+        z=float(np.mean([one.report.z for one in episodes])),
+        endings=dict(Counter(one.report.ending.value for one in episodes)),
+        allowed=allowed,
+        falls=world.kind is not WorldKind.TRAINING and highest < FALL_SHARE * min(1.0, allowed),
+    )
+
+
+def _order(row: WorldTransfer) -> tuple[bool, float, float]:
+    return (row.world.kind is WorldKind.CONSTANT, abs(row.world.sigmas), row.kept.value)

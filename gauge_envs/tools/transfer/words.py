@@ -1,0 +1,94 @@
+"""Tables and words about what policies keep of the reward that their training promised."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from gauge_envs.files import json_ready
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.tools.transfer.transfer import FALL_SHARE, Estimate, TransferReport, WorldTransfer
+
+__all__ = ["transfer_json", "transfer_table", "transfer_verdict"]
+
+
+def transfer_verdict(report: TransferReport) -> str:
+    """Return the result in a few sentences."""
+    sentences = [f"Keeps {_percent(report.kept)} of the promised reward"]
+    fall = report.first_fall
+    if fall is None:
+        sentences[0] += f"; falls below {100 * FALL_SHARE:.0f} % of it in none of {len(report.others)} worlds."
+    else:
+        number = sum(row.falls for row in report.others)
+        sentences[0] += f"; first falls with {fall.world.name}, where it keeps {_percent(fall.kept)}."
+        sentences.append(f"It falls in {number} of {len(report.others)} worlds.")
+    trained = report.training
+    sentences.append(f"In training it reached {trained.ratio:.2f} of what the law allows.")
+    above = max((trained, *report.others), key=lambda row: row.largest_ratio)
+    if above.largest_ratio > 1.0:
+        sentences.append(
+            f"The largest ratio is {above.largest_ratio:.3f}, in {above.world.name}: above 1 the engine pays more than "
+            "the law, or the task's stated tolerance is used."
+        )
+    sentences.append(_interval_note(report))
+    if report.left_out:
+        sentences.append(f"Worlds left out: {len(report.left_out)}.")
+    return " ".join(sentences)
+
+
+def _interval_note(report: TransferReport) -> str:
+    policies, starts = len(report.policies), report.starts
+    if policies * starts == 1:
+        return "One policy from one start has no interval."
+    if policies == 1:
+        return f"The interval is over {starts} starts of one policy; other training seeds can differ by more."
+    return f"The interval is over {policies} policies and {starts} start{'' if starts == 1 else 's'}."
+
+
+def _percent(value: Estimate) -> str:
+    text = f"{100 * value.value:.0f} %"
+    if value.low is None or value.high is None:
+        return text
+    return f"{text} [{100 * value.low:.0f}, {100 * value.high:.0f}]"
+
+
+def transfer_table(report: TransferReport) -> Table:
+    """Return a table with one row for each world, the training first."""
+    return Table(
+        columns=(
+            Column("world.name", "world"),
+            Column("reward.value", "reward", lambda value: f"{value:.2f}", is_number=True),
+            Column("kept", "kept", _percent, is_number=True),
+            Column("allowed", "law allows", lambda value: f"{value:.3f}", is_number=True),
+            Column("ratio", "of the law", lambda value: f"{value:.3f}", is_number=True),
+            Column("z", "z", lambda value: f"{value:+.1f}", is_number=True, wide_only=True),
+            Column("endings", "episodes", lambda value: ", ".join(f"{n} {e}" for e, n in value.items())),
+            Column("falls", "", lambda value: "falls" if value else "", style=lambda value: "red" if value else ""),
+            Column("world.source", "source of sigma", place=Place.BELOW, wide_only=True),
+        ),
+        rows=[report.training, *report.others],
+    )
+
+
+def transfer_json(report: TransferReport) -> list[dict[str, Any]]:
+    """Return one JSON-ready object for each world, and one for the whole at the end."""
+    rows = [_row(row) for row in (report.training, *report.others)]
+    rows.append(
+        {
+            "kind": "verdict",
+            "task": report.task,
+            "policies": list(report.policies),
+            "starts": report.starts,
+            "kept": json_ready(dataclasses.asdict(report.kept)),
+            "first_fall": None if report.first_fall is None else report.first_fall.world.name,
+            "left_out": dict(report.left_out),
+            "verdict": transfer_verdict(report),
+        }
+    )
+    return rows
+
+
+def _row(row: WorldTransfer) -> dict[str, Any]:
+    values = json_ready(dataclasses.asdict(row))
+    world = values.pop("world")
+    return {"kind": world.pop("kind"), "world": world.pop("name"), **world, **values}

@@ -1,0 +1,34 @@
+"""Judge a video by the law that its motion follows: tasks, tracks, metrics and their uncertainty.
+
+Example:
+    >>> from gauge_envs.tools.video import video_tasks
+    >>> [task.id for task in video_tasks()][:2]
+    ['SlopeSlider-2-wood', 'SlopeSlider-2-plastic']
+"""
+
+from gauge_envs.tools.video.camera_file import read_camera
+from gauge_envs.tools.video.grade import Grade
+from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, Pose
+from gauge_envs.tools.video.scoring import METRICS, VideoScore, score, score_track
+from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task, video_tasks
+from gauge_envs.tools.video.track import Event, Track, read_track
+
+__all__ = [
+    "METRICS",
+    "Event",
+    "Grade",
+    "Lens",
+    "Motion",
+    "PlaneView",
+    "PointPairs",
+    "Pose",
+    "Track",
+    "VideoScore",
+    "VideoTask",
+    "read_camera",
+    "read_track",
+    "score",
+    "score_track",
+    "video_task",
+    "video_tasks",
+]

@@ -1,0 +1,301 @@
+"""Fit the laws that video models are judged by: constant acceleration, limited friction, impacts, damped oscillation.
+
+Each function takes times and positions of a track in SI units and returns the fit with its metrics. The equations are
+those of GAUGE's paper (arXiv 2608.05948), section "Physical-Consistency Analysis" of the appendix.
+
+Example:
+    >>> import numpy as np
+    >>> from gauge_envs.tools.video.laws import fit_constant_acceleration
+    >>> times_s = np.arange(20) / 30
+    >>> fit = fit_constant_acceleration(times_s, 0.5 * 2.58 * times_s**2)
+    >>> round(fit.a_m_per_s2, 6)
+    2.58
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize, minimize_scalar
+
+from gauge_envs.errors import ParameterError
+
+__all__ = [
+    "AccelerationFit",
+    "DynamicError",
+    "OscillationFit",
+    "dynamic_error",
+    "fit_constant_acceleration",
+    "fit_damped_oscillation",
+    "momentum_transfer",
+]
+
+FloatArray: TypeAlias = NDArray[np.float64]
+
+GRAVITY_M_PER_S2 = 9.80665
+"""Gravity in the friction limit of the turntable, as the paper states it."""
+
+LEAST_POINTS_QUADRATIC = 4
+"""Fewest points of a fit with three coefficients that leaves a residual."""
+
+LEAST_POINTS_OSCILLATION = 8
+"""Fewest points of a fit of five coefficients that says something about the residual."""
+
+FREQUENCIES_PER_WINDOW = 16
+"""Candidates of the angular frequency for each cycle that fits into the window."""
+
+DAMPINGS = (-1.0, -0.3, -0.1, 0.0, 0.1, 0.3, 1.0)
+"""Candidates of the damping, in inverse windows; the search continues from the best pair."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccelerationFit:
+    """Motion from rest with constant acceleration.
+
+    Attributes:
+        a_m_per_s2: Acceleration [m/s^2], twice the slope over squared time.
+        start_m: Displacement at the release [m].
+        release_s: Time of the release, on the clock of the samples [s].
+        qfi: Quadratic form improvement: F statistic of a further term in the fourth power of time, 1.
+        r2: Coefficient of determination of the linear relation, 1.
+        residual_m: Residuals of the linear relation [m], shape [sample_count].
+    """
+
+    a_m_per_s2: float
+    start_m: float
+    release_s: float
+    qfi: float
+    r2: float
+    residual_m: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicError:
+    """Force that a motion needs beyond the available friction.
+
+    Attributes:
+        de_n: Mean exceedance over all inner samples [N].
+        accelerations_m_per_s2: Size of the acceleration at inner samples [m/s^2], shape [sample_count - 2].
+        exceedance_n: Exceedance at inner samples [N], shape [sample_count - 2].
+    """
+
+    de_n: float
+    accelerations_m_per_s2: FloatArray
+    exceedance_n: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class OscillationFit:
+    """Damped oscillation of an angle.
+
+    Attributes:
+        period_s: Period of the damped oscillation [s].
+        damping_per_s: Rate at which the amplitude decays [1/s]; negative for a growing one.
+        equilibrium_rad: Angle of equilibrium [rad].
+        amplitude_rad: Amplitude at the first sample [rad].
+        r2: Coefficient of determination, 1.
+        residual_rad: Residuals [rad], shape [sample_count].
+    """
+
+    period_s: float
+    damping_per_s: float
+    equilibrium_rad: float
+    amplitude_rad: float
+    r2: float
+    residual_rad: FloatArray
+
+
+def fit_constant_acceleration(
+    times_s: ArrayLike, displacement_m: ArrayLike, *, release_within_s: float = 0.0
+) -> AccelerationFit:
+    """Fit a motion from rest with constant acceleration, linear in squared time.
+
+    Equations "c3-acceleration", "c3-quadratic" and "qfi" of the paper's appendix. The paper counts time from the first
+    retained frame. A real release falls between two frames, so the time of release may be fitted too.
+
+    Args:
+        times_s: Times [s], shape [sample_count], increasing.
+        displacement_m: Displacement along the fixed direction [m], shape [sample_count].
+        release_within_s: Half-width of the interval around the first time in which the release is searched [s]; 0 for
+            the paper's fit.
+
+    Raises:
+        ParameterError: There are fewer than four samples, they are not finite, or times do not increase.
+    """
+    times, values = _samples(times_s, displacement_m, LEAST_POINTS_QUADRATIC)
+    release = float(times[0])
+    if release_within_s > 0.0:
+        found = minimize_scalar(
+            lambda shift: _residual_square(_from_rest(times - release - shift), values),
+            bounds=(-release_within_s, release_within_s),
+            method="bounded",
+            options={"xatol": 1e-3 * release_within_s},
+        )
+        release += float(found.x)
+    basis = _from_rest(times - release)
+    coefficients, residual = _least_squares(basis, values)
+    linear = float(residual @ residual)
+    u = basis[:, 1]
+    _, rest = _least_squares(np.column_stack([basis, u**2]), values)
+    quadratic = float(rest @ rest)
+    spread = float(((values - values.mean()) ** 2).sum())
+    # Residuals of rounding size say nothing on the form of the relation.
+    is_exact = linear <= 1e-24 * max(spread, float((values**2).sum()), 1e-300)
+    qfi = 0.0 if is_exact else (linear - quadratic) / max(quadratic / (len(values) - 3), 1e-300)
+    return AccelerationFit(
+        a_m_per_s2=2.0 * float(coefficients[1]),
+        start_m=float(coefficients[0]),
+        release_s=release,
+        qfi=qfi,
+        r2=1.0 - linear / spread if spread > 0.0 else float("nan"),
+        residual_m=residual,
+    )
+
+
+def dynamic_error(times_s: ArrayLike, positions_m: ArrayLike, *, mass_kg: float, friction: float) -> DynamicError:
+    """Return by how much the force that a motion needs exceeds the available friction.
+
+    Equations "c4-acceleration", "c4-unequal", "c4-friction" and "c4-de" of the paper's appendix: three-point
+    accelerations of unsmoothed positions, without their direction.
+
+    Args:
+        times_s: Times [s], shape [sample_count], increasing; gaps are allowed.
+        positions_m: Positions in the plane [m], shape [sample_count, 2].
+        mass_kg: Mass of the body [kg].
+        friction: Coefficient of friction, 1.
+
+    Raises:
+        ParameterError: There are fewer than three samples, they are not finite, or times do not increase.
+    """
+    times, values = _samples(times_s, positions_m, 3)
+    steps = np.diff(times)[:, None]
+    velocities = np.diff(values, axis=0) / steps
+    accelerations = 2.0 * np.diff(velocities, axis=0) / (steps[1:] + steps[:-1])
+    sizes: FloatArray = np.linalg.norm(accelerations, axis=1)
+    exceedance: FloatArray = np.maximum(0.0, mass_kg * sizes - friction * mass_kg * GRAVITY_M_PER_S2)
+    return DynamicError(de_n=float(exceedance.mean()), accelerations_m_per_s2=sizes, exceedance_n=exceedance)
+
+
+def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> float:
+    """Return the momentum transfer efficiency of equal pendulums: mean ratio of outgoing to incoming momentum, 1.
+
+    Equations "c5-event-mte" and "c5-mte" of the paper's appendix, from heights above the hanging position.
+
+    Args:
+        release_height_m: Height from which the incoming ball is released [m].
+        apex_heights_m: Heights of the apices of the outgoing ball [m], shape [event_count].
+
+    Raises:
+        ParameterError: There is no apex, or a height is not positive and finite.
+    """
+    heights = np.asarray(apex_heights_m, dtype=float).ravel()
+    if not heights.size:
+        raise ParameterError("momentum transfer: there is no apex of the outgoing ball")
+    if not (np.isfinite(heights).all() and (heights >= 0.0).all() and np.isfinite(release_height_m)):
+        raise ParameterError("momentum transfer: heights must be finite and not negative")
+    if release_height_m <= 0.0:
+        raise ParameterError(f"momentum transfer: the release height is {release_height_m} m; it must be positive")
+    return float(np.sqrt(heights / release_height_m).mean())
+
+
+def fit_damped_oscillation(
+    times_s: ArrayLike, angles_rad: ArrayLike, *, guess: tuple[float, float] | None = None
+) -> OscillationFit:
+    """Fit a damped oscillation to an angle over time.
+
+    Equations "c7-fit", "c7-r2" and "c7-pd" of the paper's appendix: for each damping and angular frequency, the
+    equilibrium and both amplitudes follow by linear least squares. A grid gives the best pair, and a simplex search
+    continues from it. Frequencies reach from half a cycle in the window up to a quarter of the sampling rate. The
+    damping may be negative.
+
+    Args:
+        times_s: Times [s], shape [sample_count], increasing; gaps are allowed.
+        angles_rad: Angles against the vertical [rad], shape [sample_count].
+        guess: Damping [1/s] and angular frequency [rad/s] from which the search starts, instead of the grid.
+
+    Raises:
+        ParameterError: There are fewer than eight samples, they are not finite or all equal, or times do not increase.
+    """
+    times, values = _samples(times_s, angles_rad, LEAST_POINTS_OSCILLATION)
+    spread = float(((values - values.mean()) ** 2).sum())
+    if spread <= 0.0:
+        raise ParameterError("damped oscillation: the angle does not change, so there is no oscillation to fit")
+    clock = times - times[0]
+    window = float(clock[-1])
+    lowest, highest = np.pi / window, 0.5 * np.pi / float(np.median(np.diff(times)))
+    best = guess or _best_of_grid(clock, values, lowest, highest)
+
+    def cost(scaled: FloatArray) -> float:
+        beta, omega = scaled[0] / window, abs(scaled[1]) / window
+        # The exponential stays finite, and one cycle stays inside of what the window resolves.
+        if abs(scaled[0]) > 50.0 or not 0.5 * lowest <= omega <= 2.0 * highest:
+            return spread * (2.0 + abs(float(scaled[0])))
+        return _residual_square(_oscillation(clock, beta, omega), values)
+
+    found = minimize(
+        cost,
+        np.array(best) * window,
+        method="Nelder-Mead",
+        options={"xatol": 1e-7, "fatol": 1e-14 * spread, "maxiter": 2000},
+    )
+    beta, omega = float(found.x[0]) / window, abs(float(found.x[1])) / window
+    (equilibrium, cosine, sine), residual = _least_squares(_oscillation(clock, beta, omega), values)
+    return OscillationFit(
+        period_s=2.0 * np.pi / omega,
+        damping_per_s=beta,
+        equilibrium_rad=float(equilibrium),
+        amplitude_rad=float(np.hypot(cosine, sine)),
+        r2=1.0 - float(residual @ residual) / spread,
+        residual_rad=residual,
+    )
+
+
+def _best_of_grid(clock: FloatArray, values: FloatArray, lowest: float, highest: float) -> tuple[float, float]:
+    """Return the damping and the angular frequency of a grid that leave the smallest residual."""
+    window = float(clock[-1])
+    count = max(8, int(FREQUENCIES_PER_WINDOW * (highest - lowest) * window / (2.0 * np.pi)))
+    candidates = [(beta / window, float(omega)) for omega in np.linspace(lowest, highest, count) for beta in DAMPINGS]
+    return min(candidates, key=lambda pair: _residual_square(_oscillation(clock, *pair), values))
+
+
+# --- least squares ---------------------------------------------------------------------------------------------------
+
+
+def _from_rest(times_s: FloatArray) -> FloatArray:
+    """Return the columns 1 and squared time after the release; before it, the body is at rest."""
+    return np.column_stack([np.ones_like(times_s), np.maximum(times_s, 0.0) ** 2])
+
+
+def _oscillation(times_s: FloatArray, damping_per_s: float, omega_rad_per_s: float) -> FloatArray:
+    decay = np.exp(-damping_per_s * times_s)
+    phase = omega_rad_per_s * times_s
+    return np.column_stack([np.ones_like(times_s), decay * np.cos(phase), decay * np.sin(phase)])
+
+
+def _least_squares(basis: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients and residuals; columns are scaled, as powers of small times differ by orders of size."""
+    scale = np.linalg.norm(basis, axis=0)
+    scale[scale == 0.0] = 1.0
+    coefficients, *_ = np.linalg.lstsq(basis / scale, values, rcond=None)
+    return coefficients / scale, values - (basis / scale) @ coefficients
+
+
+def _residual_square(basis: FloatArray, values: FloatArray) -> float:
+    _, residual = _least_squares(basis, values)
+    return float(residual @ residual)
+
+
+def _samples(times_s: ArrayLike, values: ArrayLike, least: int) -> tuple[FloatArray, FloatArray]:
+    times, samples = np.asarray(times_s, dtype=float), np.asarray(values, dtype=float)
+    if times.ndim != 1 or len(times) != len(samples):
+        raise ParameterError(f"times have shape {times.shape} and values {samples.shape}: they must match")
+    if len(times) < least:
+        raise ParameterError(f"{len(times)} samples are too few: the fit needs {least}")
+    if not (np.isfinite(times).all() and np.isfinite(samples).all()):
+        raise ParameterError("times and values must be finite: leave out frames without a position")
+    if (np.diff(times) <= 0.0).any():
+        raise ParameterError("times must increase from sample to sample")
+    return times, samples

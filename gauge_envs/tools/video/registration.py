@@ -1,0 +1,298 @@
+"""Find how the first frame of a video lies on the grid of its task: stretched, cropped, padded, or moved.
+
+Video models keep other sizes than the 832 x 480 pixels of the first frames, and reach them in different ways. Without
+the first frame, the known outline of the object decides: at the right registration, edges of the picture lie on it.
+With the first frame, its points are found again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.tools.video.grid import Registration, opencv, stretched
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION, Motion, VideoTask
+
+__all__ = ["registration_by_first_frame", "registration_by_outline"]
+
+CLOSE_PX = 2.0
+"""Distance from the known outline at which an edge agrees [px]: the outlines were read by eye."""
+
+REACH_PX = 10.0
+"""Distance from the outline on both sides within which the strongest edge is looked for [px]."""
+
+LEAST_SUPPORT_DISKS, LEAST_SUPPORT_SQUARES = 0.75, 0.68
+"""Smallest support of a registration that agrees. The published first frames and videos have 0.86 to 0.97 and 0.70 to
+0.94; of 100 random places and scales in them, 95 stay below 0.65 and 0.72."""
+
+CLEAR = 0.04
+"""Difference of the supports of two registrations from which one is clearly better."""
+
+CLEAR_PX = 0.5
+"""Difference of their distances to the edges from which one is clearly better [px]."""
+
+LEAST_VISIBLE = 0.5
+"""Smallest share of the outline that a crop must leave in the picture."""
+
+HARMLESS_SCALE, HARMLESS_PX = 0.01, 3.0
+"""Differences between two registrations that matter little: of the scale, and of the place of object and pivot [px]."""
+
+LEAST_INLIERS = 12
+"""Fewest points of a given first frame that must be found again."""
+
+LEAST_INLIER_SHARE = 0.4
+"""Smallest share of the matched points that must agree."""
+
+SIMPLE_PX = 0.1
+"""Additional scatter of the points with which a simple scaling is as good as a free fit [px]."""
+
+LEAST_CONTRAST = 0.01
+"""Smallest contrast of a point, 1: generated first frames are smoother than photographs."""
+
+MOST_SCATTER_PX = 2.0
+"""Largest distance of a point from the registration that agrees [px]."""
+
+MOST_SIDE_PX = 1664
+"""Side to which pictures are made smaller before edges and points are looked for [px]."""
+
+PLATE_RADIUS_PX = 225.0
+"""Radius of the turntable's plate in the first frames [px]."""
+
+CRADLE_ROW_PX = (367.0, 404.0, 440.5)
+"""Horizontal places of the other hanging balls of the cradle in the first frame [px]."""
+
+
+def registration_by_outline(picture: NDArray[np.uint8], task: VideoTask) -> Registration:
+    """Return the registration of a first frame from the known outline of the task's object.
+
+    Args:
+        picture: First frame of the video in its own size, shape [height, width, 3].
+        task: The task.
+    """
+    size = (picture.shape[1], picture.shape[0])
+    scene = _Scene(picture, task)
+    candidates = [scene.judged(one) for one in _candidates(size)]
+    best = max(one.support for one in candidates)
+    is_square = task.motion in (Motion.SLIDE, Motion.TURN)
+    if best < (LEAST_SUPPORT_SQUARES if is_square else LEAST_SUPPORT_DISKS):
+        text = "the object is not seen at its place in the known first frame; give that frame with --first-frame"
+        return replace(candidates[0], problem=text)
+    # Equal supports are told apart by the distances of the edges to the outline.
+    equals = [one for one in candidates if best - one.support < CLEAR]
+    distances = [scene.distance_px(one) for one in equals]
+    nearest = equals[int(np.argmin(distances))]
+    open_ones = [one for one, distance in zip(equals, distances, strict=True) if distance - min(distances) < CLEAR_PX]
+    if len(open_ones) == 1:
+        return nearest
+    # Between equals, the paper's own scaling is kept.
+    chosen = next((one for one in open_ones if one.method == "stretch"), nearest)
+    rivals = [one for one in open_ones if one is not chosen and not _is_harmless(chosen, one, task)]
+    if not rivals:
+        return chosen
+    names = " or ".join(one.method for one in (chosen, *rivals))
+    return replace(chosen, problem=f"the first frame may be a {names} of the known one; give it with --first-frame")
+
+
+def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray[np.uint8]) -> Registration:
+    """Return the registration of a video from the first frame that its model was given.
+
+    Args:
+        picture: First frame of the video in its own size, shape [height, width, 3].
+        first_frame: The known first frame; it fills the reference grid.
+    """
+    cv2 = opencv()
+    plain = stretched((picture.shape[1], picture.shape[0]))
+    finder = cv2.SIFT_create(3000, contrastThreshold=LEAST_CONTRAST)
+    small, factor = _shrunk(picture)
+    ours, ours_like = finder.detectAndCompute(small, None)
+    known, known_like = finder.detectAndCompute(stretched_picture(first_frame), None)
+    if ours_like is None or known_like is None or min(len(ours), len(known)) < LEAST_INLIERS:
+        return replace(plain, support=0.0, problem="the first frames have too few points to be compared")
+    pairs = [pair for pair in cv2.BFMatcher().knnMatch(ours_like, known_like, k=2) if len(pair) == 2]
+    good = [first for first, second in pairs if first.distance < 0.75 * second.distance]
+    # Points count from the middle of a pixel.
+    seen = (np.array([ours[one.queryIdx].pt for one in good]).reshape(-1, 2) + 0.5) / factor
+    wanted = np.array([known[one.trainIdx].pt for one in good]).reshape(-1, 2) + 0.5
+    scale, offset, agree = _axis_fit(seen, wanted)
+    count = int(agree.sum())
+    share = count / max(len(good), 1)
+    if count < LEAST_INLIERS or share < LEAST_INLIER_SHARE:
+        text = f"only {count} of {len(good)} points of the given first frame are found again in the video"
+        return replace(plain, inliers=count, support=share, problem=text)
+    free = Registration(
+        scale_x=float(scale[0]),
+        scale_y=float(scale[1]),
+        offset_x_px=float(offset[0]),
+        offset_y_px=float(offset[1]),
+        method="first frame",
+        inliers=count,
+        support=share,
+    )
+
+    def scatter_px(one: Registration) -> float:
+        places = seen[agree] * (one.scale_x, one.scale_y) + (one.offset_x_px, one.offset_y_px)
+        return float(np.sqrt(((places - wanted[agree]) ** 2).sum(axis=1).mean()))
+
+    # A simple way of scaling that fits the points as well is exact; a free fit has their scatter.
+    best = min(_candidates((picture.shape[1], picture.shape[0])), key=scatter_px)
+    is_simple = scatter_px(best) <= scatter_px(free) + SIMPLE_PX
+    return replace(best, inliers=count, support=share) if is_simple else free
+
+
+def stretched_picture(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture that fills the reference grid."""
+    return stretched((picture.shape[1], picture.shape[0])).applied(picture)
+
+
+# --- outlines --------------------------------------------------------------------------------------------------------
+
+
+class _Scene:
+    """First frame of a video, and the outline of the objects that the task knows in it."""
+
+    def __init__(self, picture: NDArray[np.uint8], task: VideoTask) -> None:
+        cv2 = opencv()
+        small, self._shrinkage = _shrunk(picture)
+        self._size = (picture.shape[1], picture.shape[0])
+        blur = max(small.shape[1] / REFERENCE_SIZE_PX[0], small.shape[0] / REFERENCE_SIZE_PX[1])
+        self._light = cv2.GaussianBlur(small.astype(np.float32), (0, 0), blur).max(axis=2)
+        self._picture = picture
+        self.points, self.normals = _outline(task)
+        self.task = task
+
+    def judged(self, one: Registration) -> Registration:
+        """Return a registration with its support: strength of the edges on the outline against those beside it."""
+        distances, strength, is_seen = self._profiles(one)
+        share = strength[:, np.abs(distances) <= CLOSE_PX].max(axis=1) / np.maximum(strength.max(axis=1), 1e-3)
+        if is_seen.mean() < LEAST_VISIBLE:
+            return replace(one, support=0.0, inliers=0)
+        return replace(one, support=float(share[is_seen].mean()), inliers=int((share[is_seen] > 0.9).sum()))
+
+    def distance_px(self, one: Registration) -> float:
+        """Return the mean square distance by which the outline must be moved and scaled to meet the edges [px]."""
+        move = self._move(one)
+        return float(np.sqrt((move**2).sum(axis=1).mean()))
+
+    def _profiles(self, one: Registration) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return distances along the normals, the strength of the edge there, and which points are in the picture."""
+        cv2 = opencv()
+        distances = np.arange(-REACH_PX - 0.5, REACH_PX + 1.0, 0.5)
+        places = self.points[:, None, :] + distances[None, :, None] * self.normals[:, None, :]
+        native = (places - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)
+        inside = ((self.points - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)) / self._size
+        is_seen = np.asarray(((inside > 0.0) & (inside < 1.0)).all(axis=1))
+        maps = (native * self._shrinkage - 0.5).astype(np.float32)
+        values = cv2.remap(self._light, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        strength = np.abs(values[:, 2:] - values[:, :-2]).astype(float)
+        return distances[1:-1], strength, is_seen
+
+    def _move(self, one: Registration) -> NDArray[np.float64]:
+        """Return the motion of the outline's points that brings it to the edges [px]: a shift and a factor per axis."""
+        distances, strength, is_seen = self._profiles(one)
+        along = distances[strength.argmax(axis=1)]
+        middle = self.points.mean(axis=0)
+        arms = self.normals * (self.points - middle)
+        basis = np.column_stack([self.normals, arms])
+        weights = np.where(is_seen, strength.max(axis=1), 0.0)
+        for _ in range(6):
+            found, *_ = np.linalg.lstsq(basis * np.sqrt(weights)[:, None], along * np.sqrt(weights), rcond=None)
+            # Edges of other things lie far from the common motion.
+            weights = np.where(is_seen, strength.max(axis=1), 0.0) / (1.0 + ((along - basis @ found) / 1.5) ** 2) ** 2
+        return np.asarray(found[:2] + (self.points - middle) * found[2:])
+
+
+def _candidates(size_px: tuple[int, int]) -> list[Registration]:
+    """Return the ways in which a model reaches another size; those that are the same are there once."""
+    plain = stretched(size_px)
+    found = [plain]
+    for method, scale in (("crop", min(plain.scale_x, plain.scale_y)), ("pad", max(plain.scale_x, plain.scale_y))):
+        offset = 0.5 * (np.array(REFERENCE_SIZE_PX) - scale * np.array(size_px))
+        one = Registration(
+            scale_x=scale, scale_y=scale, offset_x_px=float(offset[0]), offset_y_px=float(offset[1]), method=method
+        )
+        if abs(plain.scale_x / plain.scale_y - 1.0) > 1e-3:
+            found.append(one)
+    return found
+
+
+def _is_harmless(first: Registration, second: Registration, task: VideoTask) -> bool:
+    """Return whether two registrations agree in the scale and in the places of the object and its pivot."""
+    a, b = (np.array([one.scale_x, one.scale_y]) for one in (first, second))
+    if np.abs(b / a - 1.0).max() > HARMLESS_SCALE:
+        return False
+    places = np.array([place for place in (task.centre_px, task.pivot_px, task.rest_px) if place is not None])
+    native = (places - (first.offset_x_px, first.offset_y_px)) / a
+    moved = native * b + (second.offset_x_px, second.offset_y_px)
+    return bool(np.linalg.norm(moved - places, axis=1).max() <= HARMLESS_PX)
+
+
+def _outline(task: VideoTask) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points of the outlines that a task knows on the grid [px], and their normals, shape [point_count, 2]."""
+    if task.motion is Motion.SLIDE:
+        parts = [_square(task.centre_px, task.size_px, SLOPE_DIRECTION)]
+    elif task.motion is Motion.TURN:
+        assert task.pivot_px is not None
+        parts = [_square(task.centre_px, task.size_px, (1.0, 0.0)), _circle(task.pivot_px, 2.0 * PLATE_RADIUS_PX)]
+    elif task.motion is Motion.CRADLE:
+        assert task.rest_px is not None
+        row = [(x, task.rest_px[1]) for x in CRADLE_ROW_PX]
+        parts = [_circle(place, task.size_px) for place in (task.centre_px, *row, task.rest_px)]
+    else:
+        parts = [_circle(task.centre_px, task.size_px)]
+    return np.vstack([points for points, _ in parts]), np.vstack([normals for _, normals in parts])
+
+
+def _circle(centre: tuple[float, float], diameter: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    normals = np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.array(centre) + 0.5 + 0.5 * diameter * normals, normals
+
+
+def _square(
+    centre: tuple[float, float], edge: float, direction: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    first = np.array(direction)
+    second = np.array([-first[1], first[0]])
+    points, normals = [], []
+    for normal, along in ((first, second), (second, first), (-first, second), (-second, first)):
+        steps = np.linspace(-0.4, 0.4, 18)[:, None]
+        points.append(np.array(centre) + 0.5 + 0.5 * edge * normal + steps * edge * along)
+        normals.append(np.tile(normal, (len(steps), 1)))
+    return np.vstack(points), np.vstack(normals)
+
+
+def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
+    """Return a picture that is small enough for edges and points, and its factor."""
+    cv2 = opencv()
+    factor = MOST_SIDE_PX / max(picture.shape[:2])
+    if factor >= 1.0:
+        return picture, 1.0
+    size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), factor
+
+
+def _axis_fit(
+    seen: NDArray[np.float64], wanted: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the scale and offset of each axis that most pairs of points agree with, and which agree."""
+    best = np.zeros(len(seen), dtype=bool)
+    scale, offset = np.ones(2), np.zeros(2)
+    rng = np.random.default_rng(0)
+    for _ in range(500 if len(seen) >= 2 else 0):
+        first, second = rng.choice(len(seen), 2, replace=False)
+        span = seen[second] - seen[first]
+        if np.abs(span).min() < 20.0:
+            continue
+        trial = (wanted[second] - wanted[first]) / span
+        agree = np.linalg.norm(wanted - wanted[first] - trial * (seen - seen[first]), axis=1) < MOST_SCATTER_PX
+        if (trial > 0.0).all() and agree.sum() > best.sum():
+            best = agree
+    for _ in range(3):
+        if best.sum() < 3:
+            break
+        for axis in (0, 1):
+            scale[axis], offset[axis] = np.polyfit(seen[best, axis], wanted[best, axis], 1)
+        best = np.linalg.norm(wanted - offset - scale * seen, axis=1) < MOST_SCATTER_PX
+    return scale, offset, best

@@ -1,0 +1,332 @@
+"""Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import ParameterError, VideoError
+from gauge_envs.files import json_ready
+from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
+from gauge_envs.tools.video.grade import LEAST_RETAINED, Grade, grade_of
+from gauge_envs.tools.video.interval import WINDOW, apices, displacement_px, retained, swing_angles_rad
+from gauge_envs.tools.video.laws import (
+    dynamic_error,
+    fit_constant_acceleration,
+    fit_damped_oscillation,
+    momentum_transfer,
+)
+from gauge_envs.tools.video.plane import PlaneView, frontal_task, frontal_track
+from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
+from gauge_envs.tools.video.track import Track
+from gauge_envs.tools.video.tracker import track_object
+
+__all__ = ["METRICS", "VideoScore", "score", "score_track"]
+
+FloatArray: TypeAlias = NDArray[np.float64]
+Metrics: TypeAlias = dict[str, float]
+
+METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n")
+"""Names of all metrics, in the order of a result."""
+
+SAMPLES = 200
+"""Simulated tracks from which intervals are taken."""
+
+COVERAGE = 0.95
+"""Share of the simulated tracks within an interval."""
+
+FRAMING_SIGMA = 0.005
+"""Relative standard uncertainty of the pixel scale beside that of the measured length: depth and lens, from the four
+edges of the cubes, which differ by 1 %."""
+
+LEAST_NOISE_PX = 0.1
+"""Smallest scatter of a tracker from frame to frame that is assumed [px]."""
+
+SLOW_NOISE_PX = 0.25
+"""Error of a place that stays for some frames [px]: that of a ball that is half hidden by the pendulum's post."""
+
+SLOW_FRAMES = 6
+"""Frames for which that error stays."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoScore:
+    """Result of one video.
+
+    Attributes:
+        video: Name of the video or track.
+        task: Id of the task.
+        grade: Whether the metrics can be trusted.
+        reasons: What lowers the grade, with frame numbers.
+        metrics: Values by name; None where a metric does not apply or there is no valid motion.
+        uncertainty: Interval of each metric that holds 95 % of simulated tracks.
+        interval_frames: First and last retained frame; None when there is none.
+        scale_m_per_px: Size of a pixel of the reference grid [m].
+        details: Further numbers, such as the acceleration with the paper's release frame.
+        track: The track.
+    """
+
+    video: str
+    task: str
+    grade: Grade
+    reasons: tuple[str, ...]
+    metrics: dict[str, float | None]
+    uncertainty: dict[str, tuple[float, float] | None]
+    interval_frames: tuple[int, int] | None
+    scale_m_per_px: float
+    details: dict[str, float] = field(default_factory=dict)
+    track: Track
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result without the track, JSON-ready."""
+        names = ("video", "task", "grade", "reasons", "metrics", "uncertainty", "interval_frames", "scale_m_per_px")
+        values: dict[str, Any] = json_ready({name: getattr(self, name) for name in (*names, "details")})
+        registration = self.track.registration
+        return {**values, "registration": None if registration is None else registration.to_dict()}
+
+
+def score(
+    frames: Path | str | Sequence[NDArray[np.uint8]] | NDArray[np.uint8],
+    fps: float | None = None,
+    task: str = "",
+    *,
+    first_frame: Path | None = None,
+) -> VideoScore:
+    """Track the object of a task through a video, and judge its motion.
+
+    Args:
+        frames: A video file, or pictures in red, green and blue of shape [height, width, 3] and type uint8.
+        fps: Frames per second; those that the file states if None.
+        task: Id of a task, such as `SlopeSlider-2-wood`; see `gauge_envs.tools.video.video_tasks`.
+        first_frame: Picture file that the model was given, by which the video is registered.
+
+    Raises:
+        UnknownNameError: There is no such task.
+        VideoError: The video cannot be read, or is out of range.
+        MissingExtraError: OpenCV is not installed.
+    """
+    chosen = video_task(task)
+    source: Frames
+    if isinstance(frames, str | Path):
+        source = FileFrames(Path(frames), fps=fps)
+    elif fps is None:
+        raise VideoError("frames: state fps, the frames per second")
+    else:
+        source = ArrayFrames(frames, fps=fps)
+    track = track_object(source, chosen, first_frame=first_frame)
+    return score_track(track, chosen, name=source.name)
+
+
+def score_track(
+    track: Track, task: VideoTask, *, name: str = "track", seed: int = 0, camera: PlaneView | None = None
+) -> VideoScore:
+    """Judge the motion of a track.
+
+    Args:
+        track: The track, on the reference grid.
+        task: The task.
+        name: Name of the result.
+        seed: Seed of the simulated tracks.
+        camera: How the recording sees the plane of the motion; None for the known first frame.
+
+    Raises:
+        VideoError: The camera file of a pendulum or a cradle lacks the pivot, or that of a cradle the length.
+    """
+    if camera is not None and track.is_found.any():
+        return _score_in_plane(track, task, camera, name, seed)
+    return _score(track, task, name, seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Oblique:
+    """A recording as it was seen: the track on the reference grid, and the view that makes metres of it."""
+
+    track: Track
+    view: PlaneView
+
+
+def _score_in_plane(track: Track, task: VideoTask, view: PlaneView, name: str, seed: int) -> VideoScore:
+    """Judge a track in the plane of its motion."""
+    swings = task.motion in (Motion.PENDULUM, Motion.CRADLE)
+    if swings and view.pivot_m is None:
+        raise VideoError(f"{name}: {task.id} needs motion.pivot_m in the camera file: the pivot about which it swings")
+    if task.motion is Motion.CRADLE and view.length_m is None:
+        raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
+    frontal = frontal_task(view, track, task)
+    result = _score(frontal_track(view, track, frontal), frontal, name, seed, _Oblique(track=track, view=view))
+    return replace(result, track=track)
+
+
+def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Oblique | None = None) -> VideoScore:
+    span = retained(track, task) if task.motion is not Motion.CRADLE else _all_found(track)
+    metrics: Metrics = {}
+    details: Metrics = {}
+    problem = ""
+    if span is not None:
+        try:
+            metrics, details = _metrics(track, task, span, task.scale_m_per_px)
+        except ParameterError as error:
+            problem = str(error)
+    grade, reasons = grade_of(track, task, span, problem)
+    guess = None
+    if task.motion is Motion.PENDULUM and metrics:
+        guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
+    rng = np.random.default_rng(seed)
+    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess, oblique)
+    return VideoScore(
+        video=name,
+        task=task.id,
+        grade=grade,
+        reasons=reasons,
+        metrics={one: metrics.get(one) for one in METRICS},
+        uncertainty={one: intervals.get(one) for one in METRICS},
+        interval_frames=None if span is None else (int(track.frames[span[0]]), int(track.frames[span[1]])),
+        scale_m_per_px=task.scale_m_per_px,
+        details=details,
+        track=track,
+    )
+
+
+def _all_found(track: Track) -> tuple[int, int] | None:
+    rows = np.flatnonzero(track.is_found)
+    return (int(rows[0]), int(rows[-1])) if len(rows) else None
+
+
+def _metrics(
+    track: Track,
+    task: VideoTask,
+    span: tuple[int, int],
+    scale_m_per_px: float,
+    guess: tuple[float, float] | None = None,
+) -> tuple[Metrics, Metrics]:
+    """Return the metrics of a task in an interval, and further numbers."""
+    rows = np.arange(span[0], span[1] + 1)
+    rows = rows[track.is_found[rows]]
+    times_s = track.times_s[rows]
+    if task.motion in (Motion.SLIDE, Motion.FALL):
+        along_m = displacement_px(track, task)[rows] * scale_m_per_px
+        # The release falls between two frames, within one of the first retained.
+        fit = fit_constant_acceleration(times_s, along_m, release_within_s=1.0 / track.fps)
+        fixed = fit_constant_acceleration(times_s, along_m)
+        found = {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}
+        return found, {
+            "a_at_first_frame_m_s2": fixed.a_m_per_s2,
+            **_late_start(times_s, along_m),
+            "qfi_at_first_frame": fixed.qfi,
+            "linear_r2": fit.r2,
+            "release_s": fit.release_s,
+        }
+    if task.motion is Motion.TURN:
+        assert task.friction is not None
+        error = dynamic_error(
+            times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
+        )
+        sizes = error.accelerations_m_per_s2
+        return {"de_n": error.de_n}, {
+            "median_a_m_s2": float(np.median(sizes)),
+            "p95_a_m_s2": float(np.percentile(sizes, 95)),
+            "exceeding_share": float((error.exceedance_n > 0.0).mean()),
+        }
+    angles = swing_angles_rad(track, task)[rows]
+    if task.motion is Motion.PENDULUM:
+        swing = fit_damped_oscillation(times_s, angles, guess=guess)
+        return {"r2": swing.r2, "pd_s": swing.period_s}, {
+            "damping_per_s": swing.damping_per_s,
+            "equilibrium_deg": math.degrees(swing.equilibrium_rad),
+            "amplitude_deg": math.degrees(swing.amplitude_rad),
+        }
+    assert task.rest_px is not None
+    events = apices(times_s, angles)
+    heights = (task.rest_px[1] - track.points_px[rows][events, 1]) * scale_m_per_px
+    return {"mte": momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))}, {
+        "event_count": float(len(events)),
+        "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
+    }
+
+
+def _late_start(times_s: FloatArray, along_m: FloatArray) -> Metrics:
+    """Return the acceleration with a start that is one window later: the paper does not state where rest ends."""
+    if len(times_s) < WINDOW + LEAST_RETAINED:
+        return {}
+    return {"a_one_window_later_m_s2": fit_constant_acceleration(times_s[WINDOW:], along_m[WINDOW:]).a_m_per_s2}
+
+
+# --- uncertainty -----------------------------------------------------------------------------------------------------
+
+
+def noise_px(track: Track, span: tuple[int, int]) -> float:
+    """Return the scatter of a track from frame to frame [px], from its third differences: smooth motions have none."""
+    points = track.points_px[span[0] : span[1] + 1]
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 8:
+        return LEAST_NOISE_PX
+    third = np.diff(points, n=3, axis=0)
+    scatter = float(np.median(np.abs(third - np.median(third, axis=0)))) / 0.6745 / math.sqrt(20.0)
+    return max(scatter, LEAST_NOISE_PX)
+
+
+def _slow_noise(track: Track, rng: np.random.Generator) -> FloatArray:
+    """Return errors that stay for some frames [px], shape [frame_count, 2]."""
+    count = len(track.frames) // SLOW_FRAMES + 2
+    knots = np.arange(count) * SLOW_FRAMES - rng.uniform(0.0, SLOW_FRAMES)
+    values = rng.normal(0.0, SLOW_NOISE_PX, (count, 2))
+    rows = np.arange(len(track.frames))
+    return np.column_stack([np.interp(rows, knots, values[:, axis]) for axis in (0, 1)])
+
+
+def _intervals(
+    track: Track,
+    task: VideoTask,
+    span: tuple[int, int],
+    rng: np.random.Generator,
+    nominal: Metrics,
+    guess: tuple[float, float] | None,
+    oblique: _Oblique | None,
+) -> dict[str, tuple[float, float]]:
+    """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
+    seen = track if oblique is None else oblique.track
+    noise = noise_px(seen, span)
+    scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
+    found: dict[str, list[float]] = {}
+    count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
+    for _ in range(count):
+        points = seen.points_px + rng.normal(0.0, noise, seen.points_px.shape) + _slow_noise(seen, rng)
+        sample = replace(seen, points_px=points, size_ratio=np.full(len(points), np.nan))
+        judged = task
+        if oblique is not None:
+            # Calibration and pivot replace the stated scale: they are drawn anew within their uncertainty.
+            view = oblique.view.drawn(rng)
+            judged = frontal_task(view, sample, task, scale_m_per_px=task.scale_m_per_px)
+            sample = frontal_track(view, sample, judged)
+        elif task.pivot_px is not None and task.motion is not Motion.TURN:
+            sample = replace(sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2))
+        first = max(0, span[0] + int(rng.integers(-1, 2)))
+        last = min(len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3))))
+        scale = judged.scale_m_per_px * (1.0 if oblique is not None else 1.0 + rng.normal(0.0, scale_sigma))
+        try:
+            metrics, _ = _metrics(sample, judged, (first, last), scale, guess)
+        except ParameterError:
+            continue
+        for name, value in metrics.items():
+            found.setdefault(name, []).append(value)
+    tail = 50.0 * (1.0 - COVERAGE)
+    intervals = {
+        # Noise lengthens accelerations only, so an error of 0 lies below all simulated ones.
+        name: (
+            min(nominal[name], float(np.percentile(values, tail))),
+            max(nominal[name], float(np.percentile(values, 100.0 - tail))),
+        )
+        for name, values in found.items()
+        if len(values) >= count // 2
+    }
+    if oblique is not None and "de_n" in intervals:
+        # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
+        high = intervals["de_n"][1]
+        intervals["de_n"] = (max(0.0, min(nominal["de_n"], 2.0 * nominal["de_n"] - high)), high)
+    return intervals

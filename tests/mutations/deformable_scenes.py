@@ -1,0 +1,217 @@
+"""Faults of a backend that builds cloth, foam, ropes, rods or air other than those of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.scene import Air, Cloth, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene.geometry import vector
+from mutations.mutant import Fault, fault
+from mutations.scenes import change_contacts, change_deformables
+
+__all__ = ["FAULTS"]
+
+Array = NDArray[np.float64]
+
+
+def _random_fabric(scene: Scene) -> Scene:
+    return change_deformables(Cloth, stretch_stiffness_n_per_m=1.0 + 1e-9 * float(np.random.default_rng().random()))(
+        scene
+    )
+
+
+def _warp_along_y(scene: Scene) -> Scene:
+    changed = [
+        replace(one, size_m=(one.size_m[1], one.size_m[0])) if isinstance(one, Cloth) else one
+        for one in scene.deformables
+    ]
+    return replace(scene, deformables=tuple(changed))
+
+
+def _edge_only(scene: Scene) -> Scene:
+    attachments = [replace(one, region=replace(one.region, depth_m=0.0)) for one in scene.attachments]
+    return replace(scene, attachments=tuple(attachments))
+
+
+def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
+    return lambda scene: scene if scene.air is None else replace(scene, air=change(scene.air))
+
+
+class _PumpingAir(Air):
+    """Air that drives the cloth along its motion."""
+
+    def forces_n(self, areas_m2: Array, velocities_m_per_s: Array) -> Array:
+        return -super().forces_n(areas_m2, velocities_m_per_s)
+
+
+def _pumping(air: Air) -> Air:
+    """Return air of the wrong sign in the scene that checks energy, so that no simpler check sees it first."""
+    is_of_energy_check = air.lift_coefficient > 0.0 and air.normal_coefficient > 0.0
+    return _PumpingAir(**asdict(air)) if is_of_energy_check else air
+
+
+def _thick(scene: Scene) -> Scene:
+    changed = [
+        replace(one, pose=replace(one.pose, position_m=vector(np.add(one.pose.position_m, [0.0, 0.0, 3e-3]))))
+        if isinstance(one, Cloth)
+        else one
+        for one in scene.deformables
+    ]
+    return replace(scene, deformables=tuple(changed))
+
+
+FAULTS: dict[str, Fault] = dict(
+    (
+        fault(
+            "cloth-stretch",
+            "stretch stiffness of cloth times 1.3",
+            "cloth-stretch",
+            "stretches 0.7",
+            scene=change_deformables(Cloth, stretch_stiffness_n_per_m=1.3),
+        ),
+        fault(
+            "cloth-shear",
+            "shear stiffness of cloth times 1.35",
+            "cloth-shear",
+            "shear",
+            scene=change_deformables(Cloth, shear_stiffness_n_per_m=1.35),
+        ),
+        fault(
+            "cloth-bending",
+            "bending stiffness of cloth times 2",
+            "cloth-bending",
+            "bends 0.",
+            scene=change_deformables(Cloth, bend_stiffness_n_m_per_rad=2.0),
+        ),
+        fault(
+            "cloth-limp",
+            "no bending stiffness of cloth",
+            "cloth-bending",
+            "bends",
+            scene=change_deformables(Cloth, bend_stiffness_n_m_per_rad=0.05),
+        ),
+        fault(
+            "cloth-mass",
+            "mass per area of cloth times 1.3",
+            "cloth-stretch",
+            "mass of the nodes",
+            scene=change_deformables(Cloth, mass_kg=1.3, areal_density_kg_per_m2=1.3),
+        ),
+        fault("cloth-sides", "warp and weft of cloth exchanged", "cloth-start", "warp along x", scene=_warp_along_y),
+        fault(
+            "cloth-friction",
+            "friction of cloth 20 % low",
+            "cloth-slide",
+            "friction were 0.24",
+            scene=lambda scene: change_contacts(friction=lambda mu: 0.8 * mu)(scene) if scene.deformables else scene,
+        ),
+        fault("cloth-height", "cloth 3 mm too high", "cloth-start", "centred on its pose", scene=_thick),
+        fault("cloth-random", "random fabric", "cloth-determinism", "random numbers", scene=_random_fabric),
+        fault(
+            "no-attachments",
+            "attachments missing",
+            "cloth-pinned-edge",
+            "attachment is missing",
+            scene=lambda scene: replace(scene, attachments=()),
+        ),
+        fault(
+            "attachment-depth", "attachments at the edge only", "cloth-bending", "a clamp of 50 mm", scene=_edge_only
+        ),
+        fault(
+            "air-ignored",
+            "air ignored",
+            "air-terminal",
+            "no effect",
+            scene=lambda scene: replace(scene, air=None),
+        ),
+        fault(
+            "air-doubled",
+            "drag without the factor 1/2, or areas counted twice",
+            "air-terminal",
+            "2 times",
+            scene=_air(lambda air: replace(air, density_kg_per_m3=2.0 * air.density_kg_per_m3)),
+        ),
+        fault(
+            "air-wind",
+            "wind from the other side",
+            "air-pressure",
+            "against the wind",
+            scene=_air(lambda air: replace(air, wind_m_per_s=vector(np.negative(air.wind_m_per_s)))),
+        ),
+        fault(
+            "air-friction",
+            "friction of one side of the cloth",
+            "air-friction",
+            "counts both sides",
+            scene=_air(lambda air: replace(air, tangential_coefficient=0.5 * air.tangential_coefficient)),
+        ),
+        fault(
+            "air-lift",
+            "no lift",
+            "air-lift",
+            "perpendicular",
+            scene=_air(lambda air: replace(air, lift_coefficient=0.0)),
+        ),
+        fault(
+            "air-pumps",
+            "forces of the air along the motion, where there is lift as well as drag and no wind",
+            "air-energy",
+            "wrong sign",
+            scene=_air(_pumping),
+        ),
+        fault(
+            "foam-young",
+            "Young's modulus of foam 10 % high",
+            "foam-tension",
+            "stretches 0.9",
+            scene=change_deformables(SoftBody, young_modulus_pa=1.1),
+        ),
+        fault(
+            "foam-poisson",
+            "Poisson's ratio of foam 0",
+            "foam-poisson",
+            "nu = 0",
+            scene=change_deformables(SoftBody, poisson_ratio=0.0),
+        ),
+        fault(
+            "foam-mass",
+            "mass of foam times 1.3",
+            "foam-tension",
+            "mass of the nodes",
+            scene=change_deformables(SoftBody, mass_kg=1.3),
+        ),
+        fault(
+            "rope-length",
+            "rope 3 % long",
+            "rope-length",
+            "another length",
+            scene=change_deformables(Rope, length_m=1.03),
+        ),
+        fault(
+            "rod-young",
+            "Young's modulus of a rod 20 % high",
+            "rod-bending",
+            "bends 0.83",
+            scene=change_deformables(Rod, young_modulus_pa=1.2),
+        ),
+        fault(
+            "rod-radius",
+            "radius of a rod 10 % high",
+            "rod-bending",
+            "radius",
+            scene=change_deformables(Rod, radius_m=1.1),
+        ),
+        fault(
+            "rod-mass",
+            "mass of a rod times 1.3",
+            "rod-bending",
+            "mass of the nodes",
+            scene=change_deformables(Rod, mass_kg=1.3),
+        ),
+    )
+)
+"""Faults by id."""

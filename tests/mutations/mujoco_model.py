@@ -1,0 +1,298 @@
+"""Faults that only an engine itself can have, planted in MuJoCo's model or state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from gauge_envs.backends import Simulation
+from gauge_envs.scene import Box, ConvexUnion, RigidBody, Scene
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import parent_hinges
+from gauge_envs.scene.meshes import mass_properties
+from mutations.mutant import Fault, Passed, fault
+from mutations.rigid_scenes import _tilted
+
+__all__ = ["FAULTS"]
+
+
+def _model(change: Callable[[Any, Scene], None]) -> type[Passed]:
+    """Return a simulation whose MuJoCo model is changed after it is built."""
+
+    class Changed(Passed):
+        def __init__(self, inner: Simulation, scene: Scene) -> None:
+            super().__init__(inner, scene)
+            change(self.inner.model, scene)
+            # MuJoCo keeps the mass matrix of simple bodies as a constant.
+            mujoco.mj_setConst(self.inner.model, self.inner.data)
+
+    return Changed
+
+
+def _dynamic(scene: Scene, kind: type) -> list[RigidBody]:
+    return [one for one in scene.dynamic_bodies if isinstance(one.shape, kind)]
+
+
+def _inertia_times(kind: type, factor: float) -> Callable[[Any, Scene], None]:
+    def change(model: Any, scene: Scene) -> None:
+        for one in _dynamic(scene, kind):
+            model.body(one.name).inertia[:] *= factor
+
+    return change
+
+
+def _mean_of_vertices(model: Any, scene: Scene) -> None:
+    for one in _dynamic(scene, ConvexUnion):
+        model.body(one.name).ipos[:] = one.shape.corners_m.mean(axis=0)
+
+
+def _mean_of_pieces(model: Any, scene: Scene) -> None:
+    for one in _dynamic(scene, ConvexUnion):
+        assert isinstance(one.shape, ConvexUnion)
+        centres = [mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0] for piece in one.shape.pieces_m]
+        model.body(one.name).ipos[:] = np.mean(centres, axis=0)
+
+
+def _damped(model: Any, scene: Scene) -> None:
+    model.dof_damping[:] = 1e-4
+
+
+def _armature(model: Any, scene: Scene) -> None:
+    model.dof_armature[:] = 1e-4
+
+
+def _hanging(change: Callable[[Any, str], None]) -> Callable[[Any, Scene], None]:
+    """Return a change of the bodies that hang on other bodies in MuJoCo's model, which gets each of their names."""
+
+    def change_all(model: Any, scene: Scene) -> None:
+        for name in parent_hinges(scene.body_hinges):
+            change(model, name)
+
+    return change_all
+
+
+def _hinge_tilted(model: Any, name: str) -> None:
+    joint = model.joint(name)
+    joint.axis[:] = _tilted(vector(joint.axis), 3.0)
+
+
+def _hinge_shifted(model: Any, name: str) -> None:
+    side = np.cross(model.joint(name).axis, [0.3, -0.5, 0.8])
+    model.joint(name).pos += 2e-3 * side / np.linalg.norm(side)
+
+
+def _hinge_heavy(model: Any, name: str) -> None:
+    model.body(name).inertia[:] *= 1.5
+
+
+def _hinge_damped(model: Any, name: str) -> None:
+    model.joint(name).damping[:] = 1e-3
+
+
+class _HangingWeightless(Passed):
+    """Bodies that hang on other bodies feel no gravity."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        for name in parent_hinges(self.scene.body_hinges):
+            weight = self.scene.body(name).mass_kg * self.scene.gravity_m_per_s2
+            self.inner.apply_wrench(name, np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0]))
+
+
+class _HingeBackwards(Passed):
+    """Starts hinges between bodies in the other direction."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        for name in parent_hinges(self.scene.body_hinges):
+            self.inner.data.qvel[self.inner.model.joint(name).dofadr[0]] *= -1.0
+
+
+def _gravity_tilted(model: Any, scene: Scene) -> None:
+    model.opt.gravity[:2] = 0.1
+
+
+class _ResetKeepsVelocity(Passed):
+    """Keeps velocities over a reset."""
+
+    def reset(self, seed: int) -> None:
+        velocity = self.inner.data.qvel.copy()
+        super().reset(seed)
+        self.inner.data.qvel[:] = velocity
+
+
+class _RestoreForgetsVelocity(Passed):
+    """Drops velocities when a state is restored."""
+
+    def restore(self, state: Any) -> None:
+        super().restore(state)
+        self.inner.data.qvel[:] = 0.0
+
+
+class _RestoreForgetsWarmStart(Passed):
+    """Drops the solver's warm start when a state is restored."""
+
+    def restore(self, state: Any) -> None:
+        super().restore(state)
+        self.inner.data.qacc_warmstart[:] = 0.0
+
+
+class _GainsEnergy(Passed):
+    """Gains 2 % of speed in each interval."""
+
+    def advance(self, seconds: float) -> None:
+        super().advance(seconds)
+        self.inner.data.qvel[:] *= 1.02
+
+
+FAULTS: dict[str, Fault] = dict(
+    (
+        fault(
+            "box-inertia",
+            "inertia of a box times 1.5",
+            "inertia-box",
+            "1.5, 1.5 and 1.5 times",
+            simulation=_model(_inertia_times(Box, 1.5)),
+            engine="mujoco",
+        ),
+        fault(
+            "union-inertia",
+            "inertia of a convex union times 2",
+            "inertia-union",
+            "2, 2 and 2 times",
+            simulation=_model(_inertia_times(ConvexUnion, 2.0)),
+            engine="mujoco",
+        ),
+        fault(
+            "union-centre",
+            "centre of a union at the mean of its vertices",
+            "swing-union",
+            "at the mean of the vertices",
+            simulation=_model(_mean_of_vertices),
+            engine="mujoco",
+        ),
+        fault(
+            "gravity-tilted",
+            "gravity tilted",
+            "free-fall-drift",
+            "gravity is tilted",
+            simulation=_model(_gravity_tilted),
+            engine="mujoco",
+        ),
+        fault(
+            "union-unweighted",
+            "pieces of a union weighted equally",
+            "swing-union",
+            "mean of the pieces' centres",
+            simulation=_model(_mean_of_pieces),
+            engine="mujoco",
+        ),
+        fault(
+            "reset-velocity",
+            "reset keeps velocities",
+            "reset-start",
+            "velocities are kept",
+            simulation=_ResetKeepsVelocity,
+            engine="mujoco",
+        ),
+        fault(
+            "restore-velocity",
+            "restore forgets velocities",
+            "restore",
+            "velocities",
+            simulation=_RestoreForgetsVelocity,
+            engine="mujoco",
+        ),
+        fault(
+            "restore-warm-start",
+            "restore forgets warm starts",
+            "restore-impact",
+            "warm starts",
+            simulation=_RestoreForgetsWarmStart,
+            engine="mujoco",
+        ),
+        fault(
+            "hinge-damping",
+            "damped joints and bodies",
+            "pendulum-period",
+            "damping",
+            simulation=_model(_damped),
+            engine="mujoco",
+        ),
+        fault(
+            "armature",
+            "armature of joints and bodies",
+            "pendulum-period",
+            "armature",
+            simulation=_model(_armature),
+            engine="mujoco",
+        ),
+        fault(
+            "hinged-axis",
+            "axis of a hinge between bodies tilted by 3 degrees",
+            "hinged-closed",
+            "the axis in the frame of each body",
+            simulation=_model(_hanging(_hinge_tilted)),
+            engine="mujoco",
+        ),
+        fault(
+            "hinged-anchor",
+            "anchor of a hinge between bodies 2 mm off",
+            "hinged-closed",
+            "the anchor",
+            simulation=_model(_hanging(_hinge_shifted)),
+            engine="mujoco",
+        ),
+        fault(
+            "hinged-weightless",
+            "no gravity on a body that hangs on another one",
+            "hinged-fall",
+            "gravity acts on both",
+            simulation=_HangingWeightless,
+        ),
+        fault(
+            "hinged-inertia",
+            "inertia of a body that hangs on another one times 1.5",
+            "hinged-momentum",
+            "the inertia of both",
+            simulation=_model(_hanging(_hinge_heavy)),
+            engine="mujoco",
+        ),
+        fault(
+            "hinged-damping",
+            "hinges between bodies are damped",
+            "hinged-energy",
+            "damping",
+            simulation=_model(_hanging(_hinge_damped)),
+            engine="mujoco",
+        ),
+        fault(
+            "hinged-backwards",
+            "hinges between bodies start in the other direction",
+            "hinged-angle",
+            "it turns the other way",
+            simulation=_HingeBackwards,
+            engine="mujoco",
+        ),
+        fault(
+            "soft-contacts",
+            "contacts ten times too slow",
+            "contact-listed",
+            "so soft",
+            settings={"sustained_solref": (0.2, 1.0)},
+            engine="mujoco",
+        ),
+        fault(
+            "gains-energy",
+            "2 % more speed in each interval",
+            "time",
+            "each call changes its speed",
+            simulation=_GainsEnergy,
+            engine="mujoco",
+        ),
+    )
+)
+"""Faults by id."""

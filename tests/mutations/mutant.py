@@ -1,0 +1,152 @@
+"""A backend with one planted fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends import Backend, Simulation, Support
+from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.tools.conformance.model import CheckResult
+from gauge_envs.tools.conformance.run import run_checks
+
+__all__ = ["Fault", "Mutant", "Passed", "fault", "first_failure"]
+
+Array = NDArray[np.float64]
+
+
+class Passed(Simulation):
+    """A healthy simulation, passed through; fixed bodies report the poses of the original scene.
+
+    Args:
+        inner: The simulation.
+        scene: The scene that the caller asked for.
+    """
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        self.inner: Any = inner
+        self.scene = scene
+        self.settings = inner.settings
+        self._fixed = {one.name for one in scene.bodies if one.motion is Motion.FIXED}
+
+    def reset(self, seed: int) -> None:
+        """Pass on."""
+        self.inner.reset(seed)
+
+    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+        """Pass on."""
+        self.inner.drive(body, pose, velocity, acceleration)
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        """Pass on."""
+        self.inner.apply_wrench(body, wrench)
+
+    def advance(self, seconds: float) -> None:
+        """Pass on."""
+        self.inner.advance(seconds)
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        """Pass on, with the original poses of fixed bodies."""
+        states = np.array(self.inner.body_states(names))
+        for row, name in zip(states, names, strict=True):
+            if name in self._fixed:
+                pose = self.scene.body(name).pose
+                row[:7] = [*pose.position_m, *pose.quaternion]
+        return states
+
+    def nodes(self, name: str) -> Array:
+        """Pass on."""
+        return np.array(self.inner.nodes(name))
+
+    def track(self, name: str, points_m: Array) -> Callable[[], Array] | None:
+        """Pass on."""
+        found: Callable[[], Array] | None = self.inner.track(name, points_m)
+        return found
+
+    def state(self) -> Any:
+        """Pass on."""
+        return self.inner.state()
+
+    def restore(self, state: Any) -> None:
+        """Pass on."""
+        self.inner.restore(state)
+
+    def close(self) -> None:
+        """Pass on."""
+        self.inner.close()
+
+
+def _same(scene: Scene) -> Scene:
+    return scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """One deliberate fault, and what a check should say about it.
+
+    Attributes:
+        what: The fault, in words.
+        caught_by: Id of the first check that fails.
+        says: Words of its diagnosis that name the fault.
+        scene: What the faulty backend builds instead of a scene.
+        simulation: Wrapper of its simulation.
+        settings: Numerical settings that are forced upon the backend.
+        engine: The only backend that can have the fault; empty for any.
+    """
+
+    what: str
+    caught_by: str
+    says: str
+    scene: Callable[[Scene], Scene] = _same
+    simulation: type[Passed] = Passed
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    engine: str = ""
+
+
+class Mutant(Backend):
+    """A backend with a fault.
+
+    Args:
+        backend: A healthy backend.
+        fault: The fault.
+    """
+
+    name = "mutant"
+
+    def __init__(self, backend: Backend, fault: Fault) -> None:
+        self.applies_air = backend.applies_air  # type: ignore[misc]  # a class variable of engines
+        self.joins_bodies = backend.joins_bodies  # type: ignore[misc]  # a class variable of engines
+        self._backend = backend
+        self._fault = fault
+
+    def versions(self) -> dict[str, str]:
+        """Return the versions of the healthy backend."""
+        return self._backend.versions()
+
+    def supports(self, scene: Scene) -> Support:
+        """Return what the healthy backend supports."""
+        return self._backend.supports(scene)
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build the faulty scene in the faulty simulation."""
+        inner = self._backend.build(self._fault.scene(scene), {**(settings or {}), **self._fault.settings})
+        return self._fault.simulation(inner, scene)
+
+
+def first_failure(mutant: Mutant, only: Sequence[str] = ()) -> CheckResult | None:
+    """Return the result of the first check that fails on a mutant; None when it passes all.
+
+    Args:
+        mutant: The mutant.
+        only: Ids or patterns of checks; all when empty.
+    """
+    return next((one for one in run_checks(mutant, only=only) if one.is_bad), None)
+
+
+def fault(id: str, what: str, caught_by: str, says: str, **how: Any) -> tuple[str, Fault]:
+    """Return the entry of a fault in a table: its id and the fault."""
+    return id, Fault(what=what, caught_by=caught_by, says=says, **how)

@@ -1,0 +1,229 @@
+"""Faults of what a simulation reports: poses, velocities, nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends import Simulation
+from gauge_envs.scene import Motion, Rod, Rope, Scene
+from gauge_envs.scene.meshes import mass_properties
+from mutations.mutant import Fault, Passed, fault
+
+__all__ = ["FAULTS"]
+
+Array = NDArray[np.float64]
+
+
+def _reporting(change: Callable[[Array], None]) -> type[Passed]:
+    """Return a simulation that reports other states than it has."""
+
+    class Misreported(Passed):
+        def body_states(self, names: Sequence[str]) -> Array:
+            states = super().body_states(names)
+            change(states)
+            return states
+
+    return Misreported
+
+
+def _rotations(states: Array) -> Rotation:
+    return Rotation.from_quat(states[:, 3:7], scalar_first=True)
+
+
+def _scalar_last(states: Array) -> None:
+    states[:, 3:7] = np.roll(states[:, 3:7], -1, axis=1)
+
+
+def _inverse(states: Array) -> None:
+    states[:, 4:7] *= -1.0
+
+
+def _millimetres(states: Array) -> None:
+    states[:, :3] *= 1e3
+
+
+def _spin_in_body(states: Array) -> None:
+    states[:, 10:] = _rotations(states).apply(states[:, 10:], inverse=True)
+
+
+def _velocity_in_body(states: Array) -> None:
+    states[:, 7:10] = _rotations(states).apply(states[:, 7:10], inverse=True)
+
+
+def _spin_in_degrees(states: Array) -> None:
+    states[:, 10:] = np.degrees(states[:, 10:])
+
+
+def _spin_reversed(states: Array) -> None:
+    states[:, 10:] *= -1.0
+
+
+class _VelocityOfCentre(Passed):
+    """Reports the velocity of the centre of mass."""
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        states = super().body_states(names)
+        for row, name in zip(states, names, strict=True):
+            centre_m, _ = mass_properties(self.scene.body(name).shape, 1.0)
+            row[7:10] += np.cross(row[10:], Rotation.from_quat(row[3:7], scalar_first=True).apply(centre_m))
+        return states
+
+
+class _SceneOrder(Passed):
+    """Returns rows in alphabetical order."""
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        return super().body_states(sorted(names))
+
+
+class _NaNMass(Passed):
+    """Has a body of mass NaN: its state is NaN from the first step on."""
+
+    stepped = False
+
+    def reset(self, seed: int) -> None:
+        self.stepped = False
+        super().reset(seed)
+
+    def advance(self, seconds: float) -> None:
+        self.stepped = True
+        super().advance(seconds)
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        states = super().body_states(names)
+        for row, name in zip(states, names, strict=True):
+            if self.stepped and self.scene.body(name).motion is Motion.DYNAMIC:
+                row[:] = np.nan
+        return states
+
+
+class _NodesLag(Passed):
+    """Nodes are those of an interval before."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        self._before: dict[str, Array] = {}
+
+    def reset(self, seed: int) -> None:
+        self._before = {}
+        super().reset(seed)
+
+    def advance(self, seconds: float) -> None:
+        self._before = {one.name: np.array(self.inner.nodes(one.name)) for one in self.scene.deformables}
+        super().advance(seconds)
+
+    def nodes(self, name: str) -> Array:
+        return self._before[name] if name in self._before else super().nodes(name)
+
+
+class _NodesShuffled(Passed):
+    """Nodes of ropes and rods are in an arbitrary order, always the same."""
+
+    def nodes(self, name: str) -> Array:
+        nodes = super().nodes(name)
+        one = next(body for body in self.scene.deformables if body.name == name)
+        if not isinstance(one, Rope | Rod):
+            return nodes
+        return np.asarray(nodes[np.random.default_rng(0).permutation(len(nodes))])
+
+
+class _NodesReversed(Passed):
+    """Nodes change their order after the first step."""
+
+    stepped = False
+
+    def reset(self, seed: int) -> None:
+        self.stepped = False
+        super().reset(seed)
+
+    def advance(self, seconds: float) -> None:
+        self.stepped = True
+        super().advance(seconds)
+
+    def nodes(self, name: str) -> Array:
+        nodes = super().nodes(name)
+        return nodes[::-1] if self.stepped else nodes
+
+
+class _NodesInMillimetres(Passed):
+    """Nodes are in mm."""
+
+    def nodes(self, name: str) -> Array:
+        return 1e3 * super().nodes(name)
+
+
+FAULTS: dict[str, Fault] = dict(
+    (
+        fault(
+            "quaternion-order",
+            "quaternion x, y, z, w",
+            "start-orientation",
+            "x, y, z, w",
+            simulation=_reporting(_scalar_last),
+        ),
+        fault(
+            "quaternion-inverse",
+            "quaternion world to body",
+            "start-orientation",
+            "inverse",
+            simulation=_reporting(_inverse),
+        ),
+        fault("millimetres", "positions in mm", "start-position", "in mm", simulation=_reporting(_millimetres)),
+        fault(
+            "velocity-frame",
+            "velocity in the body frame",
+            "velocity-of-origin",
+            "body frame",
+            simulation=_reporting(_velocity_in_body),
+        ),
+        fault(
+            "velocity-point",
+            "velocity of the centre of mass",
+            "velocity-of-origin",
+            "velocity of the centre of mass",
+            simulation=_VelocityOfCentre,
+        ),
+        fault(
+            "spin-frame",
+            "angular velocity in the body frame",
+            "angular-velocity",
+            "body frame",
+            simulation=_reporting(_spin_in_body),
+        ),
+        fault(
+            "spin-degrees",
+            "angular velocity in degrees per second",
+            "pendulum-energy",
+            "in degrees",
+            simulation=_reporting(_spin_in_degrees),
+        ),
+        fault(
+            "spin-sign",
+            "angular velocity reversed",
+            "angular-velocity",
+            "wrong sign",
+            simulation=_reporting(_spin_reversed),
+        ),
+        fault(
+            "order-of-names", "rows in alphabetical order", "order-of-names", "order asked for", simulation=_SceneOrder
+        ),
+        fault("nan-mass", "mass of a body NaN", "finite", "mass", simulation=_NaNMass),
+        fault("nodes-lag", "nodes one interval late", "cloth-pinned-edge", "late", simulation=_NodesLag),
+        fault(
+            "nodes-shuffled", "nodes of a rope in another order", "rope-nodes", "in order", simulation=_NodesShuffled
+        ),
+        fault(
+            "nodes-reversed",
+            "nodes change their order",
+            "cloth-pinned-edge",
+            "order changes",
+            simulation=_NodesReversed,
+        ),
+        fault("nodes-millimetres", "nodes in mm", "cloth-start", "in mm", simulation=_NodesInMillimetres),
+    )
+)
+"""Faults by id."""

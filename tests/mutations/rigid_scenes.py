@@ -1,0 +1,395 @@
+"""Faults of a backend that builds rigid bodies, joints or contacts other than those of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene import (
+    Box,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+    Tether,
+)
+from gauge_envs.scene.geometry import vector
+from mutations.mutant import Fault, Passed, fault
+from mutations.scenes import change_bodies, change_contacts, change_joints, change_shapes
+
+__all__ = ["FAULTS"]
+
+Array = NDArray[np.float64]
+
+
+def _gravity(change: Callable[[float], float]) -> Callable[[Scene], Scene]:
+    return lambda scene: replace(scene, gravity_m_per_s2=change(scene.gravity_m_per_s2))
+
+
+MARGIN_M = 1e-3
+
+
+def _margin(one: RigidBody) -> RigidBody:
+    """Return a fixed or driven body whose surface is 1 mm further out."""
+    if one.motion is Motion.DYNAMIC:
+        return one
+    if isinstance(one.shape, Plane):
+        normal = one.pose.rotation.apply([0.0, 0.0, MARGIN_M])
+        return replace(one, pose=replace(one.pose, position_m=vector(one.pose.position_m + normal)))
+    return replace(one, shape=_grown(one.shape, MARGIN_M))
+
+
+def _grown(shape: Shape, margin_m: float) -> Shape:
+    """Return a shape whose faces are further out; a convex union keeps its lower and lateral faces."""
+    if isinstance(shape, Box):
+        x, y, z = (size + 2.0 * margin_m for size in shape.size_m)
+        return Box(size_m=(x, y, z))
+    if isinstance(shape, Sphere):
+        return Sphere(radius_m=shape.radius_m + margin_m)
+    if isinstance(shape, Cylinder):
+        return Cylinder(radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m)
+    if isinstance(shape, ConvexUnion):
+        top = shape.corners_m[:, 2].max()
+        return ConvexUnion(
+            pieces_m=tuple(
+                tuple((x, y, z + margin_m if z > top - 1e-9 else z) for x, y, z in piece) for piece in shape.pieces_m
+            )
+        )
+    return shape
+
+
+def _level(one: RigidBody) -> RigidBody:
+    if not isinstance(one.shape, Plane):
+        return one
+    return replace(one, pose=Pose(position_m=one.pose.position_m))
+
+
+def _plane_at_origin(one: RigidBody) -> RigidBody:
+    if not isinstance(one.shape, Plane):
+        return one
+    return replace(one, pose=replace(one.pose, position_m=(0.0, 0.0, 0.0)))
+
+
+def _cylinder(radius: float = 1.0, length: float = 1.0) -> Callable[[Shape], Shape]:
+    return lambda shape: (
+        Cylinder(radius_m=radius * shape.radius_m, length_m=length * shape.length_m)
+        if isinstance(shape, Cylinder)
+        else shape
+    )
+
+
+def _box_twice(shape: Shape) -> Shape:
+    if not isinstance(shape, Box):
+        return shape
+    x, y, z = (2.0 * size for size in shape.size_m)
+    return Box(size_m=(x, y, z))
+
+
+def _sphere_larger(shape: Shape) -> Shape:
+    return Sphere(radius_m=1.05 * shape.radius_m) if isinstance(shape, Sphere) else shape
+
+
+def _hull(shape: Shape) -> Shape:
+    if not isinstance(shape, ConvexUnion):
+        return shape
+    return ConvexUnion(pieces_m=(tuple(vector(corner) for corner in shape.corners_m),))
+
+
+def _first_piece(shape: Shape) -> Shape:
+    return ConvexUnion(pieces_m=shape.pieces_m[:1]) if isinstance(shape, ConvexUnion) else shape
+
+
+SLOW_LIMIT_M_PER_S = 0.6
+
+
+def _no_slow_rebound(scene: Scene) -> Scene:
+    if scene.speed_limit_m_per_s > SLOW_LIMIT_M_PER_S:
+        return scene
+    return change_contacts(restitution=lambda e: 0.0)(scene)
+
+
+def _all_collide(scene: Scene) -> Scene:
+    listed = {frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)}
+    names = [one.name for one in scene.bodies]
+    more = [
+        Contact(first=(first,), second=(second,), friction=0.5, restitution=0.0)
+        for index, first in enumerate(names)
+        for second in names[:index]
+        if frozenset((first, second)) not in listed
+    ]
+    return replace(scene, contacts=(*scene.contacts, *more))
+
+
+def _first_contact_only(scene: Scene) -> Scene:
+    return replace(scene, contacts=scene.contacts[:1])
+
+
+def _one_friction(scene: Scene) -> Scene:
+    if not scene.contacts:
+        return scene
+    return change_contacts(friction=lambda mu: scene.contacts[-1].friction)(scene)
+
+
+def _one_restitution(scene: Scene) -> Scene:
+    largest = max((one.restitution for one in scene.contacts if one.mode is ContactMode.IMPACT), default=0.0)
+    return change_contacts(restitution=lambda e: largest)(scene)
+
+
+def _always_impact(scene: Scene) -> Scene:
+    return replace(scene, contacts=tuple(replace(one, mode=ContactMode.IMPACT) for one in scene.contacts))
+
+
+def _random_friction(scene: Scene) -> Scene:
+    return change_contacts(friction=lambda mu: mu * float(1.0 + 1e-9 * np.random.default_rng().random()))(scene)
+
+
+def _nothing_fixed(scene: Scene) -> Scene:
+    if scene.deformables:
+        return scene
+    return change_bodies(
+        lambda one: (
+            replace(one, motion=Motion.DYNAMIC)
+            if one.motion is Motion.FIXED and not isinstance(one.shape, Plane)
+            else one
+        )
+    )(scene)
+
+
+def _tilted(axis: tuple[float, float, float], degrees: float) -> tuple[float, float, float]:
+    return vector(Rotation.from_euler("x", degrees, degrees=True).apply(axis))
+
+
+class _AsIs(Passed):
+    """Reports fixed bodies where the engine has them."""
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        return np.array(self.inner.body_states(names))
+
+
+FAULTS: dict[str, Fault] = dict(
+    (
+        fault("margin", "collision margin of 1 mm left in", "contact-listed", "margin", scene=change_bodies(_margin)),
+        fault(
+            "cylinder-length",
+            "cylinder with half the length",
+            "inertia-cylinder",
+            "radius and length were 20, 45 mm",
+            scene=change_shapes(_cylinder(length=0.5)),
+        ),
+        fault(
+            "cylinder-radius",
+            "cylinder with half the radius",
+            "inertia-cylinder",
+            "radius and length were 10, 90 mm",
+            scene=change_shapes(_cylinder(radius=0.5)),
+        ),
+        fault(
+            "cylinder-support",
+            "fixed cylinder with half the length",
+            "rest-box",
+            "on each support that is wrong: cylinder",
+            scene=change_shapes(_cylinder(length=0.5), Motion.FIXED),
+        ),
+        fault(
+            "plane-level",
+            "leaning plane taken as level",
+            "roll-ball",
+            "leaning plane is level",
+            scene=change_bodies(_level),
+        ),
+        fault(
+            "slow-restitution",
+            "restitution off below 0.2 m/s",
+            "rebound-slow",
+            "threshold speed",
+            scene=_no_slow_rebound,
+        ),
+        fault("gravity-1-percent", "gravity 1 % high", "free-fall", "gravity", scene=_gravity(lambda g: 1.01 * g)),
+        fault("gravity-upward", "gravity upward", "free-fall", "sign of gravity", scene=_gravity(lambda g: -g)),
+        fault(
+            "gravity-own",
+            "gravity of the engine",
+            "gravity-of-scene",
+            "gravity from the scene",
+            scene=_gravity(lambda g: 9.81),
+        ),
+        fault(
+            "friction-of-another-pair",
+            "friction of the last pair for all pairs",
+            "slide-of-pair",
+            "own friction",
+            scene=_one_friction,
+        ),
+        fault(
+            "friction-mean",
+            "friction by the mean instead of the product",
+            "slide",
+            "how the friction of two surfaces is combined",
+            scene=change_contacts(friction=lambda mu: 0.5 * (mu + 1.0)),
+        ),
+        fault(
+            "friction-low",
+            "friction 20 % low",
+            "slide",
+            "friction were 0.24",
+            scene=change_contacts(friction=lambda mu: 0.8 * mu),
+        ),
+        fault("friction-none", "no friction", "slide", "friction were", scene=change_contacts(friction=lambda mu: 0.0)),
+        fault(
+            "restitution-none",
+            "no restitution",
+            "rebound-0.2",
+            "restitution",
+            scene=change_contacts(restitution=lambda e: 0.0),
+        ),
+        fault(
+            "restitution-high",
+            "restitution 0.02 high",
+            "rebound-0.2",
+            "restitution",
+            scene=change_contacts(restitution=lambda e: e + 0.02 if e else 0.0),
+        ),
+        fault(
+            "restitution-shared",
+            "largest restitution for all pairs",
+            "rebound-of-pair",
+            "its own restitution",
+            scene=_one_restitution,
+        ),
+        fault(
+            "restitution-sustained",
+            "restitution of sustained pairs",
+            "rebound-sustained",
+            "no effect on a pair of the mode SUSTAINED",
+            scene=lambda scene: _always_impact(scene) if any(one.restitution for one in scene.contacts) else scene,
+        ),
+        fault(
+            "mass-high",
+            "masses 10 % high",
+            "wrench-force",
+            "mass were 1.1",
+            scene=change_bodies(lambda one: replace(one, mass_kg=1.1 * one.mass_kg)),
+        ),
+        fault(
+            "mass-of-one",
+            "mass of one body 1.5 times too large",
+            "collision-momentum",
+            "masses are not the scene's",
+            scene=change_bodies(lambda one: replace(one, mass_kg=1.5 * one.mass_kg) if one.name == "left" else one),
+        ),
+        fault(
+            "box-half-sizes",
+            "full sizes of a box taken for half sizes",
+            "inertia-box",
+            "edges were 200, 120, 60 mm",
+            scene=change_shapes(_box_twice),
+        ),
+        fault(
+            "sphere-larger",
+            "sphere 5 % larger",
+            "contact-listed",
+            "radius is too large",
+            scene=change_shapes(_sphere_larger),
+        ),
+        fault(
+            "union-hull",
+            "convex hull of a union",
+            "inertia-union",
+            "the convex hull of all pieces",
+            scene=change_shapes(_hull),
+        ),
+        fault(
+            "union-first-piece",
+            "first piece of a union only",
+            "inertia-union",
+            "the first of its pieces",
+            scene=change_shapes(_first_piece),
+        ),
+        fault(
+            "plane-origin",
+            "plane through the world origin",
+            "rest-box",
+            "on each support that is wrong: plane",
+            scene=change_bodies(_plane_at_origin),
+        ),
+        fault("random", "random numbers without a seed", "determinism", "random numbers", scene=_random_friction),
+        fault(
+            "hinge-axis",
+            "axis of the hinge tilted by 3 degrees",
+            "hinge-radius",
+            "axis is tilted",
+            scene=change_joints(Hinge, lambda one: replace(one, axis=_tilted(one.axis, 3.0))),
+        ),
+        fault(
+            "hinge-anchor",
+            "anchor of the hinge 2 mm off",
+            "pendulum-period",
+            "hinge's position",
+            scene=change_joints(Hinge, lambda one: replace(one, anchor_m=(one.anchor_m[0] + 2e-3, *one.anchor_m[1:]))),
+        ),
+        fault(
+            "no-joints",
+            "no hinges and strings",
+            "pendulum-period",
+            "hinge is missing",
+            scene=lambda scene: replace(scene, joints=()),
+        ),
+        fault(
+            "hinged-missing",
+            "no hinges between bodies",
+            "hinged-closed",
+            "the hinge is missing",
+            scene=lambda scene: replace(scene, body_hinges=()),
+        ),
+        fault(
+            "tether-length",
+            "string 5 % long",
+            "tether-length",
+            "315",
+            scene=change_joints(Tether, lambda one: replace(one, length_m=1.05 * one.length_m)),
+        ),
+        fault(
+            "tether-short",
+            "string 20 % short",
+            "tether-slack",
+            "shorter than its length_m",
+            scene=change_joints(Tether, lambda one: replace(one, length_m=0.7 * one.length_m)),
+        ),
+        fault(
+            "no-contacts",
+            "no contacts",
+            "contact-listed",
+            "does not collide",
+            scene=lambda scene: replace(scene, contacts=()),
+        ),
+        fault(
+            "first-contact",
+            "first contact of a scene only",
+            "slide",
+            "has no contact",
+            scene=_first_contact_only,
+        ),
+        fault("all-collide", "all bodies collide", "contact-unlisted", "collision filter", scene=_all_collide),
+        fault(
+            "nothing-fixed",
+            "fixed bodies move",
+            "fixed-body-stays",
+            "must be static",
+            scene=_nothing_fixed,
+            simulation=_AsIs,
+        ),
+    )
+)
+"""Faults by id."""

@@ -1,0 +1,153 @@
+"""Faults of wrenches on bodies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends import Simulation
+from gauge_envs.scene import Cylinder, Scene, Sphere
+from gauge_envs.scene.meshes import mass_properties
+from mutations.mutant import Fault, Passed, fault
+
+__all__ = ["FAULTS"]
+
+Array = NDArray[np.float64]
+
+
+class _WrenchIgnored(Passed):
+    """Ignores wrenches."""
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        pass
+
+
+class _TorqueIgnored(Passed):
+    """Ignores torques."""
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        super().apply_wrench(body, np.concatenate([wrench[:3], np.zeros(3)]))
+
+
+class _WrenchInBody(Passed):
+    """Takes the wrench in the body frame of the start."""
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        rotation = self.scene.body(body).pose.rotation
+        super().apply_wrench(body, np.concatenate([rotation.apply(wrench[:3]), rotation.apply(wrench[3:])]))
+
+
+class _WrenchOnce(Passed):
+    """Applies a wrench during one interval only."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        self._applied: set[str] = set()
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        super().apply_wrench(body, wrench)
+        self._applied.add(body)
+
+    def advance(self, seconds: float) -> None:
+        super().advance(seconds)
+        for body in self._applied:
+            super().apply_wrench(body, np.zeros(6))
+        self._applied = set()
+
+
+class _ForceAtOrigin(Passed):
+    """Applies the force at the body origin."""
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        one = self.scene.body(body)
+        centre_m, _ = mass_properties(one.shape, 1.0)
+        torque = np.cross(-one.pose.rotation.apply(centre_m), wrench[:3])
+        super().apply_wrench(body, wrench + np.concatenate([np.zeros(3), torque]))
+
+
+class _WrenchKept(Passed):
+    """Keeps wrenches over a reset."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        self._applied: dict[str, Array] = {}
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        super().apply_wrench(body, wrench)
+        self._applied[body] = np.array(wrench)
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        for body, wrench in self._applied.items():
+            super().apply_wrench(body, wrench)
+
+
+class _RestoreForgetsWrench(Passed):
+    """Drops wrenches when a state is restored."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        self._applied: set[str] = set()
+
+    def apply_wrench(self, body: str, wrench: Array) -> None:
+        super().apply_wrench(body, wrench)
+        self._applied.add(body)
+
+    def restore(self, state: Any) -> None:
+        super().restore(state)
+        for body in self._applied:
+            super().apply_wrench(body, np.zeros(6))
+
+
+class _RollingFriction(Passed):
+    """Brakes spheres and cylinders in contact by a torque of 0.01 m g times their radius."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        touching = {name for contact in scene.contacts for name in (*contact.first, *contact.second)}
+        self._levers = {
+            one.name: 0.01 * one.mass_kg * scene.gravity_m_per_s2 * one.shape.radius_m
+            for one in scene.dynamic_bodies
+            if isinstance(one.shape, Sphere | Cylinder) and one.name in touching
+        }
+
+    def advance(self, seconds: float) -> None:
+        for name, largest in self._levers.items():
+            spin = self.inner.body_states([name])[0, 10:]
+            # The torque falls to zero below 0.05 rad/s, so that bodies at rest do not jitter.
+            torque = -largest * spin / max(float(np.linalg.norm(spin)), 0.05)
+            super().apply_wrench(name, np.concatenate([np.zeros(3), torque]))
+        super().advance(seconds)
+
+
+FAULTS: dict[str, Fault] = dict(
+    (
+        fault(
+            "rolling-friction",
+            "rolling friction of 0.01",
+            "roll-ball",
+            "rolling friction were",
+            simulation=_RollingFriction,
+        ),
+        fault("wrench-ignored", "wrench ignored", "wrench-force", "the wrench is ignored", simulation=_WrenchIgnored),
+        fault("reset-wrench", "reset keeps wrenches", "wrench-reset", "reset must clear", simulation=_WrenchKept),
+        fault(
+            "restore-wrench", "restore forgets wrenches", "restore-wrench", "wrench", simulation=_RestoreForgetsWrench
+        ),
+        fault("torque-ignored", "torque ignored", "inertia-box", "torque", simulation=_TorqueIgnored),
+        fault("wrench-body", "wrench in the body frame", "wrench-frame", "world frame", simulation=_WrenchInBody),
+        fault(
+            "wrench-once", "wrench acts for one interval", "wrench-force", "first interval only", simulation=_WrenchOnce
+        ),
+        fault(
+            "wrench-origin",
+            "force acts at the body origin",
+            "wrench-centre",
+            "the force acts at the body origin",
+            simulation=_ForceAtOrigin,
+        ),
+    )
+)
+"""Faults by id."""

@@ -1,0 +1,148 @@
+"""Every table of the command line at 80 and 120 columns: nothing is cut, nothing is too long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import result_file_name, write_result
+from gauge_envs.tools import sanity
+from gauge_envs.tools.dataset.importer import BaselineRow, ImportedTrials
+from gauge_envs.tools.dataset.statistics import TrialSpread
+from gauge_envs.tools.dataset.words import import_view
+from gauge_envs.tools.sanity.model import Report
+
+IDS = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal", "BouncingBall-rubber")
+UNLIMITED = 1000
+SANITY_ROWS = ("foot-slide", "slide*", "rebound*", "creep-*", "rest-height", "momentum", "seam")
+
+Print = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def results() -> list[Result]:
+    """Results of four experiments on MuJoCo, and the same under another engine's name."""
+    ours = [run_episode(RunRequest(name)) for name in IDS]
+    return [*ours, *(replace(result, backend="newton", versions={"newton": "1.0"}) for result in ours)]
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    """The sanity check of HalfCheetah-v5, with some of its phenomena."""
+    return sanity.check(sanity.configuration("HalfCheetah-v5"), only=SANITY_ROWS)
+
+
+@pytest.fixture
+def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, results: list[Result], report: Report) -> Print:
+    """Prints the output of a command at a width; the folder holds the results."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sanity, "check", lambda *_, **__: report)
+    (tmp_path / "results").mkdir()
+    for result in results:
+        write_result(result, tmp_path / "results" / result_file_name(result))
+
+    def run(width: int, *arguments: str) -> str:
+        outcome = CliRunner(env={"COLUMNS": str(width)}).invoke(app, list(arguments))
+        assert outcome.exit_code == 0, outcome.output
+        return outcome.stdout
+
+    return run
+
+
+def words(text: str) -> set[str]:
+    return {word.strip(";:") for word in text.split()}
+
+
+COMMANDS = (
+    ("list",),
+    ("show", "SlopeSlider-3-metal"),
+    ("show", "FoamTwisting-hard"),
+    ("materials",),
+    ("recipe", "--list-materials"),
+    ("backend", "list"),
+    ("backend", "check", "mujoco", "--only", "slide*"),
+    ("assets", "list"),
+    ("data", "status"),
+    ("run", IDS[0], "--out", "new"),
+    ("compare",),
+    ("diagnose",),
+    ("sanity", "HalfCheetah-v5"),
+)
+
+
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_a_table_fits_the_terminal_and_breaks_no_word(gauge: Print, command: tuple[str, ...], width: int) -> None:
+    text = gauge(width, *command)
+    assert max(map(len, text.splitlines())) <= width
+    # An id or a number that is cut or broken is another word.
+    assert words(gauge(UNLIMITED, *command)) <= words(text)
+
+
+WIDE = tuple(
+    command for command in COMMANDS if command[0] not in ("show", "assets", "recipe") and command != ("backend", "list")
+)
+
+
+@pytest.mark.parametrize("command", WIDE, ids=" ".join)
+def test_wide_shows_all_columns_at_any_width(gauge: Print, command: tuple[str, ...]) -> None:
+    text = gauge(80, *command, "--wide")
+    assert max(map(len, text.splitlines())) <= 80
+    assert words(gauge(UNLIMITED, *command, "--wide")) <= words(text)
+
+
+def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
+    assert {line.split()[0] for line in gauge(80, "list").splitlines()} >= {variant.id for variant in variants()}
+    assert {line.split()[0] for line in gauge(80, "data", "status").splitlines()} >= {one.name for one in variants()}
+    for command in ("compare", "diagnose"):
+        assert {line.split()[0] for line in gauge(80, command).splitlines() if line} >= set(IDS)
+
+
+@pytest.mark.parametrize(
+    ("command", "most"),
+    [
+        (("list",), 84),
+        (("data", "status"), 160),
+        (("materials",), 80),
+        (("compare",), 90),
+        (("run", IDS[0], "--out", "new"), 15),
+        (("sanity", "HalfCheetah-v5"), 120),
+    ],
+)
+def test_a_table_takes_few_lines_at_80_columns(gauge: Print, command: tuple[str, ...], most: int) -> None:
+    assert len(gauge(80, *command).splitlines()) <= most
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_an_import_fits_the_terminal(width: int) -> None:
+    variant = find_variant("NonsmoothContact-1-plastic")
+    lines = published_baselines(variant.name)
+    rows = tuple(
+        BaselineRow(metric=metric, unit="mm", own=TrialSpread(mean=12.3456, std=4.5678, count=20), published=line)
+        for metric, line in lines.items()
+    )
+    driver: Any = SimpleNamespace(
+        body="board", trial_count=20, residual_mm=0.12, residual_deg=0.34, start_offset_mm=1.2, scatter_mm=0.5,
+        scatter_deg=None,
+    )  # fmt: skip
+    record: Any = SimpleNamespace(drivers=[driver])
+    one = ImportedTrials(variant=variant, record=record, used=20, left_out=1, rows=rows, findings=())
+    console = Console(width=width)
+    with console.capture() as capture:
+        console.print(import_view([one]))
+    text = capture.get()
+    assert max(map(len, text.splitlines())) <= width
+    assert {variant.name, "12.35", "RMSE", "board", "0.12", "0.34"} <= words(text)

@@ -1,0 +1,774 @@
+"""Engines side by side: what is a repeat and what a configuration, means and distances against closed forms."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from rich.console import Console
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import UnknownNameError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.score import Score, score_trajectory
+from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.files import versions
+from gauge_envs.pages.figures import OURS, legend_above, new_figure
+from gauge_envs.pages.results import configuration_labels
+from gauge_envs.pages.text import score_text
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.runs.result_file import result_file_name, write_result
+from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.distance import MOTION_SHARE
+from gauge_envs.tools.compare.experiment_figure import draw_experiment
+from gauge_envs.tools.compare.overview_figure import draw_overview, save_comparison
+from gauge_envs.tools.compare.scores import COMPARED_METRICS, ScoreSpread, check_metrics
+from gauge_envs.tools.compare.words import comparison_json, comparison_markdown, comparison_rows, comparison_view
+
+SLIDER, PLASTIC, FOAM, CRADLE = (
+    "SlopeSlider-2-wood",
+    "SlopeSlider-2-plastic",
+    "SlopeSlider-3-wood",
+    "NewtonsCradle-metal",
+)
+GRADES = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
+RATE_HZ = 180
+
+HOLD, DRIVEN = "SlopeSlider-1-wood", "SlopeSlider-3-metal"
+"""Experiments of the grades law and recording."""
+
+
+def recorded(motion, *, seconds=1.0):
+    """A recorded trajectory of one cube: motion(times) gives x, y, z in mm, or a constant."""
+    times = np.arange(round(seconds * RATE_HZ) + 1) / RATE_HZ
+    samples = np.broadcast_to(np.asarray(motion(times), dtype=float).T, (len(times), 3))
+    return RecordedTrajectory(
+        unit="mm",
+        coordinates=["cube.x", "cube.y", "cube.z"],
+        times_s=times.tolist(),
+        samples=[[v if np.isfinite(v) else None for v in row] for row in samples.tolist()],
+    )
+
+
+def still(_):
+    return [0.0, 0.0, 0.0]
+
+
+def along(speed_mm_per_s):
+    return lambda times: [speed_mm_per_s * times, 0.0 * times, 0.0 * times]
+
+
+def made(name=SLIDER, *, backend="mujoco", rmse=None, motion=still, seconds=1.0, engine="1.0", **changes):
+    """A result as an engine would leave it; rmse is the normalized one."""
+    family = name.split("-")[0]
+    score = Score(grade=GRADES[name], unit="mm", rmse_normalized=rmse, rmse=None if rmse is None else 18.0 * rmse)
+    values = {
+        "id": f"GAUGE/{name}",
+        "outcome": Outcome.FINISHED,
+        "parameters": "calibrated",
+        "score": score,
+        "task_sha256": task_sha256(family),
+        "backend": backend,
+        "frames": round(seconds * 30) + 1,
+        "wall_s": 2.0 * seconds,
+        "sim_s": seconds,
+        "versions": {backend: engine, **versions()},
+        "seed": 0,
+        "trajectory": recorded(motion, seconds=seconds),
+    }
+    return Result(**(values | changes))
+
+
+def diverged(name=SLIDER, *, backend="newton", seconds=0.5, **changes):
+    return replace(
+        made(name, backend=backend, seconds=seconds),
+        outcome=Outcome.DIVERGED,
+        diverged=True,
+        diverged_reason="a body is 1e6 m away",
+        **changes,
+    )
+
+
+def declined(name=SLIDER, *, backend="newton"):
+    return replace(
+        made(name, backend=backend),
+        outcome=Outcome.DECLINED,
+        error="it knows no cubes",
+        versions=versions(),
+        trajectory=None,
+        wall_s=None,
+        sim_s=0.0,
+    )
+
+
+def printed(results, *metrics):
+    console = Console(width=300)
+    with console.capture() as capture:
+        console.print(comparison_view(compare(results), metrics or tuple(COMPARED_METRICS), wide=True))
+    return capture.get()
+
+
+def cells(results, metric="rmse"):
+    """Texts of the row of a metric, a column a configuration."""
+    comparison = compare(results)
+    markdown = comparison_markdown(comparison, [metric])
+    row = next(line for line in markdown.splitlines() if line.startswith("| SlopeSlider"))
+    return [cell.strip() for cell in row.strip("|").split("|")][4:-3]
+
+
+# --- configurations and repeats ---
+
+
+@pytest.mark.parametrize(("values", "mean", "std"), [([3.0], 3.0, None), ([1.0, 2.0, 3.0], 2.0, 1.0)])
+def test_spread_is_mean_and_sample_deviation(values, mean, std):
+    assert ScoreSpread.of(values) == ScoreSpread(mean=mean, std=std, count=len(values))
+    assert ScoreSpread.of([]) is None
+
+
+def test_results_that_differ_in_their_seed_alone_are_one_cell():
+    comparison = compare([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])])
+    ((cell,),) = [one.cells for one in comparison.experiments]
+    assert [result.seed for result in cell.results] == [0, 1, 2]
+    assert cell.spread(COMPARED_METRICS["rmse"], normalized=True) == ScoreSpread(mean=2.0, std=1.0, count=3)
+    assert cells([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]) == ["2.00 +- 1.00 (3)"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "label"),
+    [
+        ({"backend": "newton"}, "newton"),
+        ({"parameters": "effective"}, "mujoco, effective"),
+        ({"parameters": {"cube.friction": 0.25}}, "mujoco, cube.friction=0.25"),
+        ({"settings_given": {"timestep_s": 1 / 900}}, "mujoco, timestep_s=0.001111"),
+        ({"engine": "2.0"}, "mujoco, mujoco 2.0"),
+    ],
+)
+def test_whatever_else_differs_makes_another_configuration(changes, label):
+    comparison = compare([made(**changes), made(), made(seed=1)])
+    labels = configuration_labels(comparison.configurations)
+    assert label in labels
+    assert len(labels) == len(set(labels)) == 2
+    assert labels[0] in ("mujoco", "mujoco, mujoco 1.0")
+
+
+def test_a_jittered_start_is_another_configuration_than_the_nominal_one():
+    jittered = {"jitter": {"position_m": 0.001, "angle_rad": 0.01}}
+    comparison = compare([made(seed=1, **jittered), made(), made(seed=2, **jittered)])
+    assert configuration_labels(comparison.configurations) == [
+        "mujoco",
+        "mujoco, jitter position_m=0.001 angle_rad=0.01",
+    ]
+    assert [len(cell.results) for cell in comparison.experiments[0].cells] == [1, 2]
+
+
+def test_the_label_of_a_single_configuration_is_full_and_others_leave_out_what_all_share():
+    fine = {"settings_given": {"timestep_s": 0.5}}
+    assert configuration_labels(compare([made(**fine)]).configurations) == ["mujoco, calibrated, timestep_s=0.5"]
+    both = compare([made(**fine), made(backend="newton", **fine)])
+    assert configuration_labels(both.configurations) == ["mujoco", "newton"]
+    assert "All configurations: calibrated, timestep_s=0.5." in printed([made(**fine), made(backend="newton", **fine)])
+
+
+def test_labels_that_round_to_the_same_are_stated_in_full():
+    steps = [made(settings_given={"timestep_s": step}) for step in (0.125, 0.125 + 2**-20)]
+    labels = configuration_labels(compare(steps).configurations)
+    assert sorted(labels) == ["mujoco, timestep_s=0.125", "mujoco, timestep_s=0.12500095367431641"]
+
+
+def test_of_two_results_of_one_seed_the_latest_counts():
+    old = made(rmse=5.0, created="2026-01-01T00:00:00+00:00")
+    new = made(rmse=1.0, created="2026-01-02T00:00:00+00:00")
+    comparison = compare([new, old])
+    assert cells([new, old]) == ["1.00"]
+    assert "the latest of each counts" in comparison.notes[0]
+
+
+def test_results_that_do_not_belong_together_are_reported():
+    stale = made(task_sha256="0" * 64)
+    older = made(PLASTIC, versions={"mujoco": "1.0", **versions(), "gauge-envs": "0.0.1"})
+    notes = " ".join(compare([stale, older]).notes)
+    assert "another task file than the installed one: SlopeSlider-2-wood" in notes
+    assert "different versions of gauge-envs: 0.0.1, " in notes
+    assert compare([made(), made(PLASTIC)]).notes == ()
+
+
+# --- scores ---
+
+
+def test_cells_say_why_there_is_no_score():
+    results = [made(rmse=0.5), diverged(), made(backend="other")]
+    assert cells(results) == ["0.50", "diverged", "no score"]
+    assert cells([made(rmse=0.5), made(PLASTIC, backend="newton", rmse=1.0)]) == ["0.50", "-"]
+    assert cells([made(rmse=0.5), declined()]) == ["0.50", "declined"]
+
+
+def test_repeats_that_diverged_are_counted_and_leave_the_cell_unscored_in_the_summary():
+    results = [made(backend="newton", rmse=1.0), made(backend="newton", rmse=3.0, seed=1), diverged(seed=2)]
+    assert cells(results) == ["2.00 +- 1.41 (2), 1 diverged"]
+    comparison = compare(results)
+    (summary,) = comparison.summaries()
+    assert (summary.ran, summary.scored, summary.diverged) == (1, 0, 1)
+    assert comparison.grades == ()
+
+
+def test_a_raw_score_without_baseline_is_stated_in_its_unit():
+    assert cells([made(score=Score(grade="trials", unit="mm", rmse=12.5))]) == ["12.50 mm"]
+
+
+def test_a_declined_result_without_versions_joins_the_configuration_that_ran():
+    comparison = compare([declined(), made(PLASTIC, backend="newton", rmse=1.0)])
+    assert len(comparison.configurations) == 1
+    (summary,) = comparison.summaries()
+    assert (summary.ran, summary.not_run) == (1, 1)
+
+
+def test_event_metrics_and_energy_loss_stand_beside_the_published_ones():
+    score = Score(grade="none", unit="mm", lsd_s=0.19, lsd_normalized=0.5, mte=0.2, mte_normalized=0.215)
+    rows = {row["metric"]: row for row in comparison_rows(compare([made(CRADLE, score=score)]))}
+    assert rows.keys() == {"lsd", "mte"}
+    assert rows["lsd"]["real"]["mean"] == 0.38
+    assert rows["lsd"]["configurations"][0]["raw"]["mean"] == 0.19
+    assert rows["mte"]["published"] == {"isaacsim": 0.2, "genesis": None, "newton": 0.26}
+
+
+def test_wall_time_is_over_simulated_time():
+    results = [made(wall_s=3.0, seconds=1.0), made(wall_s=5.0, seconds=1.0, seed=1), made(PLASTIC, wall_s=None)]
+    comparison = compare(results)
+    assert [one.cells[0].wall_s_per_sim_s for one in comparison.experiments] == [4.0, None]
+    assert comparison.summaries()[0].wall_s_per_sim_s == 4.0
+
+
+def test_nothing_in_common():
+    text = printed([made(rmse=1.0), made(PLASTIC, backend="newton", rmse=1.0)])
+    assert "Ranking" not in text
+    assert "Pairs" not in text
+    assert "Where engines disagree" not in text
+
+
+def test_one_configuration_is_shown_beside_what_was_published():
+    text = printed([made(rmse=0.41)])
+    for word in ("0.41", "Isaac Sim", "1.23", "18 +- 15.89 mm", "One configuration", "mujoco: mujoco 1.0", "Table 5"):
+        assert word in text
+
+
+def test_nothing_to_compare():
+    assert "no results to compare" in printed([])
+    assert comparison_rows(compare([])) == []
+    assert comparison_json(compare([])) == []
+
+
+# --- grades and pairs ---
+
+
+@pytest.fixture(scope="module")
+def real():
+    """Results of MuJoCo of every grade, by variant."""
+    return {name: run_episode(RunRequest(name)) for name in (SLIDER, PLASTIC, HOLD, DRIVEN)}
+
+
+def altered(result, scale, **changes):
+    """A result whose displacements are scaled, scored again."""
+    trajectory = result.trajectory
+    start = np.array(trajectory.samples[0])
+
+    def scaled(rows):
+        return (start + scale * (np.array(rows).reshape(len(rows), -1) - start)).tolist() if rows else []
+
+    moved = replace(trajectory, samples=scaled(trajectory.samples), later_samples=scaled(trajectory.later_samples))
+    experiment = recorded_experiment(result)
+    times_s, values = moved.arrays(later=True)
+    band = reference_band(experiment, use_withheld=result.score.withheld is not None)
+    score = score_trajectory(experiment, band, times_s=times_s, values=values, backend=result.backend)
+    return replace(result, trajectory=moved, score=score, **changes)
+
+
+def as_newton(result, **changes):
+    """The same result under another engine's name."""
+    return replace(result, backend="newton", versions={"newton": "1.0", **versions()}, **changes)
+
+
+def under_two_names(real, *names):
+    return [one for name in names for one in (real[name], as_newton(real[name]))]
+
+
+def grade(comparison, name):
+    return next(one for one in comparison.grades if one.name == name)
+
+
+def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
+    trials, others = under_two_names(real, SLIDER, PLASTIC), under_two_names(real, HOLD, DRIVEN)
+    alone, together = compare(trials), compare([*others, *trials])
+    assert [one.name for one in together.grades] == ["trials", "recording", "law"]
+    assert grade(alone, "trials") == grade(together, "trials")
+    scores = [real[name].score for name in (SLIDER, PLASTIC)]
+    ours = grade(together, "trials").scores[0]
+    aligned = [score.rmse_aligned_normalized for score in scores]
+    raw = [score.rmse_normalized for score in scores]
+    assert ours.geometric_mean.value == pytest.approx(np.sqrt(aligned[0] * aligned[1]))
+    assert ours.geometric_mean_raw.value == pytest.approx(np.sqrt(raw[0] * raw[1]))
+    assert grade(together, "law").scores[0].geometric_mean.value == pytest.approx(real[HOLD].score.rmse_normalized)
+
+
+def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
+    comparison = compare(list(real.values()))
+    assert {one.name: bool(one.published) for one in comparison.grades} == {
+        "trials": True,
+        "recording": False,
+        "law": False,
+    }
+    genesis = [published_baselines(name)["rmse"].engines["genesis"] for name in (SLIDER, PLASTIC)]
+    assert grade(comparison, "trials").published["genesis"] == pytest.approx(np.sqrt(genesis[0] * genesis[1]))
+    rows = {(row["id"], row["metric"]): row["published"] for row in comparison_rows(comparison)}
+    assert rows[f"GAUGE/{SLIDER}", "rmse"] == published_baselines(SLIDER)["rmse"].engines
+    assert rows[f"GAUGE/{SLIDER}", "rmse_aligned"] is None
+    assert {rows[f"GAUGE/{name}", "rmse"] for name in (HOLD, DRIVEN)} == {None}
+
+
+def test_a_withheld_band_is_a_group_of_its_own(real):
+    withheld = run_episode(RunRequest("SlopeContact-wood", use_withheld=True))
+    comparison = compare([real[DRIVEN], withheld])
+    names = {one.name: one.ids for one in comparison.grades}
+    assert names == {"recording": (f"GAUGE/{DRIVEN}",), f"{withheld.score.grade}, withheld": (withheld.id,)}
+
+
+def test_only_experiments_that_all_have_scored_are_ranked_and_pairs_have_their_own(real):
+    third = altered(real[SLIDER], 1.1, settings_given={"timestep_s": 0.001})
+    both = [real[SLIDER], real[PLASTIC], as_newton(real[SLIDER]), as_newton(real[PLASTIC])]
+    one = grade(compare([*both, third]), "trials")
+    assert one.ids == (f"GAUGE/{SLIDER}",)
+    counts = {(pair.first, pair.second): len(pair.ids) for pair in one.pairs}
+    assert counts == {(0, 1): 1, (0, 2): 2, (1, 2): 1}
+
+
+def test_identical_trajectories_are_never_distinguishable(real):
+    comparison = compare(under_two_names(real, *real))
+    assert len(comparison.grades) == 3
+    for one in comparison.grades:
+        (pair,) = one.pairs
+        assert (pair.difference, pair.distinguishable) == (0.0, False)
+        assert pair.probability_of_improvement == pytest.approx(0.5, abs=0.03)
+        assert not any(single.distinguishable for single in pair.experiments)
+        assert [single.difference for single in pair.experiments] == [0.0] * len(pair.ids)
+        assert {score.rank for score in one.scores} == {1}
+
+
+def test_rounding_is_not_distinguishable(real):
+    results = [one for name in (HOLD, DRIVEN) for one in (real[name], as_newton(altered(real[name], 1.0 + 1e-7)))]
+    pairs = [pair for one in compare(results).grades for pair in one.pairs]
+    assert [len(pair.ids) for pair in pairs] == [1, 1]
+    assert all(single.difference != 0.0 for pair in pairs for single in pair.experiments)
+    assert not any(pair.distinguishable for pair in pairs)
+    assert not any(single.distinguishable for pair in pairs for single in pair.experiments)
+
+
+def test_a_large_difference_is_distinguishable_and_ranks(real):
+    wrong = {name: as_newton(altered(real[name], 1.5)) for name in (SLIDER, PLASTIC)}
+    comparison = compare([*wrong.values(), real[SLIDER], real[PLASTIC]])
+    trials = grade(comparison, "trials")
+    (pair,) = trials.pairs
+    assert pair.distinguishable
+    assert pair.difference_95[1] < 0.0
+    assert pair.probability_of_improvement > 0.99
+    assert [score.rank for score in trials.scores] == [1, 2]
+    first = real[SLIDER].score.primary_normalized
+    second = wrong[SLIDER].score.primary_normalized
+    assert pair.experiments[0].difference == pytest.approx(first - second)
+    text = printed([real[SLIDER], wrong[SLIDER]])
+    assert "distinguishable" in text
+    assert "not distinguishable" not in text
+    assert "not distinguishable" in printed([real[SLIDER], as_newton(real[SLIDER])])
+
+
+def test_a_pair_turned_round_has_the_opposite_difference(real):
+    other_motion = altered(real[SLIDER], 1.02)
+    results = [real[SLIDER], as_newton(other_motion)]
+    swapped = [other_motion, as_newton(real[SLIDER])]
+    (one,), (other,) = (grade(compare(some), "trials").pairs for some in (results, swapped))
+    assert other.difference == pytest.approx(-one.difference)
+    # Discretization is drawn for each configuration, so the ends agree up to these draws.
+    width = one.difference_95[1] - one.difference_95[0]
+    assert other.difference_95 == pytest.approx([-one.difference_95[1], -one.difference_95[0]], abs=0.1 * width)
+
+
+def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
+    scales = {1: 0.9, 2: 1.0, 3: 1.1}
+    ours = [altered(real[SLIDER], scale, seed=seed) for seed, scale in scales.items()]
+    theirs = [as_newton(result) for result in ours[1:]]
+    (pair,) = grade(compare([*ours, *theirs]), "trials").pairs
+    assert pair.experiments[0].difference == 0.0
+    assert not pair.distinguishable
+    (score, *_) = grade(compare(ours), "trials").scores
+    mean = np.mean([result.score.primary_normalized for result in ours])
+    assert score.geometric_mean.value == pytest.approx(mean)
+    # Over one experiment, a mean has the interval of the cell that shows the same score.
+    (one,) = compare(ours).experiments
+    assert score.mean.interval_95 == one.cells[0].interval_95(COMPARED_METRICS[one.primary])
+    # Repeats that differ widen the interval: their scatter is part of the uncertainty of the mean.
+    (alone, *_) = grade(compare(ours[1:2]), "trials").scores
+    widths = [one.geometric_mean.interval_95[1] - one.geometric_mean.interval_95[0] for one in (score, alone)]
+    assert widths[0] > widths[1]
+
+
+def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are_not(real):
+    comparison = compare(under_two_names(real, SLIDER, PLASTIC))
+    drawn = [[cell.draws.raw_draws[0] for cell in one.cells] for one in comparison.experiments]
+    assert np.corrcoef(*drawn[0])[0, 1] > 0.99
+    assert abs(np.corrcoef(drawn[0][0], drawn[1][0])[0, 1]) < 0.06
+
+
+def test_discretization_is_drawn_for_each_configuration(real):
+    (pair,) = grade(compare([real[SLIDER], as_newton(real[SLIDER])]), "trials").pairs
+    low, high = pair.experiments[0].difference_95
+    assert low < 0.0 < high
+
+
+def test_a_score_of_another_reference_is_not_compared_in_pairs(real):
+    stale = replace(real[SLIDER], score=replace(real[SLIDER].score, rmse_normalized=0.3))
+    comparison = compare([stale, as_newton(real[SLIDER])])
+    assert grade(comparison, "trials").pairs == ()
+    assert any("its score was made against another reference" in note for note in comparison.notes)
+
+
+def test_a_trajectory_that_does_not_fit_the_experiment_is_not_compared_in_pairs():
+    comparison = compare([made(rmse=0.5, seconds=0.1)])
+    assert comparison.grades == ()
+    assert any("cannot be scored again" in note and "no sample at frame" in note for note in comparison.notes)
+
+
+def test_results_of_two_references_are_not_averaged(real):
+    imported = as_newton(real[SLIDER], dataset={"drivers": "bundled", "reference": "imported"})
+    comparison = compare([real[SLIDER], replace(imported, score=replace(imported.score, grade="recording"))])
+    assert comparison.grades == ()
+    assert any("references of grade" in note for note in comparison.notes)
+
+
+def test_cells_have_intervals_and_the_percentile_below_the_primary_score(real):
+    score = real[SLIDER].score
+    text = printed([real[SLIDER]])
+    low, high = (score_text(end) for end in score.rmse_aligned_normalized_95)
+    assert f"{score_text(score.rmse_aligned_normalized)} [{low}, {high}]" in text
+    lines = text.splitlines()
+    place = next(index for index, line in enumerate(lines) if line.strip().startswith("RMSE aligned"))
+    assert lines[place + 1].split()[:5] == ["trials", "closer", "-", f"{score.percentile_aligned:.0f}", "%"]
+    assert lines[place + 2].split()[0] == "RMSE"
+
+
+@pytest.mark.parametrize("metric", [name for name, one in COMPARED_METRICS.items() if one.normalized is not None])
+def test_each_normalized_metric_has_an_interval(metric):
+    known = COMPARED_METRICS[metric]
+    score = Score(grade="none", unit="mm", **{known.normalized: 0.5, known.raw: 9.0, known.interval: (0.25, 1.5)})
+    assert cells([made(score=score)], metric) == ["0.50 [0.25, 1.50]"]
+
+
+def test_json_has_pairs_and_grades(real):
+    comparison = compare(under_two_names(real, SLIDER, PLASTIC, HOLD))
+    record = by_kind(json.loads(json.dumps(comparison_json(comparison), allow_nan=False)))
+    assert set(record) == {"experiment", "grade", "pair"}
+    trials, law = record["pair"]
+    assert (trials["first"], trials["second"], trials["grade"]) == ("mujoco", "newton", "trials")
+    assert trials["ids"] == [f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}"]
+    assert (trials["difference"], trials["distinguishable"]) == (0.0, False)
+    assert trials["difference_95"][0] <= 0.0 <= trials["difference_95"][1]
+    assert law["ids"] == [f"GAUGE/{HOLD}"]
+    assert {one["id"]: set(one) for one in trials["experiments"]} == {
+        name: {"id", "difference", "difference_95", "distinguishable"} for name in trials["ids"]
+    }
+    assert [(one["grade"], one["withheld"]) for one in record["grade"]] == [("trials", False), ("law", False)]
+    means = record["grade"][0]["configurations"][0]
+    low, high = means["geometric_mean_95"]
+    assert (means["label"], means["rank"]) == ("mujoco", 1)
+    assert low <= means["geometric_mean"] <= high
+    assert set(record["grade"][0]["published"]) == {"isaacsim", "genesis", "newton"}
+    assert record["grade"][1]["published"] == {}
+    row = next(one for one in record["experiment"] if one["metric"] == "rmse_aligned")
+    assert row["configurations"][0]["normalized_95"] == list(real[SLIDER].score.rmse_aligned_normalized_95)
+    assert row["configurations"][0]["percentile"] == real[SLIDER].score.percentile_aligned
+
+
+# --- distances ---
+
+
+def distance(*results):
+    (experiment,) = compare(results).experiments
+    (far,) = experiment.distances
+    return far
+
+
+def test_a_constant_distance():
+    far = distance(made(FOAM), made(FOAM, backend="newton", motion=lambda _: [3.0, 4.0, 0.0]))
+    assert far.rms.mean == pytest.approx(5.0)
+    assert (far.motion_rms, far.frames, far.apart_at_s) == (0.0, 31, None)
+    assert far.threshold == published_baselines(FOAM)["rmse"].mean
+    assert far.threshold_is_scatter
+
+
+def test_drifting_apart_crosses_the_published_scatter_of_real_trials_when_it_should():
+    # 60 mm/s apart reach the published 24.27 mm after 0.4045 s, so at the 13th frame, 0.4333 s.
+    far = distance(made(FOAM), made(FOAM, backend="newton", motion=along(60.0)))
+    assert far.threshold == 24.27
+    assert far.apart_at_s == pytest.approx(13 / 30)
+    frames = np.arange(31) / 30
+    assert far.rms.mean == pytest.approx(60.0 * np.sqrt(np.mean(frames**2)))
+    assert far.motion_rms == pytest.approx(60.0 * np.sqrt(np.mean(frames**2) / 2))
+
+
+def test_without_a_published_scatter_the_threshold_is_a_share_of_the_motion():
+    # x = v t and 1.1 v t: apart by 5 % of the mean square of both motions once 0.1 v t is.
+    far = distance(made(CRADLE, motion=along(100.0)), made(CRADLE, backend="newton", motion=along(110.0)))
+    positions = np.concatenate([np.arange(31) / 30 * speed for speed in (100.0, 110.0)])
+    threshold = MOTION_SHARE * np.sqrt(np.mean(positions**2))
+    assert not far.threshold_is_scatter
+    assert far.threshold == pytest.approx(threshold)
+    assert far.apart_at_s == pytest.approx(np.ceil(threshold / 10.0 * 30) / 30)
+    text = printed([made(CRADLE, motion=along(100.0)), made(CRADLE, backend="newton", motion=along(110.0))])
+    assert "Where engines disagree" in text
+    assert "* not published: 5% of the motion" in text
+
+
+def test_only_common_finite_frames_count():
+    def explodes(times):
+        return [np.where(times > 0.3, np.inf, 10.0), 0.0 * times, 0.0 * times]
+
+    lost = diverged(FOAM)
+    far = distance(made(FOAM, seconds=2.0), replace(lost, trajectory=recorded(explodes, seconds=0.5)))
+    assert (far.rms.mean, far.frames, far.diverged) == (10.0, 10, True)
+
+
+def test_no_distance_where_one_did_not_run_or_recorded_something_else():
+    assert compare([made(FOAM), declined(FOAM)]).experiments[0].distances == ()
+    other = made(FOAM, backend="newton")
+    renamed = replace(other.trajectory, coordinates=["ball.x", "ball.y", "ball.z"])
+    assert compare([made(FOAM), replace(other, trajectory=renamed)]).experiments[0].distances == ()
+
+
+def test_repeats_are_compared_seed_by_seed():
+    def start(x):
+        return lambda _: [x, 0.0, 0.0]
+
+    ours = [made(FOAM, seed=seed, motion=start(100.0 * seed)) for seed in (1, 2, 3)]
+    theirs = [made(FOAM, backend="newton", seed=seed, motion=start(100.0 * seed + seed)) for seed in (1, 2, 3)]
+    far = distance(*ours, *theirs)
+    assert (far.rms.mean, far.rms.std, far.rms.count) == (2.0, 1.0, 3)
+    apart = distance(ours[0], ours[1], theirs[2])
+    assert (apart.rms.mean, apart.rms.count) == ((203.0 + 103.0) / 2, 2)
+
+
+# --- output ---
+
+
+def test_json_has_one_object_an_experiment_and_metric():
+    results = [made(rmse=1.0), made(rmse=2.0, seed=1), diverged(), made(FOAM), made(FOAM, backend="newton")]
+    rows = json.loads(json.dumps(comparison_rows(compare(results)), allow_nan=False))
+    keys = [(row["id"], row["metric"]) for row in rows]
+    assert sorted(keys, key=str) == [
+        (f"GAUGE/{SLIDER}", "dtw"),
+        (f"GAUGE/{SLIDER}", "rmse"),
+        (f"GAUGE/{FOAM}", None),
+    ]
+    first = next(row for row in rows if row["id"] == f"GAUGE/{SLIDER}" and row["metric"] == "rmse")
+    mujoco, newton = first["configurations"]
+    assert (mujoco["label"], mujoco["seeds"], mujoco["outcomes"]) == ("mujoco", [0, 1], ["finished", "finished"])
+    assert mujoco["normalized"]["values"] == [1.0, 2.0]
+    assert mujoco["versions"]["mujoco"] == "1.0"
+    assert (newton["normalized"], newton["reasons"]) == (None, ["a body is 1e6 m away"])
+    assert first["published"] == {"isaacsim": 1.23, "genesis": 0.53, "newton": 1.71}
+    apart = next(row for row in rows if row["id"] == f"GAUGE/{FOAM}")["distances"]
+    assert (apart[0]["first"], apart[0]["second"]) == ("mujoco", "newton")
+
+
+def test_markdown_tables_are_whole():
+    results = [made(rmse=1.0, settings_given={"a_b": 1}), diverged(), made(FOAM), made(FOAM, backend="newton")]
+    lines = comparison_markdown(compare(results)).splitlines()
+    tables = [line for line in lines if line.startswith("|")]
+    blocks = "\n".join(line if line.startswith("|") else "" for line in lines).split("\n\n")
+    counts = [{row.count("|") for row in block.split("\n") if row} for block in blocks]
+    assert len(tables) > 6
+    assert all(len(count) <= 1 for count in counts)
+    assert any(r"a\_b" in line for line in tables)
+
+
+def test_metrics_are_checked_and_kept_in_order():
+    assert check_metrics([]) == tuple(COMPARED_METRICS)
+    assert check_metrics(["dtw", "rmse", "dtw"]) == ("dtw", "rmse")
+    with pytest.raises(UnknownNameError, match="did you mean rmse"):
+        check_metrics(["rsme"])
+
+
+# --- pictures ---
+
+
+def test_repeats_are_lines_of_one_colour_and_configurations_keep_theirs():
+    repeats = [made(backend="newton", rmse=1.0, seed=seed, motion=along(10.0 * seed)) for seed in range(3)]
+    among = [made(PLASTIC, rmse=1.0), *repeats]
+    figure = draw_experiment(repeats, among=among)
+    curves = [line for line in figure.axes[0].get_lines() if to_hex(line.get_color()) in OURS and len(line.get_xdata())]
+    assert len(curves) == 3
+    assert {to_hex(line.get_color()) for line in curves} == {OURS[1]}
+    texts = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert "newton, 3 repeats" in texts
+
+
+def test_engines_without_a_reference_get_a_panel_of_their_distance():
+    figure = draw_experiment([made(FOAM), made(FOAM, backend="newton", motion=along(60.0))])
+    panel = next(axis for axis in figure.axes if "distance" in axis.get_ylabel())
+    heights = max(panel.get_lines(), key=lambda line: len(line.get_ydata())).get_ydata()
+    assert heights == pytest.approx(60.0 * np.arange(31) / 30)
+    assert not any("distance" in axis.get_ylabel() for axis in draw_experiment([made(FOAM)]).axes)
+
+
+def test_rounding_errors_do_not_fill_a_panel():
+    figure = draw_experiment([made(FOAM, motion=along(60.0))])
+    limits = [axis.get_ylim() for axis in figure.axes[:3]]
+    widest = max(high - low for low, high in limits)
+    assert all(high - low >= 0.019 * widest for low, high in limits)
+
+
+def test_a_score_without_a_scatter_is_drawn_with_its_unit():
+    figure = draw_experiment([made(score=Score(grade="trials", unit="mm", rmse=0.03))])
+    texts = [text.get_text() for text in figure.axes[-1].texts]
+    assert "0.03 mm, not normalized" in texts
+    assert "no reference" in texts  # DTW, of which there is no score at all.
+
+
+def test_a_legend_is_no_wider_than_its_panel():
+    figure = new_figure(12.0, 5.0)
+    panel, _ = figure.subplots(1, 2, width_ratios=(1.8, 1.0))
+    aligned = [f"mujoco, effective{number}, +0.058 s to align the release" for number in range(3)]
+    for label in ["real, mean (22 trials)", "real, 1 sigma", "extrapolated, not measured", *aligned]:
+        panel.plot([], [], label=label)
+    legend_above(panel)
+    figure.draw_without_rendering()
+    assert panel.get_legend().get_window_extent().width <= panel.get_window_extent().width
+    assert panel.get_position().width > 0.5
+
+
+def places_of(axis):
+    """Places of the dots of a panel."""
+    return {float(line.get_xdata()[0]) for line in axis.get_lines() if len(line.get_xdata())}
+
+
+def test_overview_has_every_score_where_it_belongs():
+    comparison = compare([made(rmse=0.41), diverged(), made(PLASTIC, backend="newton", rmse=2.0)])
+    figure = draw_overview(comparison, metric="rmse")
+    (axis,) = figure.axes
+    assert {0.41, 2.0, 1.23, 0.53, 1.71, 0.48, 0.82, 0.51, 1.0} <= places_of(axis)
+    assert axis.get_xscale() == "log"
+    assert [tick.get_text() for tick in axis.get_yticklabels()] == [f"{SLIDER}  (trials)", f"{PLASTIC}  (trials)"]
+    assert draw_overview(compare([made(rmse=0.41)]), metric="el") is None
+
+
+def test_overview_shows_intervals_and_published_engines_beside_raw_trials_alone(real):
+    figure = draw_overview(compare([real[SLIDER], real[HOLD]]))
+    primary, raw = figure.axes
+    score = real[SLIDER].score
+    assert {score.rmse_aligned_normalized, real[HOLD].score.rmse_normalized} <= places_of(primary)
+    assert score.rmse_normalized in places_of(raw)
+    published = {name: set(published_baselines(name)["rmse"].engines.values()) for name in (SLIDER, HOLD)}
+    assert published[SLIDER] <= places_of(raw)
+    assert not published[SLIDER] & places_of(primary)
+    assert not published[HOLD] & places_of(raw)
+    bars = [tuple(path.vertices[:, 0]) for bar in primary.collections for path in bar.get_paths()]
+    assert any(bar == pytest.approx(score.rmse_aligned_normalized_95) for bar in bars if len(bar) == 2)
+
+
+def test_pictures_of_a_comparison(tmp_path):
+    results = [made(rmse=0.41), diverged(), declined(PLASTIC), made(FOAM), made(CRADLE)]
+    names = {path.name for path in save_comparison(results, tmp_path / "plots")}
+    assert names == {f"{SLIDER}.png", f"{FOAM}.png", f"{CRADLE}.png", "overview.png"}
+    assert all((tmp_path / "plots" / name).stat().st_size > 10_000 for name in names)
+
+
+# --- the command ---
+
+
+@pytest.fixture
+def gauge(tmp_path, monkeypatch):
+    """Runs the command in an empty folder: gauge("compare", "--json") -> result with exit_code, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results").mkdir()
+    return lambda *arguments: CliRunner(env={"COLUMNS": "240"}).invoke(app, list(map(str, arguments)))
+
+
+def by_kind(records):
+    """Return the records of `gauge compare --json` by kind, each without it."""
+    found = {}
+    for record in records:
+        found.setdefault(record.pop("record"), []).append(record)
+    return found
+
+
+def write(folder, *results):
+    for result in results:
+        write_result(result, folder / "results" / result_file_name(result))
+
+
+def test_two_settings_of_a_real_engine(gauge, tmp_path):
+    fine, coarse = (run_episode(RunRequest(SLIDER, settings=given)) for given in (None, {"timestep_s": 1 / 900}))
+    write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-2-wood")), replace(fine, backend="newton", seed=4))
+    result = gauge("compare", "--out", "plots")
+    assert result.exit_code == 0
+    assert "Pairs in each experiment" not in result.stdout
+    assert "Pairs in each experiment" in gauge("compare", "--wide").stdout
+    for text in ("timestep_s", "0.41", "Isaac Sim", "Ranking", "Pairs within each grade", "wall s/sim s"):
+        assert text in result.stdout
+    assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == [
+        f"{SLIDER}.png",
+        "Turntable-2-wood.png",
+        "overview.png",
+    ]
+    record = by_kind(map(json.loads, gauge("compare", "--json", "--metric", "rmse").stdout.splitlines()))
+    rows = record["experiment"]
+    assert {"first", "second", "grade", "ids", "difference", "difference_95", "distinguishable"} <= set(
+        record["pair"][0]
+    )
+    assert [row["metric"] for row in rows] == ["rmse", None]
+    values = [one["normalized"] for one in rows[0]["configurations"]]
+    assert values[0]["mean"] == fine.score.rmse_normalized
+    assert values[1]["mean"] == coarse.score.rmse_normalized
+    far = {(one["first"], one["second"]): one["rms"]["mean"] for one in rows[0]["distances"]}
+    assert far["mujoco", "newton"] == 0.0
+    assert far["mujoco", "mujoco, timestep_s=0.001111"] > 0.0
+
+
+def test_a_damaged_file_is_skipped_with_a_note_and_exit_code_1(gauge, tmp_path):
+    write(tmp_path, made(rmse=0.41))
+    (tmp_path / "results" / "cut.json").write_text("{")
+    result = gauge("compare", "--markdown")
+    assert result.exit_code == 1
+    assert "cut.json: not a result file" in result.stderr
+    assert result.stdout.startswith("**Scores")
+    assert "| 0.41 |" in result.stdout
+    only = gauge("compare", "results/cut.json")
+    assert only.exit_code == 1
+    assert "no results to compare" in only.stdout
+
+
+def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
+    write(tmp_path, made(rmse=0.41))
+    first, *_ = map(
+        json.loads, gauge("compare", "results", "results", "--json", "--metric", "rmse").stdout.splitlines()
+    )
+    assert first["configurations"][0]["normalized"]["count"] == 1
+    assert not any("the latest of each counts" in note for note in first["notes"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "holds no result files"),
+        ([], "holds no result files"),
+        (["--metric", "rsme"], "unknown metric 'rsme'; did you mean rmse"),
+        (["--json", "--markdown"], "exclude each other"),
+    ],
+)
+def test_wrong_requests_get_a_message_and_exit_code_2(gauge, arguments, message):
+    result = gauge("compare", *arguments)
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+    assert result.stdout == ""

@@ -1,0 +1,90 @@
+"""An engine that crashes, exits or hangs in a check costs that check, and the others run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import GaugeError
+from gauge_envs.runs.isolation import Worker
+from gauge_envs.tools.conformance import Status, run_checks
+from gauge_envs.tools.conformance.lab import RefusedSettingsError
+
+ONLY = ("free-fall", "slide-plane", "start-velocity")
+"""Of these, only the second has contacts."""
+
+
+def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
+    """Rows and outcome of the command."""
+    chosen = [part for one in ONLY for part in ("--only", one)]
+    result = CliRunner().invoke(app, ["backend", "check", name, "--json", *chosen, *options])
+    return [json.loads(line) for line in result.stdout.splitlines()], result
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        ("contact-crash", "the engine's process died with signal 11 (segmentation fault)"),
+        ("contact-exit", "SystemExit: 5"),
+        ("contact-hard-exit", "the engine ended its process with exit code 6"),
+        pytest.param(
+            "contact-hang",
+            "the engine did not finish within the time limit of 10 s and was stopped",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_an_engine_that_dies_costs_one_check(installed: Callable[..., None], name: str, cause: str) -> None:
+    installed(name)
+    rows, result = checked(name, "--time-limit-s", "10")
+    assert [(row["check"], row["status"]) for row in rows] == list(zip(ONLY, ("pass", "error", "pass"), strict=True))
+    assert rows[1]["diagnosis"] == cause
+    assert result.exit_code == 1
+    assert "3 checks, 1 failed" in result.stderr
+
+
+def test_a_memory_limit_costs_one_check(installed: Callable[..., None]) -> None:
+    installed("contact-greedy")
+    rows, _ = checked("contact-greedy", "--memory-limit-gb", "0.8", "--time-limit-s", "60")
+    assert [row["status"] for row in rows] == ["pass", "error", "pass"]
+    assert rows[1]["diagnosis"] == "the engine exceeded the memory limit of 0.8 GB and was stopped"
+
+
+def test_checks_measure_the_same_bits_in_another_process() -> None:
+    here = [row["measured"] for row in checked("mujoco")[0]]
+    there = [row["measured"] for row in checked("mujoco", "--isolate")[0]]
+    assert here == there
+
+
+def test_an_engine_that_cannot_be_imported_is_an_error(installed: Callable[..., None]) -> None:
+    installed("at-import")
+    rows, result = checked("at-import")
+    assert (rows, result.exit_code) == ([], 2)
+    assert "SystemExit: 3" in result.stderr
+
+
+def test_refused_settings_end_the_run_from_another_process(installed: Callable[..., None]) -> None:
+    installed("well")
+    with Worker() as worker, pytest.raises(RefusedSettingsError, match="MuJoCo setting 'nope'"):
+        list(run_checks("well", settings={"nope": 1}, only=ONLY, worker=worker))
+    with Worker() as worker, pytest.raises(GaugeError, match="unknown backend"):
+        run_checks("nothing", only=ONLY, worker=worker)
+
+
+def test_settings_that_json_does_not_have_are_a_finding(installed: Callable[..., None]) -> None:
+    installed("no-json")
+    rows, _ = checked("no-json")
+    assert {row["status"] for row in rows} == {Status.ERROR}
+    assert "setting 'pool' is a set" in rows[0]["diagnosis"]
+
+
+def test_a_limit_must_be_positive() -> None:
+    for option in ("--time-limit-s", "--memory-limit-gb"):
+        rows, result = checked("mujoco", option, "0")
+        assert (rows, result.exit_code) == ([], 2)
+        assert "expected a positive number" in result.stderr

@@ -1,0 +1,129 @@
+"""Columns of several environments share a page, and a column of other checks or another version is marked."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.tools.conformance import Status, checks
+from gauge_envs.tools.conformance.matrix import MatrixColumn, run_column
+from gauge_envs.tools.conformance.matrix_file import read_columns, with_columns, write_columns
+from gauge_envs.tools.conformance.matrix_words import matrix_markdown, tally
+
+ONLY = ["free-fall", "foam-start", "slide-plane"]
+
+
+@pytest.fixture(scope="module")
+def column() -> MatrixColumn:
+    found = MatrixColumn(backend="mujoco", name="PGS", settings={"solver": "PGS"})
+    assert len(list(run_column(found, ONLY, None))) == 2
+    return found
+
+
+@pytest.fixture
+def edited(column: MatrixColumn, tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], object]], Path]:
+    """Function that writes the column with a change of its record."""
+
+    def write(change: Callable[[dict[str, Any]], object]) -> Path:
+        file = write_columns([column], tmp_path / "column.json")
+        document = json.loads(file.read_text(encoding="utf-8"))
+        change(document["columns"][0])
+        file.write_text(json.dumps(document), encoding="utf-8")
+        return file
+
+    return write
+
+
+def test_a_column_comes_back_whole(column: MatrixColumn, tmp_path: Path) -> None:
+    (found,) = read_columns(write_columns([column], tmp_path / "deep" / "column.json"))
+    assert (found.settings, found.refused, found.made) == (column.settings, column.refused, column.made)
+    assert found.versions == column.versions
+    assert found.outdated == {}
+    assert tally(found) == tally(column) == "2 of 2"
+    for name, finding in column.findings.items():
+        again = found.findings[name]
+        assert (again.status, again.law, again.unit) == (finding.status, finding.law, finding.unit)
+        assert again.measured == pytest.approx(finding.measured, rel=1e-8)
+        assert again.cpu_s == pytest.approx(finding.cpu_s, rel=1e-8)
+        assert again.cpu_s
+
+
+def test_a_number_that_is_not_finite_comes_back_as_none(
+    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
+) -> None:
+    def change(record: dict[str, Any]) -> None:
+        record["findings"]["free-fall"]["status"] = "fail"
+        del record["findings"]["free-fall"]["measured"]
+
+    (found,) = read_columns(edited(change))
+    assert found.findings["free-fall"].measured is not None
+    assert math.isnan(found.findings["free-fall"].measured)
+
+
+def test_a_result_of_another_check_is_marked_and_not_counted(
+    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
+) -> None:
+    def change(record: dict[str, Any]) -> None:
+        record["findings"]["free-fall"]["fingerprint"] = "0" * 12
+        record["findings"]["of-old"] = record["findings"]["free-fall"]
+
+    file = edited(change)
+    (found,) = read_columns(file)
+    assert set(found.outdated) == {"free-fall", "of-old"}
+    assert tally(found) == "1 of 1"
+    text = matrix_markdown([found], checks(ONLY))
+    assert "⚠ other check" in text
+    # The mark stays when the file is combined with others.
+    assert read_columns(write_columns([found], file))[0].outdated == found.outdated
+
+
+def test_a_column_of_another_version_is_marked(edited: Callable[[Callable[[dict[str, Any]], object]], Path]) -> None:
+    (found,) = read_columns(edited(lambda record: record.update(gauge_envs="0.0.1")))
+    assert not found.is_of_this_version
+    assert "⚠ " + found.made + ", gauge-envs 0.0.1" in matrix_markdown([found], checks(ONLY))
+
+
+def test_a_column_is_in_one_file_only(column: MatrixColumn, tmp_path: Path) -> None:
+    file = write_columns([column], tmp_path / "column.json")
+    with pytest.raises(ParameterError, match=r"mujoco PGS.*leave one of them out"):
+        with_columns([column], [file])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("no json", "is no JSON document"),
+        ('{"columns": []}', "kind: Field required"),
+        ('{"kind": "other", "columns": []}', "its kind is 'other'"),
+        ('{"kind": "gauge-envs conformance matrix", "columns": [{}]}', r"columns\.0\.backend"),
+    ],
+)
+def test_another_file_is_refused_with_its_reason(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "other.json"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ResultFileError, match=message):
+        read_columns(file)
+
+
+def test_pages_are_made_of_files_without_a_run(column: MatrixColumn, tmp_path: Path) -> None:
+    """A page of two files has the columns of both, and no check runs."""
+    first = write_columns([column], tmp_path / "first.json")
+    other = MatrixColumn(backend="mine", name="default", settings={}, findings=dict(column.findings))
+    other.fingerprints = dict(column.fingerprints)
+    second, page = write_columns([other], tmp_path / "second.json"), tmp_path / "page.html"
+    both = tmp_path / "both.json"
+    words = ["backend", "check", "--from", str(first), "--from", str(second)]
+    result = CliRunner().invoke(app, [*words, "--report", str(page), "--out", str(both), "--markdown"])
+    assert result.exit_code == 0, result.output
+    assert "| mujoco | PGS | solver = PGS | 2 of 2 |" in result.stdout
+    assert "mine" in page.read_text(encoding="utf-8")
+    assert [(one.title, tally(one)) for one in read_columns(both)] == [("mujoco PGS", "2 of 2"), ("mine", "2 of 2")]
+    assert all(one.status is Status.PASS for one in other.findings.values())

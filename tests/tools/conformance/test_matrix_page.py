@@ -1,0 +1,36 @@
+"""The page of engines and phenomena is what its data gives."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import build_matrix
+
+from gauge_envs.tools.conformance.matrix_file import read_columns
+
+DATA = build_matrix.ROOT / "scoring" / "conformance.json"
+
+
+def test_the_page_is_that_of_its_data() -> None:
+    assert build_matrix.main(["--check"]) == 0
+
+
+def test_every_engine_has_its_default_and_its_documented_defaults() -> None:
+    columns = read_columns(DATA)
+    engines = {column.backend for column in columns}
+    assert engines == {"mujoco", "newton", "physx", "pybullet", "rapier", "drake", "genesis"}
+    names = {(column.backend, column.name) for column in columns if column.findings}
+    assert names >= {(engine, name) for engine in engines for name in ("default", "out_of_box")}
+
+
+def test_a_failure_that_is_planted_in_the_data_makes_the_page_stale(tmp_path: Path) -> None:
+    document = json.loads(DATA.read_text(encoding="utf-8"))
+    column = next(one for one in document["columns"] if (one["backend"], one["name"]) == ("rapier", "default"))
+    column["findings"]["slide"] |= {"status": "fail", "measured": 3.0}
+    file = Path(shutil.copy(DATA, tmp_path / DATA.name))
+    file.write_text(json.dumps(document), encoding="utf-8")
+    assert build_matrix.main(["--check", "--scoring", str(tmp_path)]) == 1
+    (text,) = build_matrix.generate(tmp_path).values()
+    assert "- rapier, `slide`: 3, +27.4 % instead of 2.355 +- 0.024 m/s^2. Hints of the check: " in text

@@ -1,0 +1,272 @@
+"""Error over cost: each planted fault is reported as the kind of error that it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gauge_envs import load_experiment
+from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.closed_forms import closed_form
+from gauge_envs.evaluation.laws import slide
+from gauge_envs.evaluation.score import Score
+from gauge_envs.files import versions
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.tools.cost.pareto import Family, Phenomenon, tradeoff
+from gauge_envs.tools.cost.words import pareto_markdown, pareto_statements
+
+WOOD, PLASTIC = "SlopeSlider-2-wood", "SlopeSlider-2-plastic"
+STEPS_S = tuple(1 / 180 / count for count in (1, 2, 4, 8, 16))
+RATE_HZ = 180
+
+Travel = Callable[[float, float, float], float]
+"""Distance [m] along the slope of an engine: acceleration [m/s^2], time [s], step [s]."""
+
+
+def euler(acceleration: float, time_s: float, step_s: float, *, step_error: float = 0.0) -> float:
+    """Semi-implicit Euler, first order; a share of the step is added where the velocity is updated."""
+    count = round(time_s / step_s)
+    return 0.5 * acceleration * (1.0 + step_error) * step_s**2 * count * (count + 1)
+
+
+def wrong_step(acceleration: float, time_s: float, step_s: float) -> float:
+    """An engine that updates velocities with a step that is 20 % too long: no finer step mends it."""
+    return euler(acceleration, time_s, step_s, step_error=0.2)
+
+
+def sticking(acceleration: float, time_s: float, step_s: float) -> float:
+    """An engine that holds the body at its two coarsest steps."""
+    return 0.0 if step_s > STEPS_S[2] + 1e-9 else euler(acceleration, time_s, step_s)
+
+
+def rounding(acceleration: float, time_s: float, step_s: float) -> float:
+    """An engine in single precision: rounding adds to the motion as the step shrinks."""
+    return euler(acceleration, time_s, step_s) + 3e-9 / step_s**2 * time_s
+
+
+def made(
+    travel: Travel = euler,
+    step_s: float = STEPS_S[0],
+    *,
+    name: str = WOOD,
+    backend: str = "mujoco",
+    given: dict[str, Any] | None = None,
+    **changes: Any,
+) -> Result:
+    """A result as an engine with that motion would leave it."""
+    experiment = load_experiment(name)
+    law = slide(experiment.scene, "cube", "board")
+    times_s = np.arange(round((experiment.frame_count - 1) / 30 * RATE_HZ) + 1) / RATE_HZ
+    way_m = np.array([travel(law.acceleration_m_per_s2, time_s, step_s) for time_s in times_s])
+    samples = 1e3 * (law.start_m + way_m[:, None] * law.direction)
+    settings = {"timestep_s": step_s} if given is None else given
+    values: dict[str, Any] = {
+        "id": experiment.id,
+        "outcome": Outcome.FINISHED,
+        "parameters": "calibrated",
+        "score": Score(grade="trials", unit="mm", primary="rmse_aligned", rmse_aligned=9.0),
+        "task_sha256": experiment.file_sha256,
+        "backend": backend,
+        "frames": experiment.frame_count,
+        "wall_s": 1e-3 / step_s,
+        "cpu_s": 5e-4 / step_s,
+        "sim_s": float(times_s[-1]),
+        "settings": {"preset": "contact", "timestep_s": step_s, "iterations": 10, **settings},
+        "settings_given": settings,
+        "versions": {backend: "1.0", **versions()},
+        "seed": 0,
+        "trajectory": RecordedTrajectory.of(experiment, times_s, samples),
+    }
+    return Result(**(values | changes))
+
+
+def sweep(travel: Travel = euler, steps_s: Sequence[float] = STEPS_S, **changes: Any) -> list[Result]:
+    return [made(travel, step_s, **changes) for step_s in steps_s]
+
+
+def only(results: Sequence[Result]) -> tuple[Phenomenon, Family]:
+    (phenomenon,) = tradeoff(results).phenomena
+    (family,) = phenomenon.families
+    return phenomenon, family
+
+
+def by_step(family: Family, error: str) -> list[float]:
+    """Errors from the coarsest step on."""
+    return [getattr(point, error) for point in sorted(family.points, key=lambda point: -(point.step_s or 0.0))]
+
+
+def test_the_closed_form_is_the_law_of_the_slide() -> None:
+    experiment = load_experiment(WOOD)
+    exact = closed_form(experiment)
+    assert exact is not None
+    way_m = np.linalg.norm(exact - exact[0], axis=1) / 1e3
+    expected = 9.80665 * (np.sin(np.radians(30)) - 0.273673 * np.cos(np.radians(30)))
+    assert 2.0 * way_m[9] / (9 / 30) ** 2 == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_closed_form_of_a_ball_has_its_restitution() -> None:
+    experiment = load_experiment("BouncingBall-rubber")
+    exact = closed_form(experiment)
+    assert exact is not None
+    drop_m = 0.451023 - 0.013297 - 0.03
+    fall_s = np.sqrt(2 * drop_m / 9.80665)
+    since_s = 14 / 30 - fall_s
+    speed = 0.576733 * 9.80665 * fall_s
+    assert (exact[14, 2] - (13.297 + 30)) / 1e3 == pytest.approx(speed * since_s - 0.5 * 9.80665 * since_s**2, abs=1e-9)
+
+
+def test_the_closed_form_of_a_pendulum_keeps_its_length_and_period() -> None:
+    experiment = load_experiment("Pendulum-metal")
+    exact = closed_form(experiment)
+    assert exact is not None
+    anchor_mm = 1e3 * np.array([0.373960, 0.490590, 0.445133])
+    length_mm = np.linalg.norm(exact - exact.mean(axis=0) * [0, 1, 0] - anchor_mm * [1, 0, 1], axis=1)
+    assert np.ptp(length_mm) < 1e-6
+    # 4 sqrt(l_eff / g) K(sin^2 45 degrees), l_eff of the task file, K(1/2) = 1.8540746773
+    period_s = 4.0 * np.sqrt(0.269881 / 9.80665) * 1.8540746773
+    times_s = np.arange(len(exact)) / 30
+    crossings = np.flatnonzero(np.diff(np.sign(exact[:, 0] - anchor_mm[0])))
+    share = (exact[crossings, 0] - anchor_mm[0]) / (exact[crossings, 0] - exact[crossings + 1, 0])
+    found = times_s[crossings] + share / 30
+    assert 2.0 * np.diff(found).mean() == pytest.approx(period_s, rel=1e-5)
+
+
+def test_a_first_order_error_is_numerical() -> None:
+    _, family = only(sweep())
+    numerical = by_step(family, "numerical")
+    assert numerical[-1] == 0.0
+    # x is off by a t h / 2, so the distance to the finest step is in proportion to h - h_finest: 15, 7, 3, 1.
+    assert np.array(numerical[:-1]) / numerical[3] == pytest.approx([15.0, 7.0, 3.0, 1.0], rel=1e-6)
+    assert family.model == pytest.approx(family.resolution, rel=1e-6)
+    assert "A finer step does not help" not in " ".join(pareto_statements(tradeoff(sweep())))
+
+
+def test_a_wrong_step_in_the_engine_is_model_error() -> None:
+    phenomenon, family = only(sweep(wrong_step))
+    sound = only(sweep())[1]
+    assert family.model is not None
+    assert family.resolution is not None
+    assert family.model > 50.0 * family.resolution
+    assert family.model > 50.0 * (sound.model or 0.0)
+    # The split does not blame the step for it.
+    assert by_step(family, "numerical")[0] == pytest.approx(1.2 * by_step(sound, "numerical")[0], rel=1e-6)
+    assert min(by_step(family, "to_closed_form")) > 0.9 * family.model
+    assert phenomenon.unit == "scatter"
+    statements = pareto_statements(tradeoff(sweep(wrong_step)))
+    (statement,) = [one for one in statements if "A finer step does not help" in one]
+    assert "mujoco" in statement
+
+
+def test_equal_wrong_motions_at_coarse_steps_are_not_the_converged_one() -> None:
+    _, family = only(sweep(sticking))
+    assert family.converged is not None
+    assert family.converged.step_s == pytest.approx(STEPS_S[-1])
+    numerical = by_step(family, "numerical")
+    assert numerical[0] == numerical[1] > 0.5
+
+
+def test_a_finest_step_that_rounds_is_not_the_converged_motion() -> None:
+    _, family = only(sweep(rounding))
+    assert family.converged is not None
+    assert family.converged.step_s is not None
+    assert STEPS_S[-1] * 1.01 < family.converged.step_s < STEPS_S[0]
+    assert by_step(family, "numerical")[-1] == family.resolution
+
+
+def test_a_motion_that_finer_steps_leave_is_not_resolved() -> None:
+    def leaving(acceleration: float, time_s: float, step_s: float) -> float:
+        """Two steps agree, and all finer ones converge to another motion."""
+        return euler(
+            acceleration * (0.5 if step_s > STEPS_S[2] + 1e-9 else 1.0 + STEPS_S[2] / step_s), time_s, 1 / 2880
+        )
+
+    phenomenon, family = only(sweep(leaving))
+    assert family.resolution is not None
+    assert family.sufficient_step_s is None
+    assert phenomenon.families[0].resolution == family.resolution > 1.0
+
+
+def test_the_cost_is_the_least_of_the_repeats_and_relative_to_mujoco() -> None:
+    repeats = [made(step_s=STEPS_S[1], given={}, cpu_s=cpu_s, seed=seed) for seed, cpu_s in enumerate((0.3, 0.1, 0.2))]
+    slower = sweep(backend="rapier", steps_s=STEPS_S[1:2], cpu_s=0.4)
+    (phenomenon,) = tradeoff([*repeats, *slower]).phenomena
+    costs = {family.name: family.points[0] for family in phenomenon.families}
+    assert costs["mujoco"].cost == pytest.approx(0.1 / 0.6, rel=1e-6)
+    assert costs["mujoco"].cost_most == pytest.approx(0.3 / 0.6, rel=1e-6)
+    assert (costs["mujoco"].repeats, costs["mujoco"].cost_ratio) == (3, 1.0)
+    assert costs["rapier"].cost_ratio == pytest.approx(4.0)
+
+
+def test_results_without_cpu_time_are_compared_by_wall_time() -> None:
+    found = tradeoff(sweep(cpu_s=None))
+    assert found.cost == "wall"
+    assert found.phenomena[0].families[0].points[0].cost == pytest.approx(1e-3 / STEPS_S[0] / 0.6, rel=1e-6)
+
+
+def test_a_phenomenon_has_the_error_of_its_worst_material() -> None:
+    both = [*sweep(), *sweep(wrong_step, name=PLASTIC)]
+    (phenomenon,) = tradeoff(both).phenomena
+    (family,) = phenomenon.families
+    assert phenomenon.ids == (f"GAUGE/{PLASTIC}", f"GAUGE/{WOOD}")
+    assert family.model == only(sweep(wrong_step, name=PLASTIC))[1].model
+
+
+def test_an_engine_that_lacks_a_material_is_left_out_with_a_note() -> None:
+    found = tradeoff([*sweep(), *sweep(name=PLASTIC), *sweep(backend="rapier")])
+    assert [family.backend for family in found.phenomena[0].families] == ["mujoco"]
+    assert any("rapier" in note and PLASTIC in note for note in found.notes)
+
+
+def test_other_iterations_are_compared_with_the_same_converged_motion() -> None:
+    few = made(wrong_step, STEPS_S[-1], given={"timestep_s": STEPS_S[-1], "iterations": 1})
+    _, family = only([*sweep(), few])
+    (point,) = [point for point in family.points if not point.is_on_main_line]
+    assert (point.effort["iterations"], point.is_reference) == (1.0, False)
+    assert point.numerical is not None
+    assert point.numerical > 0.1
+
+
+def test_a_diverged_setting_has_a_cost_and_no_error() -> None:
+    broken = replace(made(step_s=STEPS_S[0]), outcome=Outcome.DIVERGED, diverged=True)
+    _, family = only([broken, *sweep(steps_s=STEPS_S[1:])])
+    (point,) = [point for point in family.points if point.diverged]
+    assert (point.numerical, point.to_closed_form, point.fronts) == (None, None, ())
+
+
+def test_the_front_has_no_setting_that_is_dearer_and_not_better() -> None:
+    (phenomenon,) = tradeoff([*sweep(), *sweep(wrong_step, backend="rapier")]).phenomena
+    rapier = next(family for family in phenomenon.families if family.backend == "rapier")
+    mujoco = next(family for family in phenomenon.families if family.backend == "mujoco")
+    assert all("to_closed_form" in point.fronts for point in mujoco.points)
+    assert not any("to_closed_form" in point.fronts for point in rapier.points)
+
+
+def test_the_last_step_of_a_short_series_is_not_taken_for_exact() -> None:
+    """Its numerical error is 0 by definition; what is known of it is the distance to its neighbour."""
+    (phenomenon,) = tradeoff([*sweep(), *sweep(steps_s=STEPS_S[:2], backend="rapier")]).phenomena
+    mujoco = next(family for family in phenomenon.families if family.backend == "mujoco")
+    finer = [point for point in mujoco.points if (point.step_s or 0.0) < STEPS_S[1]]
+    assert len(finer) > 1
+    assert any("numerical" in point.fronts for point in finer)
+
+
+def test_the_cheapest_setting_within_the_scatter_is_stated() -> None:
+    near, far = made(step_s=STEPS_S[1]), made(step_s=STEPS_S[0])
+    far = replace(far, score=replace(far.score, rmse_aligned=40.0))
+    found = tradeoff([near, far, *sweep(steps_s=STEPS_S[2:])])
+    statement = next(iter(pareto_statements(found)))
+    # The real scatter of the wood slide is 18 mm (paper, Table 5).
+    assert "cheapest setting within the real scatter is mujoco with a step of 1/360 s" in statement
+    assert "0.5 of the real scatter" in statement
+    assert "| mujoco |" in pareto_markdown(found)
+
+
+def test_jittered_results_are_left_out() -> None:
+    jittered = sweep(jitter={"position_m": 1e-3})
+    with pytest.raises(ShapeError, match="no result"):
+        tradeoff(jittered)
+    assert any("jittered" in note for note in tradeoff([*sweep(), *jittered]).notes)

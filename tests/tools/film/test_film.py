@@ -1,0 +1,449 @@
+"""Films of results, decoded again: frames, clock, ghost and panels are those of the episodes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from opengl import needs_opengl
+from PIL import Image
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.envs.rendering import renderer
+from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.envs.rendering.ghost import reference_words
+from gauge_envs.envs.rendering.lazy import Pictures
+from gauge_envs.errors import GaugeError, MissingExtraError, ParameterError, RenderError, ResultFileError
+from gauge_envs.references.bands import BandGrade
+from gauge_envs.runs import replay as replay_module
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.replay import ReplayError
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result_file import load_result
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.film.film import FilmOptions, film_times, results_of_one_experiment, save_film, save_strip
+from gauge_envs.tools.film.layout import _Scale
+from gauge_envs.tools.film.panel import SimulatedPanel, Take, score_line, take_of
+
+BALL = "BouncingBall-rubber"
+SIZE = {"width": 160, "height": 120}
+GHOST_FRAME = 9
+"""Frame in which the mean of the real balls is well above the simulated one."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the ball on two engines, with different restitutions."""
+    pytest.importorskip("rapier3d", reason="extra 'rapier' is not installed")
+    path = tmp_path_factory.mktemp("results")
+    requests = [RunRequest(BALL), RunRequest(BALL, backend="rapier", parameters="effective")]
+    list(run_many(requests, out=path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def results(folder: Path) -> dict[Path, Result]:
+    return {file: load_result(file) for file in sorted(folder.glob("*.json"))}
+
+
+@pytest.fixture(scope="module")
+def take(results: dict[Path, Result]) -> Take:
+    file, result = next(iter(results.items()))
+    return take_of(result, file)
+
+
+def picture_place() -> tuple[slice, slice]:
+    """Rows and columns of the first picture in a frame."""
+    scale = _Scale(SIZE["height"])
+    top = scale.gap + 2 * scale.large_line + scale.small_line
+    return slice(top, top + SIZE["height"]), slice(scale.gap, scale.gap + SIZE["width"])
+
+
+def decoded(file: Path) -> tuple[list[np.ndarray], float]:
+    """Frames of an MP4 and its rate."""
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
+    stream = imageio_ffmpeg.read_frames(str(file))
+    facts = next(stream)
+    width, height = facts["size"]
+    return [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in stream], facts["fps"]
+
+
+def shown(file: Path) -> tuple[list[np.ndarray], float]:
+    """Frames of a WebP or GIF, and its length [s]."""
+    frames, length_ms = [], 0
+    with Image.open(file) as image:
+        for number in range(image.n_frames):
+            image.seek(number)
+            frames.append(np.asarray(image.convert("RGB")))
+            length_ms += image.info["duration"]
+    return frames, 1e-3 * length_ms
+
+
+# --- frames and clock ------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, Result], tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
+    out = tmp_path / "folder" / "ball.mp4"
+    options = FilmOptions(**SIZE, fps=10, speed=0.5, hold_s=0.4)
+    assert save_film(results, out, options) == []
+    frames, fps = decoded(out)
+    # The ball has 18 frames at 30 Hz, so 17/30 s: 11 steps of 0.05 s, the first picture, and 4 that hold the last one.
+    assert (len(frames), fps) == (12 + 4, 10.0)
+    panel_width = SIZE["width"] + _Scale(SIZE["height"]).gap
+    assert frames[0].shape[1] == 2 * panel_width + _Scale(SIZE["height"]).gap
+    assert frames[0].shape[0] % 2 == 0
+    file, result = next(iter(results.items()))
+    panel = SimulatedPanel(take_of(result, file), title="", detail="", **SIZE)
+    rows, columns = picture_place()
+    distances = []
+    for time_s in (0.2, 0.25, 0.3):
+        expected = panel.picture(time_s).astype(int)
+        distances.append([np.abs(frame[rows, columns] - expected).mean() for frame in frames])
+    panel.close()
+    # The picture of each time is nearest to the frame that the clock gives it.
+    assert np.argmin(distances, axis=1).tolist() == [4, 5, 6]
+    assert np.min(distances) < 3.0
+
+
+@needs_opengl
+@pytest.mark.parametrize("suffix", [".webp", ".gif"])
+def test_other_formats_have_the_length_of_the_film(results: dict[Path, Result], tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"ball{suffix}"
+    save_film(results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5))
+    frames, length_s = shown(out)
+    # Equal frames may be joined; a tick of a GIF is 10 ms.
+    assert len(frames) == 7
+    assert length_s == pytest.approx((7 + 12) / 24, abs=0.0051)
+
+
+@needs_opengl
+def test_a_strip_shows_the_poses_of_g_at_its_times(results: dict[Path, Result], tmp_path: Path) -> None:
+    save_strip(results, tmp_path / "ball.png", FilmOptions(**SIZE, to_s=0.4), count=3)
+    sheet = np.asarray(Image.open(tmp_path / "ball.png"))
+    file, result = next(iter(results.items()))
+    take = take_of(result, file)
+    rows, columns = picture_place()
+    step = SIZE["width"] + _Scale(SIZE["height"]).gap
+    assert result.trajectory is not None
+    times_s, samples = result.trajectory.arrays()
+    own = Pictures("rgb_array", **SIZE)
+    panel = SimulatedPanel(take, title="", detail="", **SIZE)
+    for column, time_s in enumerate((0.0, 0.2, 0.4)):
+        drawn = sheet[rows, columns.start + column * step : columns.stop + column * step].astype(int)
+        sample = int(np.argmin(np.abs(times_s - time_s)))
+        pose = np.array([*1e-3 * samples[sample], 1.0, 0.0, 0.0, 0.0])
+        overlay = panel.overlay(time_s, {"ball": pose})
+        poses = {"ball": pose}
+        expected = own.draw(take.experiment, {}, band=take.band, poses=poses, nodes_m={}, overlay=overlay)
+        # A tag with the time covers a corner; rasterizers round a pixel now and then.
+        assert np.abs(drawn - expected)[40:].max() <= 12
+        assert overlay.markers_m[0] == pytest.approx(1e-3 * samples[sample], abs=1e-6)
+    own.close()
+    panel.close()
+
+
+@pytest.mark.slow
+@needs_opengl
+def test_the_same_results_give_the_same_pixels(results: dict[Path, Result], tmp_path: Path) -> None:
+    sheets = []
+    for name in ("one.png", "other.png"):
+        save_strip(results, tmp_path / name, FilmOptions(**SIZE), count=2)
+        sheets.append(np.asarray(Image.open(tmp_path / name)).astype(int))
+    # Software rasterizers round a pixel now and then by one level.
+    assert np.abs(sheets[0] - sheets[1]).max() <= 2
+
+
+def test_slow_films_use_more_views_of_the_episode() -> None:
+    assert FilmOptions(fps=30.0).views_per_frame == 1
+    assert FilmOptions(fps=30.0, speed=0.5).views_per_frame == 2
+    assert FilmOptions(fps=30.0, speed=0.1).views_per_frame == 6
+    assert film_times(FilmOptions(fps=25.0, speed=0.2, from_s=0.1), 0.2) == pytest.approx(0.1 + 0.008 * np.arange(13))
+
+
+# --- ghost -----------------------------------------------------------------------------------------------------------
+
+
+def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.ndarray:
+    """Column and row of a point, by a pinhole camera of its own."""
+    view = scene_view(take.experiment.scene, aspect=width / height, reference=take.reference)
+    azimuth, elevation = np.radians([view.azimuth_deg, view.elevation_deg])
+    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    up = np.cross(right, forward)
+    away = scene_point_m - (view.target_m - view.distance_m * forward)
+    scale = 0.5 * height / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / (away @ forward)
+    return np.array([0.5 * width + scale * (away @ right), 0.5 * height - scale * (away @ up)]) - 0.5
+
+
+def ghost_error_px(take: Take, shift_m: float = 0.0) -> float:
+    """Distance of the drawn ghost from the projection of the mean of the band [pixels]."""
+    assert take.reference is not None and take.band is not None
+    width, height = 320, 240
+    # One known frame has no path, so that the ghost and its point alone are drawn.
+    places_m = np.full_like(take.reference.places_m, np.nan)
+    places_m[GHOST_FRAME] = take.reference.places_m[GHOST_FRAME] + [0.0, 0.0, shift_m]
+    time_s = GHOST_FRAME / FRAME_RATE_HZ
+    pictures = []
+    for known_m in (np.full_like(places_m, np.nan), places_m):
+        drawn = replace(take, reference=replace(take.reference, places_m=known_m))
+        panel = SimulatedPanel(drawn, title="", detail="", width=width, height=height)
+        pictures.append(panel.picture(time_s).astype(int))
+        panel.close()
+    changed = np.abs(pictures[1] - pictures[0]).max(axis=2) > 8
+    seen = np.flatnonzero(changed.any(axis=0)), np.flatnonzero(changed.any(axis=1))
+    middle = np.array([0.5 * (places.min() + places.max()) for places in seen])
+    # The band of the ball is of its height.
+    start_m = np.array(take.experiment.scene.body("ball").pose.position_m)
+    mean_m = np.array([*start_m[:2], 1e-3 * float(take.band.mean[GHOST_FRAME, 0])])
+    return float(np.linalg.norm(middle - pixel(mean_m, take, width, height)))
+
+
+@needs_opengl
+def test_the_ghost_is_where_the_mean_of_the_band_is(take: Take) -> None:
+    assert ghost_error_px(take) < 1.5
+    # A ghost that is drawn 20 mm too high is seen.
+    assert ghost_error_px(take, shift_m=0.02) > 4.0
+
+
+def test_what_a_reference_is_in_words() -> None:
+    assert reference_words(BandGrade.TRIALS, 20) == "the mean of 20 real trials"
+    assert reference_words(BandGrade.TRIALS, 1) == "one real trial"
+    assert reference_words(BandGrade.RECORDING, None) == "one recorded real trial"
+
+
+def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
+    score = take.result.score
+    assert score.rmse_aligned_normalized_95 is not None
+    low, high = score.rmse_aligned_normalized_95
+    line = score_line(take.result, take.band)
+    assert line.startswith(f"RMSE aligned {score.rmse_aligned_normalized:.2f} [{low:.2f}, {high:.2f}]")
+    lost = replace(take.result, outcome=Outcome.DIVERGED, diverged_reason="left the room")
+    assert score_line(lost, take.band) == "diverged: left the room"
+
+
+# --- panels ----------------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> None:
+    takes = [take_of(result, file) for file, result in results.items()]
+    plain = [replace(one, reference=None) for one in takes]
+    panels = [SimulatedPanel(one, title="", detail="", width=320, height=240) for one in plain]
+    start, end = ([panel.picture(time_s).astype(int) for panel in panels] for time_s in (0.0, panels[0].last_s))
+    for panel in panels:
+        panel.close()
+    assert np.abs(start[1] - start[0]).max() <= 12
+    changed = np.abs(end[1] - end[0]).max(axis=2) > 12
+    # Software rasterizers change a single pixel now and then.
+    rows = np.flatnonzero(changed.sum(axis=1) > 3)
+    places = [one.replay.poses[-1, 0, :3].astype(float) for one in takes]
+    # The balls at the end are apart by more than a ball; their pictures span what has changed.
+    radius_m = takes[0].experiment.scene.body("ball").shape.radius_m
+    view = scene_view(takes[0].experiment.scene, aspect=320 / 240, reference=takes[0].reference)
+    tops = [pixel(place + radius_m * view.axes[1], takes[0], 320, 240)[1] for place in places]
+    assert abs(tops[0] - tops[1]) > 10
+    assert rows.min() == pytest.approx(min(tops), abs=2)
+
+
+@needs_opengl
+def test_a_result_without_its_engine_has_no_panel_and_a_reason(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    versions_of = replay_module.versions_of
+
+    def without_rapier(name: str) -> dict[str, str]:
+        if name == "rapier":
+            raise MissingExtraError("backend 'rapier'", "rapier", ImportError("no rapier3d", name="rapier3d"))
+        return versions_of(name)
+
+    for file in folder.glob("*.npz"):
+        file.unlink()
+    monkeypatch.setattr(replay_module, "versions_of", without_rapier)
+    out = tmp_path / "ball.png"
+    shape = ["--width", "160", "--height", "120", "--strip", "2"]
+    run = CliRunner().invoke(app, ["film", str(folder), "--out", str(out), *shape])
+    assert run.exit_code == 1
+    assert "left out: BouncingBall-rubber.rapier.effective.json" in run.stderr
+    assert "gauge-envs[rapier]" in run.stderr
+    assert out.is_file()
+    rapier = next(folder.glob("*.rapier.*.json"))
+    with pytest.raises(ReplayError, match=r"no result can be drawn: .*rapier3d"):
+        save_strip({rapier: load_result(rapier)}, out, FilmOptions(**SIZE))
+
+
+# --- errors ----------------------------------------------------------------------------------------------------------
+
+
+def test_results_of_several_experiments_need_an_id(results: dict[Path, Result]) -> None:
+    other = replace(next(iter(results.values())), id="GAUGE/SlopeSlider-2-wood")
+    mixed = {**results, Path("b.json"): other}
+    with pytest.raises(ResultFileError, match=r"of 2 experiments: BouncingBall-rubber, SlopeSlider-2-wood; .*--id"):
+        results_of_one_experiment(mixed)
+    assert list(results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")) == [Path("b.json")]
+    with pytest.raises(ResultFileError, match=r"no result is of Funnel-satin; the results are of: Bouncing"):
+        results_of_one_experiment(mixed, "Funnel-satin")
+    with pytest.raises(ResultFileError, match="gauge run writes them"):
+        results_of_one_experiment({})
+
+
+def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(json.dumps({"id": "GAUGE/BouncingBall-rubber"}), encoding="utf-8")
+    run = CliRunner().invoke(app, ["film", str(tmp_path), "--out", str(tmp_path / "a.gif")])
+    assert run.exit_code == 2
+    assert "not a result file" in run.stderr
+    assert not (tmp_path / "a.gif").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"width": 10}, "width is 10, expected 120 to 4096 pixels"),
+        ({"fps": 0.0}, "fps is 0, expected 1 to 120"),
+        ({"speed": float("nan")}, "speed is nan"),
+        ({"from_s": 2.0, "to_s": 1.0}, "to_s is 1, expected from_s = 2"),
+        ({"columns": 0}, "columns is 0"),
+    ],
+    ids=["width", "fps", "speed", "to_s", "columns"],
+)
+def test_impossible_options_are_named(changes: dict[str, float], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        FilmOptions(**changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("a.avi", FilmOptions(), r"a\.avi: the suffix states the format: choose \.mp4, \.webp or \.gif"),
+        ("a.gif", FilmOptions(from_s=9.0), r"from_s is 9 s, and the longest episode ends at 0\.567 s"),
+        ("a.gif", FilmOptions(speed=0.001, fps=120.0), r"would have \d+ frames, at most 20000"),
+    ],
+    ids=["format", "span", "frames"],
+)
+@needs_opengl
+def test_films_that_cannot_be_made(
+    results: dict[Path, Result], tmp_path: Path, name: str, options: FilmOptions, message: str
+) -> None:
+    with pytest.raises(ParameterError, match=message):
+        save_film(results, tmp_path / name, replace(options, **SIZE))
+    assert list(tmp_path.glob("a*")) == []
+
+
+def test_an_mp4_without_its_extra_names_it(
+    results: dict[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(MissingExtraError, match=r"a WebP or GIF needs no extra.*gauge-envs\[video\]"):
+        save_film(results, tmp_path / "a.mp4", FilmOptions(**SIZE))
+
+
+def test_without_opengl_there_is_an_error_and_no_film(
+    results: dict[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(width: int, height: int) -> None:
+        raise RenderError("no off-screen OpenGL")
+
+    monkeypatch.setattr(renderer, "_graphics_context", refuse)
+    with pytest.raises(RenderError, match="no off-screen OpenGL"):
+        save_film(results, tmp_path / "a.gif", FilmOptions(**SIZE))
+    assert not (tmp_path / "a.gif").exists()
+
+
+@needs_opengl
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_an_interrupted_film_leaves_the_earlier_one(results: dict[Path, Result], tmp_path: Path, suffix: str) -> None:
+    if suffix == ".mp4":
+        pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
+    out = tmp_path / f"ball{suffix}"
+    out.write_bytes(b"earlier")
+
+    def interrupt(done: int, total: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save_film(results, out, FilmOptions(**SIZE, fps=10), progress=interrupt)
+    assert out.read_bytes() == b"earlier"
+    assert [file.name for file in tmp_path.iterdir()] == [out.name]
+
+
+@needs_opengl
+def test_a_folder_that_is_a_file_is_named(results: dict[Path, Result], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ResultFileError, match=r"a\.gif: cannot be written"):
+        save_film(results, tmp_path / "file" / "a.gif", FilmOptions(**SIZE, fps=2))
+
+
+def test_too_many_panels_are_refused(results: dict[Path, Result], tmp_path: Path) -> None:
+    many = {Path(f"{index}.json"): result for index in range(7) for result in [next(iter(results.values()))]}
+    many |= {Path(f"more-{index}.json"): result for index, result in enumerate(many.values())}
+    with pytest.raises(ParameterError, match="14 panels: at most 12"):
+        save_film(many, tmp_path / "a.gif", FilmOptions(**SIZE))
+
+
+# --- real recording --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a video of 30 frames, each brighter by 7 levels."""
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
+    pytest.importorskip("cv2", reason="extra 'video' is not installed")
+
+    def write(fps: float) -> Path:
+        file = tmp_path / "real.mp4"
+        stream = imageio_ffmpeg.write_frames(str(file), (64, 32), fps=fps, macro_block_size=2, quality=9)
+        stream.send(None)
+        for index in range(30):
+            stream.send(np.full((32, 64, 3), 20 + 7 * index, dtype=np.uint8))
+        stream.close()
+        return file
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "start_s", "time_s", "index"),
+    [
+        (None, 0.0, 0.0, 0),
+        (None, 0.2, 0.0, 5),
+        (None, 0.2, 0.1, 7),
+        (None, 0.2, 5.0, 29),
+        (250.0, 0.02, 0.01, 7),
+    ],
+    ids=["first", "start", "later", "after the end", "slow motion"],
+)
+def test_a_recording_is_on_the_clock_of_the_simulation(
+    clip: Callable[..., Path], rate_hz: float | None, start_s: float, time_s: float, index: int
+) -> None:
+    from gauge_envs.tools.film.recording import RecordedPanel
+
+    panel = RecordedPanel(clip(25.0), start_s=start_s, rate_hz=rate_hz, width=120, height=120)
+    panel.picture(0.0)
+    picture = panel.picture(time_s)
+    panel.close()
+    assert picture.shape == (120, 120, 3)
+    # The video is twice as wide as high, so it fills the middle half.
+    assert picture[60, 60].mean() == pytest.approx(20 + 7 * index, abs=3.0)
+    assert picture[10, 60].tolist() == picture[110, 60].tolist() == [225, 228, 232]
+
+
+def test_a_start_outside_of_the_recording_is_named(clip: Callable[..., Path]) -> None:
+    from gauge_envs.tools.film.recording import RecordedPanel
+
+    with pytest.raises(GaugeError, match=r"its pictures are from 0 s to 1\.160 s; the start is at 3 s"):
+        RecordedPanel(clip(25.0), start_s=3.0, rate_hz=None, width=120, height=120)
+
+
+def test_options_of_a_recording_need_one(folder: Path) -> None:
+    run = CliRunner().invoke(app, ["film", str(folder), "--recording-start-s", "1"])
+    assert run.exit_code == 2
+    assert "need --recording" in run.stderr

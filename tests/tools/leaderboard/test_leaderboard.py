@@ -1,0 +1,443 @@
+"""Leaderboard: a good submission passes, and each planted fault is found with a message that says what it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gauge_envs.errors import ResultFileError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import variants
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from gauge_envs.tools.leaderboard import LeaderboardCheck, check_leaderboard
+from gauge_envs.tools.leaderboard.reruns import rerun_sample
+from gauge_envs.tools.leaderboard.scores import rescored
+from gauge_envs.tools.leaderboard.trajectory import copied_reference, start_values
+
+NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood", "NonsmoothContact-1-wood")
+
+Edit = Callable[[dict[str, Any]], None]
+
+
+def statement(results: list[Result], **changes: str) -> str:
+    """Text of a submission.toml that leaves out all experiments without a result."""
+    values = {
+        "engine": "mujoco",
+        "package": "mujoco",
+        "version": results[0].versions["mujoco"],
+        "configuration": "default",
+        "submitter": "A vendor",
+    } | changes
+    present = {result.id for result in results}
+    lines = ["format = 1", *(f"{key} = {json.dumps(text)}" for key, text in values.items()), "[left_out]"]
+    lines += [f'"{variant.name}" = "not run"' for variant in variants() if variant.id not in present]
+    return "\n".join(lines) + "\n"
+
+
+def write_submission(root: Path, results: list[Result]) -> Path:
+    folder = root / "mujoco" / results[0].versions["mujoco"] / "default"
+    (folder / "results").mkdir(parents=True)
+    (folder / "submission.toml").write_text(statement(results), encoding="utf-8")
+    for result in results:
+        write_result(result, folder / "results" / result_file_name(result))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A leaderboard with one good submission."""
+    root = tmp_path_factory.mktemp("board")
+    write_submission(root, [run_episode(RunRequest(name)) for name in NAMES])
+    return root
+
+
+@pytest.fixture
+def board(honest: Path, tmp_path: Path) -> Path:
+    """A copy to plant faults in."""
+    return Path(shutil.copytree(honest, tmp_path / "board"))
+
+
+def submission(board: Path) -> Path:
+    (file,) = board.glob("*/*/*/submission.toml")
+    return file.parent
+
+
+def result_file(board: Path, name: str = "SlopeSlider-2-wood") -> Path:
+    return submission(board) / "results" / f"{name}.mujoco.calibrated.json"
+
+
+def edit(file: Path, change: Edit) -> None:
+    content = json.loads(file.read_text(encoding="utf-8"))
+    change(content)
+    file.write_text(json.dumps(content), encoding="utf-8")
+
+
+def set_value(key: str, value: Any) -> Edit:
+    def change(content: dict[str, Any]) -> None:
+        *path, last = key.split(".")
+        for part in path:
+            content = content[part]
+        content[last] = value
+
+    return change
+
+
+def texts(check: LeaderboardCheck) -> str:
+    return "\n".join(map(str, check.all_faults))
+
+
+def only_fault(board: Path) -> str:
+    """Text of the one fault of a leaderboard."""
+    check = check_leaderboard(board)
+    assert len(check.all_faults) == 1, texts(check)
+    return str(check.all_faults[0])
+
+
+def replace_trajectory(board: Path, name: str, frames: np.ndarray) -> None:
+    """Replace the trajectory of a result by frames, interpolated, with the scores that these give."""
+    file = result_file(board, name)
+    result = load_result(file)
+    experiment = load_experiment(result.id)
+    count = (len(frames) - 1) * SAMPLES_PER_FRAME + 1
+    times_s = np.arange(count) / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
+    at_s = np.arange(len(frames)) / FRAME_RATE_HZ
+    samples = np.column_stack([np.interp(times_s, at_s, column) for column in frames.T])
+    forged = replace(result, trajectory=RecordedTrajectory.of(experiment, times_s, samples))
+    write_result(replace(result, trajectory=forged.trajectory, score=rescored(forged, experiment).score), file)
+
+
+# --- a good submission -----------------------------------------------------------------------------------------------
+
+
+def test_a_good_submission_passes(honest: Path) -> None:
+    check = check_leaderboard(honest)
+    assert check.ok, texts(check)
+    (one,) = check.submissions
+    assert {result.id for result in one.results} == {f"GAUGE/{name}" for name in NAMES}
+
+
+def test_a_single_submission_can_be_checked(honest: Path) -> None:
+    assert check_leaderboard(submission(honest)).ok
+
+
+def test_the_table_has_the_scores_of_the_trajectories_and_no_wall_times(honest: Path) -> None:
+    (one,) = check_leaderboard(honest).submissions
+    for result in one.results:
+        stated = load_result(result_file(honest, result.id.removeprefix("GAUGE/")))
+        assert result.score.rmse == pytest.approx(stated.score.rmse, rel=1e-12)
+        assert stated.wall_s is not None
+        assert result.wall_s is None
+
+
+def test_rerun_has_the_same_bits(honest: Path) -> None:
+    (one,) = check_leaderboard(honest, rerun_count=2).submissions
+    assert [(again.status.value, again.largest_difference) for again in one.reruns] == [("equal", 0.0)] * 2
+
+
+def test_the_start_follows_from_the_scene_alone(rollout: Callable[..., Any]) -> None:
+    _, trajectory, _ = rollout("SlopeSlider-2-wood")
+    assert start_values(load_experiment("SlopeSlider-2-wood")) == pytest.approx(trajectory.samples[0], abs=1e-9)
+
+
+# --- planted faults in a result --------------------------------------------------------------------------------------
+
+EDITS = [
+    (set_value("score.rmse", 1.25), "score.rmse: the file states 1.25, its trajectory gives 7.4"),
+    (set_value("score.percentile", 1.0), "score.percentile: the file states 1, its trajectory gives 30"),
+    (set_value("score.grade", "law"), "score.grade: the file states 'law', its trajectory gives 'trials'"),
+    (set_value("score.withheld", "low quality"), "score.withheld: the reference is withheld"),
+    (set_value("task_sha256", "0" * 64), "task_sha256: is '000"),
+    (set_value("versions.mujoco", "9.9.9"), "versions.mujoco: is '9.9.9', expected '"),
+    (set_value("versions", {}), "versions.mujoco: is None, expected"),
+    (set_value("backend", "newton"), "backend: is 'newton', expected 'mujoco'"),
+    (set_value("parameters", "effective"), "parameters: is 'effective', expected 'calibrated'"),
+    (set_value("settings_given", {"timestep_s": 1e-4}), "settings_given: is {'timestep_s': 0.0001}, expected {}"),
+    (set_value("seed", 3), "seed: is 3, expected 0"),
+    (set_value("jitter", {"position_m": 0.001}), "jitter: is {'position_m': 0.001}, expected {}"),
+    (set_value("marker_proxy", "node"), "marker_proxy: is 'node', expected 'material'"),
+    (set_value("dataset.reference", "imported"), "dataset: is {"),
+    (set_value("outcome", "failed"), "outcome: is 'failed': leave the file out"),
+    (set_value("id", "GAUGE/CubeToss-1"), "not a result file: unknown experiment 'GAUGE/CubeToss-1'"),
+    (set_value("frames", 12), "frames: is 12, expected 19"),
+    (set_value("sim_s", 9.0), "sim_s: is 9, expected 0.6 for 19 frames"),
+    (set_value("diverged", True), "diverged: is True with the outcome 'finished'"),
+    (set_value("trajectory.unit", "m"), "trajectory.unit: is 'm', expected 'mm'"),
+    (set_value("trajectory.coordinates", ["x", "y", "z"]), "trajectory.coordinates: are x, y, z (3), expected cube.x"),
+    (lambda content: content["trajectory"]["samples"].__setitem__(50, [None] * 3), "sample 50 holds a value that is"),
+    (lambda content: content["trajectory"]["times_s"].__setitem__(50, 0.2751), "sample 50 is at 0.2751 s, expected"),
+    (lambda content: content["trajectory"]["samples"][0].__setitem__(0, 1.0), "cube.x starts at 1 mm, expected the"),
+    (lambda content: content["trajectory"]["samples"][60].__setitem__(0, 9e3), "cube moves at "),
+    (lambda content: content["trajectory"]["samples"][60].__setitem__(0, 450.0), "score.rmse: the file states 7.4"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), EDITS, ids=[message[:40] for _, message in EDITS])
+def test_an_edited_result_is_found(change: Edit, message: str, board: Path) -> None:
+    file = result_file(board)
+    edit(file, change)
+    check = check_leaderboard(board)
+    assert not check.ok
+    assert message in texts(check)
+    # The file of the fault is named, and its result is in no table.
+    assert f"results/{file.name}" in texts(check)
+    assert "GAUGE/SlopeSlider-2-wood" not in {one.id for one in check.submissions[0].results}
+
+
+def test_a_file_that_is_no_json_is_found(board: Path) -> None:
+    result_file(board).write_text("score = 1\n", encoding="utf-8")
+    assert "SlopeSlider-2-wood.mujoco.calibrated.json: not a result file: Expecting value" in texts(
+        check_leaderboard(board)
+    )
+
+
+def test_a_result_of_another_name_is_found(board: Path) -> None:
+    file = result_file(board)
+    file.rename(file.with_name("best.json"))
+    assert "best.json: is named otherwise than gauge run names it: SlopeSlider-2-wood.mujoco" in only_fault(board)
+
+
+def test_two_results_of_one_experiment_are_found(board: Path) -> None:
+    file = result_file(board)
+    shutil.copy(file, file.with_name("SlopeSlider-2-wood.mujoco.calibrated.seed-1.json"))
+    assert "id: is GAUGE/SlopeSlider-2-wood, which" in texts(check_leaderboard(board))
+
+
+def test_a_missing_experiment_is_found(board: Path) -> None:
+    result_file(board).unlink()
+    assert "left_out: no result and no reason for SlopeSlider-2-wood" in only_fault(board)
+
+
+def test_other_versions_in_one_file_are_found(board: Path) -> None:
+    edit(result_file(board), lambda content: content["versions"].update({"mujoco-warp": "1.0"}))
+    assert "mujoco-warp 1.0" in texts(check_leaderboard(board))
+
+
+def test_scores_of_another_version_of_gauge_envs_are_computed_anew(board: Path) -> None:
+    for file in (submission(board) / "results").iterdir():
+        edit(file, set_value("versions.gauge-envs", "0.0.1"))
+    edit(result_file(board), set_value("score.rmse", 1.25))
+    (one,) = check_leaderboard(board).submissions
+    assert one.ok
+    assert "made with gauge-envs 0.0.1" in one.notes[0]
+    (slider,) = (result for result in one.results if result.id == "GAUGE/SlopeSlider-2-wood")
+    assert slider.score.rmse == pytest.approx(7.45, abs=0.05)
+
+
+# --- forged trajectories with consistent scores ----------------------------------------------------------------------
+
+
+def reference_frames(name: str) -> np.ndarray:
+    """The honest start, moved along the real mean."""
+    experiment = load_experiment(name)
+    band = reference_band(experiment)
+    assert band is not None
+    moved = (band.mean - band.mean[0]) @ np.linalg.pinv(band.projection).T
+    return start_values(experiment) + moved
+
+
+def test_a_copy_of_the_real_mean_is_found(board: Path) -> None:
+    replace_trajectory(board, "SlopeSlider-2-wood", reference_frames("SlopeSlider-2-wood"))
+    assert "follows the real mean within" in only_fault(board)
+
+
+def test_a_copy_of_a_real_trial_is_found() -> None:
+    experiment = load_experiment("BouncingBall-rubber")
+    band = reference_band(experiment)
+    assert band is not None and band.trials is not None
+    number = int(np.argmax(np.isfinite(band.trials).all(axis=(1, 2))))
+    # The trial is known in the coordinates of the band alone.
+    frames = band.trials[number] @ np.linalg.pinv(band.projection).T
+    assert f"follows real trial {number} within" in str(copied_reference(frames, experiment))
+
+
+def test_an_honest_trajectory_is_no_copy(honest: Path) -> None:
+    result = load_result(result_file(honest))
+    assert result.trajectory is not None
+    frames = result.trajectory.arrays()[1][::SAMPLES_PER_FRAME]
+    experiment = load_experiment(result.id)
+    assert copied_reference(frames, experiment) is None
+    # Half way to the mean is still ten times further than a copy; a thousandth of the way is one.
+    near = reference_frames("SlopeSlider-2-wood")
+    assert copied_reference(near + 0.5 * (frames - near), experiment) is None
+    assert copied_reference(near + 0.001 * (frames - near), experiment) is not None
+
+
+def test_a_forged_trajectory_with_its_own_scores_is_found_by_a_rerun(board: Path) -> None:
+    file = result_file(board)
+    result = load_result(file)
+    assert result.trajectory is not None
+    frames = result.trajectory.arrays()[1][::SAMPLES_PER_FRAME]
+    replace_trajectory(board, "SlopeSlider-2-wood", 0.7 * frames + 0.3 * reference_frames("SlopeSlider-2-wood"))
+    assert check_leaderboard(board).ok
+    check = check_leaderboard(board, rerun_count=3)
+    assert "run again: different" in texts(check)
+    assert "SlopeSlider-2-wood" in texts(check)
+
+
+def test_a_forged_setting_in_force_is_found_by_a_rerun(board: Path) -> None:
+    edit(result_file(board), set_value("settings.timestep_s", 0.001))
+    assert check_leaderboard(board).ok
+    assert "settings in force differ: timestep_s" in texts(check_leaderboard(board, rerun_count=3))
+
+
+def test_a_small_difference_of_a_rerun_is_stated_and_passes(board: Path) -> None:
+    file = result_file(board)
+    result = load_result(file)
+    assert result.trajectory is not None
+    experiment = load_experiment(result.id)
+    times_s, samples = result.trajectory.arrays(later=True)
+    samples[1:] += 1e-3
+    moved = replace(result, trajectory=RecordedTrajectory.of(experiment, times_s, samples))
+    write_result(replace(moved, score=rescored(moved, experiment).score), file)
+    check = check_leaderboard(board, rerun_count=3)
+    assert check.ok, texts(check)
+    (again,) = (one for one in check.submissions[0].reruns if one.id == "GAUGE/SlopeSlider-2-wood")
+    assert again.status.value == "close"
+    assert "versions are equal, so the processor" in again.cause
+
+
+def test_an_engine_that_is_not_installed_cannot_be_run_again(board: Path) -> None:
+    folder = submission(board)
+    text = (folder / "submission.toml").read_text(encoding="utf-8").replace('engine = "mujoco"', 'engine = "absent"')
+    for file in sorted((folder / "results").iterdir()):
+        edit(file, set_value("backend", "absent"))
+        file.rename(file.with_name(file.name.replace(".mujoco.", ".absent.")))
+    (folder / "submission.toml").write_text(text, encoding="utf-8")
+    (board / "mujoco").rename(board / "absent")
+    assert check_leaderboard(board).ok
+    assert "run again: not run: unknown backend 'absent'" in texts(check_leaderboard(board, rerun_count=1))
+
+
+def test_the_sample_follows_from_content_and_salt(honest: Path) -> None:
+    (one,) = check_leaderboard(honest).submissions
+    many = [replace(one.results[0], id=str(number)) for number in range(60)]
+
+    def ids(content: str, salt: str = "") -> list[str]:
+        return [result.id for result in rerun_sample(many, 5, content_sha256=content, salt=salt)]
+
+    assert ids("a") == ids("a")
+    assert len(set(ids("a"))) == 5
+    assert ids("a") != ids("b")
+    assert ids("a") != ids("a", "salt")
+    assert len(rerun_sample(many, 100, content_sha256="a")) == 60
+
+
+def test_a_diverged_result_has_no_scores(board: Path) -> None:
+    def diverge(content: dict[str, Any]) -> None:
+        content.update(outcome="diverged", diverged=True, diverged_reason="cube", frames=4, sim_s=0.1)
+        content["trajectory"].update(later_times_s=[], later_samples=[])
+        for key in ("times_s", "samples"):
+            content["trajectory"][key] = content["trajectory"][key][:19]
+
+    edit(result_file(board), diverge)
+    assert "score.rmse: the file states 7.4" in texts(check_leaderboard(board))
+    edit(result_file(board), lambda content: content.update(score={"grade": "trials", "unit": "mm"}))
+    (one,) = check_leaderboard(board).submissions
+    assert one.ok
+    assert [result.outcome for result in one.results].count(Outcome.DIVERGED) == 1
+
+
+# --- folders and files -----------------------------------------------------------------------------------------------
+
+
+def test_links_are_found_and_not_followed(board: Path, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.json"
+    secret.write_text("{}", encoding="utf-8")
+    (submission(board) / "results" / "x.json").symlink_to(secret)
+    assert "x.json: is a link" in only_fault(board)
+
+
+@pytest.mark.parametrize("place", ["x", "mujoco/x", "mujoco/VERSION/x"])
+def test_linked_folders_are_found(place: str, board: Path, tmp_path: Path) -> None:
+    place = place.replace("VERSION", submission(board).parent.name)
+    (board / place).symlink_to(tmp_path, target_is_directory=True)
+    assert "is a link: add the folder itself" in only_fault(board)
+
+
+def test_a_linked_results_folder_is_found(board: Path, tmp_path: Path) -> None:
+    results = submission(board) / "results"
+    results.rename(tmp_path / "elsewhere")
+    results.symlink_to(tmp_path / "elsewhere", target_is_directory=True)
+    assert "results: is a link" in texts(check_leaderboard(board))
+
+
+@pytest.mark.parametrize("name", ["../../etc", "..", "a/b", ".hidden", "", "x" * 65])
+def test_names_that_lead_elsewhere_are_found(name: str, board: Path) -> None:
+    file = submission(board) / "submission.toml"
+    text = file.read_text(encoding="utf-8").replace('engine = "mujoco"', f'engine = "{name}"')
+    file.write_text(text, encoding="utf-8")
+    assert "submission.toml: engine: String should match pattern" in only_fault(board)
+
+
+def test_a_file_of_1_gb_is_found_and_not_read(board: Path) -> None:
+    with (submission(board) / "results" / "huge.json").open("wb") as stream:
+        stream.truncate(10**9)
+    assert "huge.json: has 1000 MB, the limit is 32 MB" in only_fault(board)
+
+
+def test_many_large_files_are_found_and_not_read(board: Path) -> None:
+    for number in range(9):
+        with (submission(board) / "results" / f"{number}.json").open("wb") as stream:
+            stream.truncate(31 * 10**6)
+    assert "its results have 279 MB, the limit is 256 MB" in texts(check_leaderboard(board))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no FIFOs")
+def test_a_fifo_is_found_and_not_opened(board: Path) -> None:
+    os.mkfifo(submission(board) / "results" / "pipe.json")
+    assert "pipe.json: is not a regular file" in only_fault(board)
+
+
+@pytest.mark.parametrize("place", ["results/run.sh", "results/.x.json", "setup.py"])
+def test_other_files_are_found(place: str, board: Path) -> None:
+    (submission(board) / place).write_text("", encoding="utf-8")
+    assert f"{place}: is unexpected here" in only_fault(board)
+
+
+def test_a_submission_without_statement_is_found(board: Path) -> None:
+    (submission(board) / "submission.toml").unlink()
+    assert "default: has no submission.toml" in only_fault(board)
+
+
+STATEMENTS = [
+    ("format = 1", "format = 2", "format: Input should be 1"),
+    ('submitter = "A vendor"', "", "submitter: missing key"),
+    ("format = 1", "format = 1\nscore = 3", "score: unknown key"),
+    ("[left_out]", "[left_out", "not TOML"),
+    ("[left_out]", '[left_out]\n"Sphere*" = "none"', "left_out.'Sphere*': matches no experiment"),
+    ("[left_out]", '[left_out]\n"Slope*" = "none"', "left_out.'Slope*': also has a result: SlopeSlider-1-wood"),
+    ('configuration = "default"', 'configuration = "fast"', "configuration: is 'fast', but the folder is 'default'"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), STATEMENTS)
+def test_a_wrong_statement_is_found(old: str, new: str, message: str, board: Path) -> None:
+    file = submission(board) / "submission.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    assert message in texts(check_leaderboard(board))
+
+
+def test_one_configuration_counts_once(board: Path) -> None:
+    folder = submission(board)
+    twin = Path(shutil.copytree(folder, folder.with_name("twin")))
+    file = twin / "submission.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace('"default"', '"twin"'), encoding="utf-8")
+    assert "a configuration counts once" in only_fault(board)
+
+
+def test_an_empty_folder_is_no_leaderboard(tmp_path: Path) -> None:
+    with pytest.raises(ResultFileError, match="holds no submission"):
+        check_leaderboard(tmp_path)

@@ -1,0 +1,318 @@
+"""Requests of recipes: what is reached beside friction and rebound, what settings mean, wrong requests."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
+from gauge_envs.cli.app import app
+from gauge_envs.errors import MissingExtraError, ParameterError
+from gauge_envs.experiments.fabrics import fabrics
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
+from gauge_envs.tools.recipes.closed_forms import ContactForm
+from gauge_envs.tools.recipes.explain import explain, parsed_contact
+from gauge_envs.tools.recipes.materials import material_pairs
+
+
+def gauge(*arguments: str) -> Any:
+    return CliRunner().invoke(app, ["recipe", *arguments])
+
+
+def values(*arguments: str) -> dict[str, Any]:
+    result = gauge(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    (line,) = result.stdout.splitlines()
+    found: dict[str, Any] = json.loads(line)
+    return found
+
+
+# --- forward ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_recipe_is_one_json_object() -> None:
+    found = values(
+        *("--engine", "mujoco", "--friction", "0.4", "--restitution", "0.6", "--mass", "0.5", "--timestep", "0.002")
+    )
+    assert list(found) == [
+        *("engine", "asked", "settings", "snippet", "reached", "error"),
+        *("misses", "detail", "wall_s", "explanation", "versions"),
+    ]
+    assert set(found["reached"]) == {"friction", "restitution", "penetration_m", "creep_m_s"}
+    assert found["error"]["friction"] == pytest.approx(found["reached"]["friction"] - 0.4)
+    assert found["error"]["penetration_m"] is None
+    assert found["engine"] == "mujoco" and "mujoco" in found["versions"]
+
+
+def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound() -> None:
+    """For 0.5 kg on 5000 N/m and 20 N s/m."""
+    aim = Aim(friction=0.4, stiffness_n_per_m=5000.0, damping_n_s_per_m=20.0, mass_kg=0.5, timestep_s=0.002)
+    found = find_recipe(engine_settings("mujoco"), aim)
+    ratio = 20.0 / (2.0 * math.sqrt(5000.0 * 0.5))
+    assert found.reached["penetration_m"] == pytest.approx(0.5 * G / 5000.0, rel=0.01)
+    assert found.reached["restitution"] == pytest.approx(spring_damper_restitution(ratio), abs=0.01)
+    assert found.misses == ()
+
+
+def test_an_allowed_depth_is_kept() -> None:
+    aim = Aim(friction=0.4, penetration_m=2e-6, mass_kg=0.5, timestep_s=0.002)
+    depth_m = find_recipe(engine_settings("mujoco"), aim).reached["penetration_m"]
+    assert depth_m is not None and depth_m <= 2e-6
+
+
+def test_a_miss_has_its_reason_and_the_step_that_reaches_it() -> None:
+    """At 10 ms MuJoCo rebounds with 0.6 or rests 10 micrometres deep, not both."""
+    aim = Aim(friction=0.4, restitution=0.6, penetration_m=1e-5, mass_kg=0.5, timestep_s=0.01)
+    found = find_recipe(engine_settings("mujoco"), aim)
+    assert found.misses == ("penetration_m",)
+    assert "impedance d is at most 0.9999" in found.explanation
+    assert "With a time step of 0.005 s the same search reaches" in found.explanation
+
+
+def test_a_contact_without_stiffness_says_so() -> None:
+    pytest.importorskip("sapien")
+    aim = Aim(friction=0.4, stiffness_n_per_m=5000.0, mass_kg=0.5, timestep_s=0.005)
+    found = find_recipe(engine_settings("physx"), aim)
+    assert found.misses == ("penetration_m",)
+    assert "no stiffness" in found.explanation
+
+
+# --- back ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [
+        "solref=0.02 1 solimp=0.9 0.95 0.001 cone=elliptic friction=0.5",
+        'solref="0.02 1" friction="0.5 0.005 0.0001" cone=elliptic impratio=3 integrator=implicitfast',
+        "solref=0.01 0.5 friction=0.8 cone=elliptic",
+        "solref=-4000 -800 solreffriction=0 -500 solimp=0.99 0.99 0.001 cone=elliptic impratio=10 friction=0.5",
+    ],
+)
+def test_mujoco_gives_what_its_documented_equation_gives(contact: str) -> None:
+    meaning = explain(parsed_contact(engine_settings("mujoco"), contact, 0.002), 2.0)
+    reached, expected = meaning.reached, meaning.expected
+    assert expected is not None
+    assert reached["penetration_m"] == pytest.approx(expected["penetration_m"], rel=1e-3)
+    assert reached["restitution"] == pytest.approx(expected["restitution"], abs=0.005)
+    assert reached["friction"] == pytest.approx(expected["friction"], rel=0.01)
+    if expected["time_constant_s"] is not None:
+        assert reached["creep_m_s"] == pytest.approx(expected["creep_m_s"], rel=1e-3)
+        assert reached["time_constant_s"] == pytest.approx(expected["time_constant_s"], rel=0.01)
+
+
+def test_the_pyramid_is_in_the_closed_form() -> None:
+    meaning = explain(parsed_contact(engine_settings("mujoco"), "solref=0.02 1 friction=0.5", 0.002), 2.0)
+    reached, expected = meaning.reached, meaning.expected
+    assert expected is not None
+    assert reached["penetration_m"] == pytest.approx(expected["penetration_m"], rel=1e-3)
+    assert reached["creep_m_s"] == pytest.approx(expected["creep_m_s"], rel=0.06)
+
+
+def test_twice_the_step_is_noticed_by_the_closed_form() -> None:
+    """A planted fault: the closed form is that of another step."""
+    contact = "solref=-4000 -800 solreffriction=0 -500 solimp=0.99 0.99 0.001 cone=elliptic friction=0.5"
+    settings = parsed_contact(engine_settings("mujoco"), contact, 0.002)
+    doubled = settings.model_copy(update={"timestep_s": 0.004}).closed_form()
+    assert doubled is not None
+    assert abs(doubled.restitution - (explain(settings, 2.0).reached["restitution"] or 0.0)) > 0.1
+
+
+def test_newtons_stiffness_and_damping_are_a_time_constant_and_a_ratio() -> None:
+    settings = parsed_contact(engine_settings("newton"), "ke=2500 kd=100 mu=0.5", 0.002)
+    assert settings.model_dump()["solref"] == (0.02, 1.0)
+
+
+def closed_form(text: str) -> ContactForm:
+    form = parsed_contact(engine_settings("mujoco"), text, 0.002).closed_form()
+    assert form is not None
+    return form
+
+
+def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one() -> None:
+    # MuJoCo documents the limits; without them the first is a division by zero.
+    assert closed_form("solimp=0 0 0 0 0") == closed_form("solimp=1e-4 1e-4 0 1e-4 1")
+    assert closed_form("solimp=2 2 0.001 0.5 2") == closed_form("solimp=0.9999 0.9999 0.001 0.5 2")
+    assert (mujoco.mjMINIMP, mujoco.mjMAXIMP) == (1e-4, 0.9999)
+    assert closed_form("solref=0 0").time_constant_s is None
+
+
+@pytest.mark.parametrize("text", ["solref=0.02 1e300", "solref=100 1e-300", "solimp=0.9 0.95 0.001 0.5 1e300"])
+def test_numbers_that_no_equation_takes_are_an_error(text: str) -> None:
+    with pytest.raises(ParameterError, match="its equation overflows with these numbers"):
+        explain(parsed_contact(engine_settings("mujoco"), text, 0.002), 2.0)
+
+
+def test_settings_are_explained_on_the_command_line() -> None:
+    found = values(
+        *("--engine", "mujoco", "--explain", "solref=0.02 1 solimp=0.9 0.95 0.001", "--mass", "2"),
+        *("--timestep", "0.002"),
+    )
+    assert found["reached"]["penetration_m"] == pytest.approx(found["closed_form"]["penetration_m"], rel=1e-3)
+
+
+def test_friction_need_not_be_asked() -> None:
+    found = values("--engine", "mujoco", "--restitution", "0.6", "--mass", "0.5", "--timestep", "0.002")
+    assert found["asked"]["friction"] is None
+    assert found["error"]["friction"] is None
+    assert found["misses"] == []
+    assert found["reached"]["friction"] == pytest.approx(0.5, rel=0.02)
+    assert found["reached"]["restitution"] == pytest.approx(0.6, abs=0.01)
+
+
+def test_an_engine_with_half_the_friction_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A planted fault: the engine halves the friction that it is given, whatever the search tries."""
+    cls = engine_settings("mujoco")
+    kept = cls.build
+
+    def halved(self: Any, mass_kg: float) -> Any:
+        build = kept(self, mass_kg)
+        return replace(build, friction=min(0.5 * build.friction, 0.2))
+
+    monkeypatch.setattr(cls, "build", halved)
+    found = find_recipe(cls, Aim(friction=0.6, mass_kg=0.5, timestep_s=0.002))
+    assert found.misses == ("friction",)
+    assert found.reached["friction"] == pytest.approx(0.2, rel=0.02)
+    assert "friction: 0.2 is reached" in found.explanation
+
+
+# --- materials and fabrics -------------------------------------------------------------------------------------------
+
+
+def test_every_material_has_a_source() -> None:
+    for pair in material_pairs():
+        assert pair.source
+        assert bool(pair.uncertainty_source) == (pair.friction_std is not None or pair.restitution_std is not None)
+
+
+def test_a_material_is_looked_up_in_the_task_files() -> None:
+    found = values("--engine", "mujoco", "--material", "wood-on-wood", "--timestep", "0.002")
+    assert found["asked"]["friction"] == 0.273673
+    assert found["asked"]["restitution"] == 0.223583
+    assert found["asked"]["mass_kg"] == 0.0903
+    assert found["material"]["friction_std"] == 0.0079
+
+
+def test_materials_are_listed() -> None:
+    result = gauge("--list-materials", "--json")
+    assert [json.loads(line)["name"] for line in result.stdout.splitlines()] == [
+        *(pair.name for pair in material_pairs()),
+        *fabrics(),
+    ]
+
+
+@pytest.mark.slow
+def test_a_fabric_states_what_its_mapping_loses() -> None:
+    pytest.importorskip("newton")
+    found = values("--material", "satin", "--engine", "newton")
+    assert found["settings"]["tri_ke"] == pytest.approx(28.576437)
+    assert found["reached"]["stretch_n_per_m"] == pytest.approx(77.156, rel=0.02)
+    assert "shear: 28.58 N/m instead of 1.008" in found["explanation"]
+    assert "tri_ke=28.5764" in found["snippet"]
+
+
+@pytest.mark.parametrize("width", ["40", "140"])
+def test_a_terminal_does_not_cut_what_is_to_be_pasted(width: str) -> None:
+    snippet = values("--material", "satin", "--engine", "isaac")["snippet"]
+    text = CliRunner(env={"COLUMNS": width}).invoke(app, ["recipe", "--material", "satin", "--engine", "isaac"]).stdout
+    assert text.endswith(snippet)
+
+
+# --- wrong requests --------------------------------------------------------------------------------------------------
+
+GOOD = {"--engine": "mujoco", "--friction": "0.4", "--mass": "0.5", "--timestep": "0.002"}
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--mass", "-1", "mass -1 kg: a recipe is measured for 0.001 to 10000 kg"),
+        ("--mass", "nan", "mass nan kg"),
+        ("--restitution", "1.5", "restitution 1.5: a recipe is measured for 0 to 1"),
+        ("--friction", "0", "friction 0: a recipe is measured for 0.01 to 2"),
+        ("--friction", "1e9", "friction 1e+09"),
+        ("--timestep", "1", "timestep 1 s: a recipe is measured for 5e-05 to 0.05 s"),
+        ("--penetration", "1", "penetration 1 m"),
+        ("--stiffness", "1e-3", "stiffness 0.001 N/m for this mass"),
+        ("--damping", "3", "give a stiffness and no restitution"),
+        ("--engine", "bullet", "unknown engine 'bullet'; did you mean pybullet?"),
+        ("--material", "wood-on-wod", "unknown material 'wood-on-wod'; did you mean wood-on-wood"),
+        ("--restitution", "1.2", "restitution 1.2: a recipe is measured for 0 to 1"),
+        ("--friction", "-1", "friction -1: a recipe is measured for 0.01 to 2"),
+        ("--timestep", "0", "timestep 0 s: a recipe is measured for 5e-05 to 0.05 s"),
+        ("--material", "satin", "leave the other options out"),
+        ("--material", "sattin", "did you mean satin"),
+        ("--explain", "solref=1 1", "leave the other options out"),
+    ],
+)
+def test_a_wrong_request_ends_with_its_reason(option: str, value: str, message: str) -> None:
+    result = gauge(*(word for pair in (GOOD | {option: value}).items() for word in pair))
+    assert result.exit_code == 2
+    assert message in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("solrf=0.02 1", "'solrf': unknown setting"),
+        ("solref=0.02 -1", "both numbers must be positive, or neither"),
+        ("solref=0.02", "solref"),
+        ("0.02 1", "expected settings as name=values"),
+        ("solref=0.02 1 solref=0.01 1", "stated twice"),
+        ("timestep_s=1", "an option of its own"),
+        ("cone=round", "cone"),
+    ],
+)
+def test_wrong_settings_are_refused(text: str, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        parsed_contact(engine_settings("mujoco"), text, 0.002)
+
+
+@pytest.mark.parametrize("missing", ["--engine", "--mass", "--timestep"])
+def test_a_missing_option_is_named(missing: str) -> None:
+    result = gauge(*(word for pair in GOOD.items() if pair[0] != missing for word in pair))
+    assert result.exit_code == 2
+    assert f"{missing} is missing" in result.output
+
+
+def test_a_request_that_asks_for_nothing_is_refused() -> None:
+    result = gauge("--engine", "mujoco", "--mass", "0.5", "--timestep", "0.002")
+    assert result.exit_code == 2
+    assert "nothing is asked: add --friction 0.4" in " ".join(result.output.split())
+
+
+def test_an_engine_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent() -> None:
+        raise MissingExtraError("backend 'rapier'", "rapier", ModuleNotFoundError(name="rapier3d"))
+
+    monkeypatch.setattr(engine_settings("rapier"), "backend", absent)
+    result = gauge(*(word for pair in (GOOD | {"--engine": "rapier"}).items() for word in pair))
+    assert result.exit_code == 2
+    assert "pip install 'gauge-envs[rapier]'" in " ".join(result.output.split())
+
+
+def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A planted fault: damping that reverses and doubles the speed at each step."""
+    cls = engine_settings("mujoco")
+    kept = cls.aimed
+
+    def unstable(aim: Aim) -> Any:
+        return kept(aim).model_copy(update={"solref": (-1e7, -5.0 / aim.timestep_s)})
+
+    monkeypatch.setattr(cls, "aimed", unstable)
+    result = gauge(*(word for pair in GOOD.items() for word in pair), "--json")
+    assert result.exit_code == 1
+    found = json.loads(result.stdout)
+    assert set(found["reached"].values()) == {None}
+    assert "diverges" in found["explanation"]
+
+
+def test_engines_of_recipes_are_named() -> None:
+    assert engine_names() == ("mujoco", "mujoco_warp", "newton", "physx", "pybullet", "rapier", "drake", "genesis")

@@ -1,0 +1,40 @@
+"""Training settings and known motions that several tests of the sanity check use."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.runs.rollout import Rollout
+from gauge_envs.tools.sanity.scenario import Scenario
+
+CHEETAH = {
+    "timestep_s": 0.01,
+    "integrator": "Euler",
+    "cone": "pyramidal",
+    "impratio": 1.0,
+    "contact_solref": (0.02, 1.0),
+    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
+}
+"""Numerical settings of Gymnasium's HalfCheetah, feet on ground."""
+
+
+def moved(
+    scenario: Scenario,
+    times_s: NDArray[np.float64],
+    markers_m: NDArray[np.float64] | None = None,
+    **displacements_m: NDArray[np.float64],
+) -> Rollout:
+    """Return a rollout with given markers and displacements of bodies [m], shape [sample_count, 3]; others rest.
+
+    A hyphen in the name of a body is an underscore in the keyword.
+    """
+    states = {}
+    for body in scenario.scene.bodies:
+        displacement = displacements_m.get(body.name.replace("-", "_"), np.zeros((len(times_s), 3)))
+        states[body.name] = np.zeros((len(times_s), 13))
+        states[body.name][:, :3] = np.asarray(body.pose.position_m) + displacement
+        states[body.name][:, 3:7] = body.pose.quaternion
+        states[body.name][:, 7:10] = np.gradient(displacement, times_s, axis=0)
+    markers = np.zeros((len(times_s), 0, 3)) if markers_m is None else markers_m
+    return Rollout(scene=scenario.scene, times_s=times_s, states=states, markers_m=markers)

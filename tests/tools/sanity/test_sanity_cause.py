@@ -1,0 +1,247 @@
+"""Which setting is responsible: planted settings in MuJoCo, and the search itself on responses that are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import pytest
+from sanity_cases import CHEETAH
+
+from gauge_envs.backends import backend
+from gauge_envs.errors import ParameterError
+from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity.alternatives import alternatives
+from gauge_envs.tools.sanity.cause import find_cause
+from gauge_envs.tools.sanity.measure import Measured, Measurements
+from gauge_envs.tools.sanity.model import Cause, PhenomenonResult, Report, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.phenomena import phenomena
+
+GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
+"""A training configuration that leaves the constants of contacts to the backend."""
+
+QUICK = ("creep-wood", "rest-height", "slide-wood", "rebound", "momentum", "carry-wood", "seam", "point")
+"""All but a wall of bricks, a hundred seconds of a pendulum, and further materials."""
+
+PLANTS = {
+    "timestep_s": (0.01, "rebound"),
+    "cone": ("pyramidal", "rebound"),
+    "impratio": (0.01, "creep-wood"),
+    "iterations": (1, "carry-wood"),
+    "integrator": ("RK4", "rebound"),
+    "contact_solref": ((0.2, 1.0), "rest-height"),
+    "contact_solimp": ((0.0, 0.8, 0.01, 0.5, 2.0), "rest-height"),
+    "contact_margin_m": (0.002, "rest-height"),
+    "friction_scale": (0.9, "slide-wood"),
+}
+"""One bad setting each, and a phenomenon in which it must show."""
+
+
+def report(settings: Mapping[str, Any], only: Sequence[str] = QUICK) -> Report:
+    return check(TrainingConfiguration(name="planted", source="test", backend="mujoco", settings=settings), only=only)
+
+
+def flagged(rows: Sequence[PhenomenonResult]) -> dict[str, PhenomenonResult]:
+    return {row.phenomenon: row for row in rows if row.is_flag}
+
+
+# --- planted in MuJoCo -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_planted_setting_is_found(name: str) -> None:
+    bad, shows_in = PLANTS[name]
+    bad_rows = flagged(report({**GOOD, name: bad}, only=[shows_in]).rows)
+    assert bad_rows[shows_in].cause is not None
+    assert bad_rows[shows_in].cause.settings == (name,)
+    assert bad_rows[shows_in].cause.line.startswith(f"{name} = ")
+
+
+def test_settings_that_need_each_other_are_both_reported() -> None:
+    # Without refsafe a time constant of 0.002 s is too short for a step of 0.002 s: either of them mends it.
+    (row,) = report({**GOOD, "refsafe": False}, only=["creep-wood"]).rows
+    assert row.verdict is Verdict.WRONG
+    assert row.cause is not None
+    assert "refsafe" in row.cause.line and "timestep_s" in row.cause.line
+
+
+def test_good_configuration_raises_no_flag() -> None:
+    found = report(GOOD)
+    assert flagged(found.rows) == {}
+    assert found.worst is Verdict.INSIDE
+    assert all(row.cause is None for row in found.rows)
+    assert {row.experiment for row in found.rows} >= {"GAUGE/SlopeSlider-1-wood", "GAUGE/NewtonsCradle-metal"}
+    assert found.versions["mujoco"]
+
+
+def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
+    seen = []
+    found = check(
+        TrainingConfiguration(name="HalfCheetah", source="test", backend="mujoco", settings=CHEETAH),
+        only=["creep-wood", "rest-height", "rebound", "slide-wood"],
+        notify=seen.append,
+    )
+    assert seen == list(found.rows)
+    bad = flagged(found.rows)
+    assert set(bad) == {"creep-wood", "rest-height", "slide-wood"}
+    # One solref without rebound serves all contacts, so that the model does not state what the row depends on.
+    rebound = next(row for row in found.rows if row.phenomenon == "rebound")
+    assert rebound.advisory and rebound.verdict is Verdict.WRONG and rebound.cause is None
+    assert bad["slide-wood"].cause is not None and bad["slide-wood"].cause.settings == ("contact_solimp",)
+    assert all(row.cause is not None and row.cause.settings and row.cause.tried for row in bad.values())
+    creep = bad["creep-wood"].cause
+    assert creep is not None
+    tried = {tuple(trial.changes): trial.value for trial in creep.tried}
+    assert tried[("cone",)] is not None and tried[("cone",)] < 10.0
+    assert bad["creep-wood"].curve is not None
+    assert bad["creep-wood"].curve.configured[-1] == pytest.approx(58.0, rel=0.1)
+    assert len(bad["creep-wood"].curve.reality) == len(bad["creep-wood"].curve.default) <= 200
+    assert found.worst is Verdict.WRONG
+    assert found.to_dict()["rows"][0]["phenomenon"] == "creep-wood"
+
+
+def test_a_preset_is_taken_apart_into_its_settings() -> None:
+    scenario = phenomena(["rebound"])[0].scenario
+    names = alternatives(Measurements(backend("mujoco")), scenario, {"preset": "out_of_box"})
+    assert set(names) >= {"timestep_s", "cone", "contact_solref"}
+    assert not {"preset", "drive_interval_s"} & set(names)
+
+
+def test_what_is_tried_is_documented_or_a_preset_and_can_be_pasted() -> None:
+    model = {"timestep_s": 0.02, "cone": "pyramidal", "impratio": 1.0, "contact_solref": [0.2, 1.0], "iterations": 100}
+    wall = phenomena(["wall-sag"])[0].scenario
+    tried = alternatives(Measurements(backend("mujoco")), wall, model)
+    # The documented default and the preset for a wall have the pyramidal cone too; the one for a cube has not.
+    assert [(one.value, one.source) for one in tried["cone"]] == [("elliptic", "this package's preset contact")]
+    assert [one.value for one in tried["impratio"]] == [10.0]
+    assert [(one.value, one.source) for one in tried["contact_solref"]] == [
+        ((0.02, 1.0), "the engine's documented default"),
+        ((0.04, 1.0), "this package's preset contact"),
+    ]
+    # No training affords the steps of presets for closed forms.
+    assert [one.value for one in tried["timestep_s"]] == [0.002]
+    halved = alternatives(Measurements(backend("mujoco")), wall, {"timestep_s": 0.002})
+    assert [one.value for one in halved["timestep_s"]] == [0.001, 0.0005]
+    assert "iterations" not in tried
+    for one in (one for several in tried.values() for one in several):
+        assert one.value is not None and one.value != one.was
+
+
+def test_refused_settings_are_the_users_error() -> None:
+    with pytest.raises(ParameterError, match="colour"):
+        report({"colour": "red"}, only=["creep-wood", "rebound"])
+
+
+def test_divergence_is_a_row() -> None:
+    loose = {"timestep_s": 0.01, "contact_solref": (0.002, 1.0), "refsafe": False}
+    loose["contact_solimp"] = CHEETAH["contact_solimp"]
+    (row,) = report(loose, only=["creep-wood"]).rows
+    assert (row.verdict, row.configured) == (Verdict.WRONG, None)
+    assert row.remark.startswith("diverged")
+    assert row.cause is not None and row.cause.settings
+    assert row.curve is not None and row.curve.configured == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLANTS)
+def test_planted_setting_is_found_in_every_flagged_row(name: str) -> None:
+    """It is the cause, or is named among the settings that suffice, where it is not the default of the scene."""
+    bad = flagged(report({**GOOD, name: PLANTS[name][0]}, only=()).rows)
+    assert PLANTS[name][1] in bad
+    causes = {phenomenon: row.cause for phenomenon, row in bad.items() if row.cause is not None}
+    assert set(causes) == set(bad)
+    differs = {p: cause for p, cause in causes.items() if any(name in trial.changes for trial in cause.tried)}
+    assert {p: cause.line for p, cause in differs.items() if name not in cause.line} == {}
+
+
+@pytest.mark.slow
+def test_good_configuration_raises_no_flag_anywhere() -> None:
+    assert flagged(report(GOOD, only=()).rows) == {}
+
+
+# --- the search ------------------------------------------------------------------------------------------------------
+
+
+class Made(Measurements):
+    """Measurements whose values follow a formula of five switches, 0 by default; reality is 0 +- 1."""
+
+    def __init__(self, formula: Callable[..., float]) -> None:
+        super().__init__(backend("mujoco"))
+        self._formula = formula
+
+    def in_force(self, scenario: object, settings: Mapping[str, Any]) -> dict[str, Any]:
+        return dict.fromkeys("abcde", 0) | dict(settings)
+
+    def measure(self, phenomenon: object, settings: Mapping[str, Any]) -> Measured:
+        value = self._formula(**self.in_force(None, settings))
+        if math.isinf(value):
+            return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark="diverged: far")
+        verdict = Verdict.INSIDE if abs(value) <= 2.0 else Verdict.VISIBLE if abs(value) <= 5.0 else Verdict.WRONG
+        return Measured(value=value, deviation=0.5 * abs(value), verdict=verdict)
+
+
+def cause_of(formula: Callable[..., float], **settings: Any) -> Cause | None:
+    made = Made(formula)
+    (phenomenon,) = phenomena(["creep-wood"])
+    return find_cause(made, phenomenon, settings, made.measure(None, settings), made.measure(None, {}))
+
+
+def test_nothing_is_responsible_for_what_is_right() -> None:
+    assert cause_of(lambda a, b, c, d, e: 1.5 * a, a=1, b=1) is None
+
+
+def test_the_closest_single_setting_is_responsible_and_others_are_reported() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 20.0 * a * b + 0.5 * c - 0.4 * b, a=1, b=1, c=1)
+    assert cause is not None and cause.settings == ("a",)
+    assert cause.line == (
+        "a = 0 instead of 1 brings creep from 20.1 mm/s to 0.1 mm/s (b = 0 alone to 0.5 mm/s); "
+        "from the engine's documented default"
+    )
+    assert [trial.changes for trial in cause.tried if not trial.on_default] == [{"a": 0}, {"b": 0}, {"c": 0}]
+
+
+def test_within_the_scatter_what_harms_the_default_is_responsible() -> None:
+    # With b put back it comes closest, as c takes back what a alone does; but a harms alone, and b does not.
+    cause = cause_of(lambda a, b, c, d, e: 7.0 * a * b + a * (1 - b) * (1.5 - 1.4 * c) + c * (1 - a), a=1, b=1, c=1)
+    assert cause is not None and cause.settings == ("a",)
+    assert "from 7 mm/s to 1 mm/s (b = 0 alone to 0.1 mm/s)" in cause.line
+
+
+def test_half_the_error_is_enough_and_what_completes_it_is_reported() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 20.0 * a + 10.0 * b, a=1, b=1)
+    assert cause is not None and cause.settings == ("a",)
+    assert "from 30 mm/s to 10 mm/s (with b = 0 too to 0 mm/s)" in cause.line
+
+
+def test_each_of_two_suffices() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 20.0 * max(a, b), a=1, b=1, c=1)
+    assert cause is not None and cause.settings == ("a", "b")
+    assert "each alone on this package's preset: a 20 mm/s, b 20 mm/s" in cause.line
+    assert sum(trial.on_default for trial in cause.tried) == 3
+
+
+def test_two_are_responsible_together() -> None:
+    # Three equal shares: no one takes half away, none alone is half of it, and one more than two is not needed.
+    cause = cause_of(lambda a, b, c, d, e: 8.0 * (a + b + c) + 0.0 * d, a=1, b=1, c=1, d=1)
+    assert cause is not None and len(cause.settings) == 2
+    assert "together" in cause.line and "d" not in cause.settings
+
+
+def test_more_than_a_few_are_the_configuration_as_a_whole() -> None:
+    # Any two of five suffice, so that putting three back leaves the error, and none has it alone.
+    cause = cause_of(lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1, d=1, e=1)
+    assert cause is not None and cause.settings == ()
+    assert cause.line == "no reset of up to 3 settings explains it: a, b, c, d, e"
+
+
+def test_what_the_default_gets_wrong_too() -> None:
+    cause = cause_of(lambda a, b, c, d, e: 10.0 + a, a=1)
+    assert cause is not None and cause.settings == ()
+    assert cause.line == "no setting alone explains it; this package's preset: 10 mm/s"
+
+
+def test_what_ends_a_divergence_is_responsible() -> None:
+    cause = cause_of(lambda a, b, c, d, e: math.inf if a else 1.0 + b, a=1, b=1)
+    assert cause is not None and cause.settings == ("a",)
+    assert "from diverged: far to 2 mm/s" in cause.line

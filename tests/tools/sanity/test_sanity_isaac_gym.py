@@ -1,0 +1,196 @@
+"""Configurations in the style of IsaacGym. Keys and values are those of the files named at each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import yaml
+
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.languages import language
+from gauge_envs.tools.sanity.readers.isaac_gym import isaac_gym_configuration
+
+pytest.importorskip("sapien")
+
+# humanoidverse/config/simulator/isaacgym.yaml of ASAP, with the range of friction of legged_gym.
+HUMANOIDVERSE = """
+simulator:
+  _target_: humanoidverse.simulator.isaacgym.isaacgym.IsaacGym
+  config:
+    name: "isaacgym"
+    terrain: ${terrain}
+    plane: {static_friction: 1.0, dynamic_friction: 1.0, restitution: 0.0}
+    sim:
+      fps: 200
+      control_decimation: 4
+      substeps: 1
+      gravity: [0.0, 0.0, -9.81]
+      physx:
+        num_threads: 4
+        solver_type: 1 # 0: pgs, 1: tgs
+        num_position_iterations: 4
+        num_velocity_iterations: 0
+        contact_offset: 0.01
+        rest_offset: 0.0
+        bounce_threshold_velocity: 0.5
+        max_depenetration_velocity: 1.0
+        default_buffer_size_multiplier: 5
+        contact_collection: 2
+domain_rand: {randomize_friction: True, friction_range: [0.5, 1.25]}
+"""
+
+# protomotions/config/simulator/{base,isaacgym,physx}.yaml of ProtoMotions, joined, with values for the robot's keys.
+PROTOMOTIONS = """
+robot: {sim: {isaacgym: {fps: 60, decimation: 2, substeps: 2}}}
+simulator:
+  config:
+    plane: {static_friction: 1.0, dynamic_friction: 1.0, restitution: 0.0}
+    sim:
+      fps: ${robot.sim.isaacgym.fps}
+      decimation: ${robot.sim.isaacgym.decimation}
+      substeps: ${robot.sim.isaacgym.substeps}
+      physx:
+        num_threads: 4
+        solver_type: 1
+        num_position_iterations: 4
+        num_velocity_iterations: 0
+        contact_offset: 0.02
+        rest_offset: 0.0
+        bounce_threshold_velocity: 0.2
+        max_depenetration_velocity: 10.0
+"""
+
+
+class LeggedRobotCfg:
+    """Values of legged_gym/envs/base/legged_robot_config.py."""
+
+    class terrain:  # noqa: N801
+        static_friction = 1.0
+        dynamic_friction = 1.0
+        restitution = 0.0
+
+    class control:  # noqa: N801
+        decimation = 4
+
+    class asset:  # noqa: N801
+        angular_damping = 0.0
+        linear_damping = 0.0
+        max_angular_velocity = 1000.0
+        max_linear_velocity = 1000.0
+
+    class domain_rand:  # noqa: N801
+        randomize_friction = True
+        friction_range = (0.5, 1.25)
+
+    class sim:  # noqa: N801
+        dt = 0.005
+        substeps = 1
+        gravity = (0.0, 0.0, -9.81)
+        up_axis = 1
+
+        class physx:  # noqa: N801
+            num_threads = 10
+            solver_type = 1
+            num_position_iterations = 4
+            num_velocity_iterations = 0
+            contact_offset = 0.01
+            rest_offset = 0.0
+            bounce_threshold_velocity = 0.5
+            max_depenetration_velocity = 1.0
+
+
+def read(text: str, **sim: Any) -> Any:
+    cfg = yaml.safe_load(text)
+    cfg["simulator"]["config"]["sim"] |= sim
+    return isaac_gym_configuration(cfg, name="config.yaml", source="test")
+
+
+def test_a_file_of_humanoidverse_is_read(tmp_path) -> None:
+    (tmp_path / "config.yaml").write_text(HUMANOIDVERSE)
+    found = configuration(tmp_path / "config.yaml")
+    assert (found.backend, found.language, found.frame_skip) == ("physx", "isaac_gym", 4)
+    assert found.settings == {
+        "preset": "isaac",
+        "timestep_s": 0.005,
+        "solver": "TGS",
+        "position_iterations": 4,
+        "velocity_iterations": 0,
+        "bounce_threshold_m_per_s": 0.5,
+        "contact_offset_m": 0.01,
+        "rest_offset_m": 0.0,
+        "max_depenetration_velocity_m_per_s": 1.0,
+        "hinges": "articulation",
+        "sustained_restitution": False,
+    }
+    assert found.origins["timestep_s"] == "1 / simulator.config.sim.fps"
+    assert found.foot_contact is not None
+    assert found.foot_contact.friction == (0.75, 1.125)
+    assert "robot 0.5 to 1.25 (domain_rand.friction_range), friction by average" in found.foot_contact.text
+
+
+def test_references_of_hydra_are_followed(tmp_path) -> None:
+    (tmp_path / "resolved.yml").write_text(PROTOMOTIONS)
+    found = configuration(tmp_path / "resolved.yml")
+    assert found.settings["timestep_s"] == pytest.approx(1 / 120)
+    assert (found.frame_skip, found.settings["bounce_threshold_m_per_s"]) == (4, 0.2)
+    assert found.foot_contact is not None and found.foot_contact.mean_friction == 1.0
+    with pytest.raises(TargetError, match="which Hydra fills in: give the file"):
+        read(PROTOMOTIONS, fps="${oc.env:FPS}")
+    with pytest.raises(TargetError, match=r"neither .*sim\.dt nor a positive"):
+        read(PROTOMOTIONS, fps="${nowhere.else}")
+    with pytest.raises(TargetError, match="which Hydra fills in"):
+        read(PROTOMOTIONS, fps="${simulator.config.sim.fps}")
+
+
+def test_classes_of_legged_gym_are_read() -> None:
+    found = configuration(LeggedRobotCfg())
+    assert (found.name, found.frame_skip) == ("LeggedRobotCfg", 4)
+    assert found.settings["timestep_s"] == 0.005
+    # The number of the vertical axis is 0 for y and 1 for z.
+    assert found.gravity_m_per_s2 == (0.0, 0.0, -9.81)
+    assert (found.settings["angular_damping_per_s"], found.settings["max_angular_velocity_rad_per_s"]) == (0.0, 1000.0)
+    assert not any("damping" in note for note in found.notes)
+
+
+def test_a_task_of_isaac_gym_envs_is_read() -> None:
+    task = {
+        "env": {"plane": {"staticFriction": 0.8, "dynamicFriction": 0.6, "restitution": 0.2}, "controlFrequencyInv": 2},
+        "sim": {"dt": 0.0166, "substeps": 2, "up_axis": "y", "gravity": [0.0, -9.81, 0.0], "physx": {}},
+    }
+    task["sim"]["physx"] = {"num_position_iterations": 8, "solver_type": 0}
+    found = configuration(task)
+    assert (found.settings["timestep_s"], found.settings["solver"]) == (0.0083, "PGS")
+    assert (found.frame_skip, found.gravity_m_per_s2) == (4, (0.0, 0.0, -9.81))
+    assert found.foot_contact is not None
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (
+        pytest.approx(0.8),
+        pytest.approx(0.1),
+    )
+    assert found.settings["sustained_restitution"] is True
+
+
+@pytest.mark.parametrize(
+    ("sim", "message"),
+    [
+        ({"substeps": -1}, "substeps is -1: give 1 or more"),
+        ({"fps": 0}, "neither"),
+        ({"physx": {"num_position_iterations": "many"}}, "num_position_iterations is 'many'"),
+        ({"physx": {"num_position_iterations": 0}}, "position_iterations"),
+        ({"physx": None}, "there is no table sim.physx; looked for sim, simulator.config.sim"),
+    ],
+)
+def test_a_wrong_value_is_named(sim: dict[str, Any], message: str) -> None:
+    with pytest.raises(TargetError, match=message):
+        read(HUMANOIDVERSE, **sim)
+
+
+def test_changes_are_keys_of_the_file() -> None:
+    written = language("isaac_gym")
+    text = written.paste_text({"bounce_threshold_m_per_s": 0.2, "timestep_s": 0.002, "solver": "TGS"})
+    assert text == (
+        "sim.physx.bounce_threshold_velocity = 0.2; sim.dt = 0.002; sim.substeps = 1; sim.physx.solver_type = 1"
+    )
+    assert (written.writes("asset"), written.writes("angular_damping_per_s")) == (False, True)
+    assert written.gravity_text((0.0, 0.0, -9.80665)) == "sim.gravity = [0, 0, -9.81]"

@@ -1,0 +1,365 @@
+"""Isaac Lab's `env.yaml`: what is read, what is noted, and what a foot meets. The file is written by Isaac Lab."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from places import ROOT
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity import Verdict, check, configuration
+from gauge_envs.tools.sanity.against import Change, compare
+from gauge_envs.tools.sanity.languages import language
+from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration, isaac_lab_yaml
+from gauge_envs.tools.sanity.readers.yaml_document import yaml_document
+
+pytest.importorskip("sapien")
+
+G1 = Path(__file__).parent / "data" / "isaac_lab_g1_flat.yaml"
+DUMPED = yaml_document(G1.read_bytes())
+EXAMPLES = ROOT / "examples" / "sanity"
+RUNNER = CliRunner()
+
+
+def changed(**values: Any) -> dict[str, Any]:
+    """The dumped configuration with other values; two underscores stand for a dot."""
+    cfg = copy.deepcopy(DUMPED)
+    for key, value in values.items():
+        *folders, last = key.split("__")
+        table = cfg
+        for folder in folders:
+            table = table.setdefault(folder, {})
+        table[last] = value
+    return cfg
+
+
+def read(**values: Any) -> TrainingConfiguration:
+    return isaac_lab_configuration(changed(**values), name="env.yaml", source="test")
+
+
+def material(friction: float, mode: str, restitution: float = 0.0) -> dict[str, Any]:
+    return {
+        "static_friction": friction,
+        "dynamic_friction": friction,
+        "restitution": restitution,
+        "friction_combine_mode": mode,
+        "restitution_combine_mode": mode,
+    }
+
+
+def test_the_default_locomotion_task_is_read() -> None:
+    found = configuration(G1)
+    assert (found.backend, found.language, found.frame_skip) == ("physx", "isaac_lab", 4)
+    assert found.gravity_m_per_s2 == (0.0, 0.0, -9.81)
+    assert found.settings == {
+        "preset": "isaac",
+        "timestep_s": 0.005,
+        "solver": "TGS",
+        "bounce_threshold_m_per_s": 0.5,
+        "continuous_detection": False,
+        "enhanced_determinism": False,
+        "tolerance_length_m": 1.0,
+        "position_iterations": 8,
+        "velocity_iterations": 4,
+        "linear_damping_per_s": 0.0,
+        "angular_damping_per_s": 0.0,
+        "max_linear_velocity_m_per_s": 1000.0,
+        "max_angular_velocity_rad_per_s": pytest.approx(math.radians(1000.0)),
+        "max_depenetration_velocity_m_per_s": 1.0,
+        "hinges": "articulation",
+        "sustained_restitution": False,
+    }
+    assert (
+        found.origins["position_iterations"] == "scene.robot.spawn.articulation_props.solver_position_iteration_count"
+    )
+    assert set(found.origins) == set(found.settings)
+
+
+def test_the_ranges_of_an_event_are_what_a_foot_meets() -> None:
+    foot = configuration(G1).foot_contact
+    assert foot is not None
+    assert (foot.friction, foot.static_friction, foot.restitution) == ((0.6, 0.6), (0.8, 0.8), (0.0, 0.0))
+    assert foot.text.endswith(
+        "ground 1 (scene.terrain.physics_material) and robot 0.6 (events.physics_material), friction by multiply"
+    )
+    drawn = read(events__physics_material__params__dynamic_friction_range=[0.3, 0.8]).foot_contact
+    assert drawn is not None
+    assert drawn.friction == (0.3, 0.8) and drawn.mean_friction == pytest.approx(0.55)
+    assert "friction 0.3 to 0.8" in drawn.text
+
+
+@pytest.mark.parametrize(
+    ("ground", "robot", "friction"),
+    [
+        (("multiply", 1.0), ("multiply", 0.5), 0.5),
+        (("average", 1.0), ("multiply", 0.5), 0.5),
+        (("average", 1.0), ("min", 0.6), 0.6),
+        (("average", 1.0), ("average", 0.5), 0.75),
+        (("min", 0.4), ("max", 1.2), 1.2),
+        (("multiply", 0.5), ("max", 0.4), 0.5),
+    ],
+)
+def test_of_two_rules_the_one_of_higher_priority_combines(
+    ground: tuple[str, float], robot: tuple[str, float], friction: float
+) -> None:
+    found = read(
+        events=None,
+        scene__terrain__physics_material=material(ground[1], ground[0]),
+        scene__robot__spawn__physics_material=material(robot[1], robot[0]),
+    ).foot_contact
+    assert found is not None
+    assert found.mean_friction == pytest.approx(friction)
+
+
+def test_a_floor_without_a_material_is_that_of_the_engine() -> None:
+    found = read(events=None, scene__terrain__physics_material=None, sim__physics_material=None)
+    assert found.foot_contact is not None
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (0.5, pytest.approx(0.4))
+    assert "Isaac Sim's default ground plane" in found.foot_contact.source
+    # A generated terrain is a mesh, which gets the default material of the simulation.
+    mesh = read(
+        events=None, scene__terrain__physics_material=None, scene__terrain__terrain_type="generator"
+    ).foot_contact
+    assert mesh is not None
+    assert (mesh.mean_friction, mesh.mean_restitution) == (1.0, 0.0)
+
+
+def test_a_ground_plane_of_a_manipulation_task_is_found() -> None:
+    plane = {"spawn": {"func": "isaaclab.sim.spawners.from_files.from_files:spawn_ground_plane"}}
+    plane["spawn"]["physics_material"] = material(0.7, "average")  # type: ignore[assignment]
+    found = read(events=None, scene__terrain=None, scene__plane=plane, sim__physics_material=material(0.3, "average"))
+    assert found.foot_contact is not None
+    assert found.foot_contact.mean_friction == pytest.approx(0.5)
+    nothing = read(events=None, scene__terrain=None)
+    assert any("no ground is found" in note for note in nothing.notes)
+
+
+@pytest.mark.parametrize(
+    ("limits", "own", "used"),
+    [((1, 255), 8, 8), ((10, 255), 8, 10), ((1, 4), 8, 4), ((1, 255), None, 16), ((1, 4), None, 4)],
+)
+def test_iterations_of_the_robot_are_clamped(limits: tuple[int, int], own: int | None, used: int) -> None:
+    found = read(
+        sim__physx__min_position_iteration_count=limits[0],
+        sim__physx__max_position_iteration_count=limits[1],
+        scene__robot__spawn__articulation_props__solver_position_iteration_count=own,
+    )
+    assert found.settings["position_iterations"] == used
+    assert ("clamped" in found.origins["position_iterations"]) == (used not in (8, 16))
+    assert any("states no count of position iterations" in note for note in found.notes) == (own is None)
+
+
+def test_what_the_engine_cannot_represent_is_noted_or_declined() -> None:
+    notes = "\n".join(
+        read(
+            sim__physx__friction_correlation_distance=0.00625,
+            sim__physx__enable_stabilization=True,
+            sim__physx__enable_external_forces_every_iteration=True,
+            sim__physx__new_feature=1,
+        ).notes
+    )
+    assert "friction_correlation_distance 0.00625 m are not carried over" in notes
+    assert "sim.physx.enable_stabilization is not carried over" in notes
+    assert "sim.physx.enable_external_forces_every_iteration is not carried over" in notes
+    assert "not known and not read: sim.physx.new_feature" in notes
+    assert "gpu_max" not in notes
+    scaled = read(sim__physx__friction_offset_threshold=0.004, sim__physx__friction_correlation_distance=0.0025)
+    assert scaled.settings["tolerance_length_m"] == pytest.approx(0.1)
+    springs = read(scene__terrain__physics_material__compliant_contact_stiffness=1e4)
+    assert "compliant_contact_stiffness makes contacts springs" in springs.inapplicable[Need.CONTACT]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"sim__dt": "fast"}, "sim.dt is 'fast', and a number is expected"),
+        ({"sim__dt": None}, "there is no sim.dt"),
+        ({"sim__dt": -0.005}, "timestep_s"),
+        ({"sim__physx": [1]}, "sim.physx is a list, and a table is expected"),
+        ({"sim__physx__solver_type": 2}, "sim.physx.solver_type is 2: give 0"),
+        ({"sim__physx__enable_ccd": 1}, "sim.physx.enable_ccd is 1, and true or false is expected"),
+        ({"sim__physx__min_position_iteration_count": 300}, "min_position_iteration_count is 300, more than"),
+        ({"sim__physx__bounce_threshold_velocity": float("nan")}, "bounce_threshold_velocity is nan"),
+        ({"sim__gravity": [0.0, -9.81]}, "sim.gravity is a list, and a list of 3 numbers is expected"),
+        ({"scene__terrain__physics_material__friction_combine_mode": "sum"}, "choose one of average, min, multiply"),
+        ({"scene__terrain__physics_material__dynamic_friction": -1.0}, "dynamic_friction is -1: give 0 or more"),
+        ({"sim__dt": "${env.dt}"}, r"sim.dt is '\$\{env.dt\}', which Hydra fills in|there is no sim.dt"),
+        ({"events__physics_material__params__static_friction_range": [1.0]}, "a list of 2 numbers is expected"),
+    ],
+)
+def test_a_wrong_value_is_named_with_its_key(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(TargetError, match=message):
+        read(**values)
+
+
+def test_other_engines_and_other_files_are_declined() -> None:
+    newton = changed(sim__newton_cfg={"solver_cfg": {"njmax": 65}})
+    del newton["sim"]["physx"]
+    with pytest.raises(TargetError, match=r"there is no sim\.physx, and there is sim\.newton_cfg instead"):
+        isaac_lab_configuration(newton, name="env.yaml", source="test")
+    other = changed(sim__physics={"solver_cfg": {"solver_type": "mujoco_warp"}}, sim__physx=None)
+    with pytest.raises(TargetError, match=r"there is sim\.physics instead"):
+        isaac_lab_configuration(other, name="env.yaml", source="test")
+    for text, message in {"a: 1": r"there is no sim\.dt", "[1]": "the file is a list", "": "the file is empty"}.items():
+        with pytest.raises(TargetError, match=message):
+            isaac_lab_yaml(text, name="env.yaml", source="test")
+
+
+def test_a_hydra_file_has_the_same_below_env(tmp_path: Path) -> None:
+    run = tmp_path / "2026-01-01_g1"
+    (run / ".hydra").mkdir(parents=True)
+    (run / ".hydra" / "config.yaml").write_text(yaml.safe_dump({"env": json.loads(json.dumps(DUMPED)), "seed": 1}))
+    found = configuration(run)
+    assert found.name == "2026-01-01_g1"
+    assert found.settings == configuration(G1).settings
+    assert found.origins["timestep_s"] == "env.sim.dt"
+
+
+def test_the_older_namespace_and_its_keys_are_read() -> None:
+    text = G1.read_text(encoding="utf-8").replace("isaaclab.", "omni.isaac.lab.")
+    older = yaml_document(text)
+    older["sim"] |= {"disable_contact_processing": False, "use_gpu_pipeline": True}
+    older["sim"]["physx"]["use_gpu"] = True
+    found = isaac_lab_configuration(older, name="env.yaml", source="test")
+    assert found.settings == configuration(G1).settings
+    assert found.foot_contact == configuration(G1).foot_contact
+    assert found.notes == configuration(G1).notes
+
+
+def test_isaac_lab_3_has_its_solver_at_another_place() -> None:
+    physics = {**DUMPED["sim"]["physx"], "class_type": "isaaclab_physx.physics.physx_manager:PhysxManager"}
+    found = read(sim__physics=physics | {"bounce_threshold_velocity": 0.2}, sim__physx=None)
+    assert found.settings == configuration(G1).settings | {"bounce_threshold_m_per_s": 0.2}
+    assert found.origins["bounce_threshold_m_per_s"] == "sim.physics.bounce_threshold_velocity"
+    text = language(found.language).paste_text({"bounce_threshold_m_per_s": 0.1, "solver": "TGS"})
+    assert text == "self.sim.physics.bounce_threshold_velocity = 0.1; self.sim.physics.solver_type = 1"
+    assert not any("not known" in note for note in found.notes)
+
+
+def test_a_configuration_without_gravity_declines_what_needs_it() -> None:
+    assert read(sim__gravity=[0.0, 0.0, 0.0]).inapplicable[Need.GRAVITY] == "the target has no gravity"
+
+
+def test_impacts_count_where_a_restitution_is_stated() -> None:
+    bouncy = changed(
+        events=None,
+        sim__physx__bounce_threshold_velocity=2.0,
+        scene__terrain__physics_material=material(1.0, "multiply", restitution=0.8),
+        sim__physics_material=material(1.0, "multiply", restitution=0.9),
+    )
+    for cfg, counts in ((bouncy, True), (changed(sim__physx__bounce_threshold_velocity=2.0), False)):
+        target = isaac_lab_configuration(cfg, name="env.yaml", source="test")
+        assert any("more slowly than 2 m/s, as after a fall of 204 mm" in note for note in target.notes)
+        report = check(target, only=["rebound-slow"])
+        (row,) = report.rows
+        assert (row.verdict, row.is_flag) == (Verdict.WRONG, counts)
+        if counts:
+            assert row.cause is not None and row.cause.settings == ("bounce_threshold_m_per_s",)
+            assert report.cure is not None
+            assert report.cure.line.startswith("self.sim.physx.bounce_threshold_velocity = ")
+        else:
+            assert row.advisory == "the target states a restitution of 0"
+
+
+def test_changes_are_lines_of_python() -> None:
+    written = language("isaac_lab")
+    lines = {
+        "timestep_s": (0.0025, "self.sim.dt = 0.0025"),
+        "solver": ("PGS", "self.sim.physx.solver_type = 0"),
+        "continuous_detection": (True, "self.sim.physx.enable_ccd = True"),
+        "max_angular_velocity_rad_per_s": (
+            math.radians(1000.0),
+            "self.scene.robot.spawn.rigid_props.max_angular_velocity = 1000",
+        ),
+        "contact_offset_m": (
+            0.01,
+            "self.scene.robot.spawn.collision_props = sim_utils.CollisionPropertiesCfg(contact_offset=0.01)",
+        ),
+        "tolerance_length_m": (
+            0.1,
+            "self.sim.physx.friction_offset_threshold = 0.004; self.sim.physx.friction_correlation_distance = 0.0025",
+        ),
+    }
+    for name, (value, line) in lines.items():
+        assert written.writes(name)
+        assert written.assignment(name, value) == line
+        compile(written.paste_text({name: value, "bounce_threshold_m_per_s": 0.2}), "cure", "exec")
+    both = written.paste_text({"contact_offset_m": 0.01, "timestep_s": 0.001, "rest_offset_m": 0.0})
+    assert both.endswith("CollisionPropertiesCfg(contact_offset=0.01, rest_offset=0)")
+    assert written.value_text("max_angular_velocity_rad_per_s", math.pi) == "180"
+    assert not written.writes("hinges")
+    assert written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
+
+
+def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
+    settings = {"timestep_s": 0.01, "hinges": "articulation", "link_linear_damping_per_s": 0.05}
+    target = TrainingConfiguration(
+        name="links", source="test", backend="physx", settings=settings, language="isaac_lab"
+    )
+    report = check(target, only=["period"])
+    (row,) = report.rows
+    assert row.cause is not None and row.cause.settings == ("link_linear_damping_per_s",)
+    assert "link_linear_damping_per_s = 0 (which the target has no key for) instead of 0.05" in row.cause.line
+    assert report.cure is None or "link_linear_damping" not in report.cure.line
+
+
+def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
+    """With PGS and one iteration, the solver alone and the iterations alone each bring another flag."""
+    counts = {"solver_position_iteration_count": 1, "solver_velocity_iteration_count": 0}
+    cfg = changed(sim__physx__solver_type=0, scene__robot__spawn__articulation_props=counts)
+    report = check(isaac_lab_configuration(cfg, name="pgs", source="test"), only=["slide-wood,carry-wood,point"])
+    assert report.cure is not None
+    props = "self.scene.robot.spawn.articulation_props"
+    assert report.cure.line == (
+        f"self.sim.physx.solver_type = 1; {props}.solver_position_iteration_count = 10; "
+        f"{props}.solver_velocity_iteration_count = 1: the one flag goes (from this package's recommendation)"
+    )
+
+
+def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated() -> None:
+    trained, deployed = (EXAMPLES / f"g1_{name}.yaml" for name in ("trained", "deployed"))
+    comparison = compare(trained, deployed, only=["slide-wood,rebound-slow,gravity"])
+    rows = {row.id: row for row in comparison.rows}
+    foot, rebound = rows["foot-straight"], rows["foot-restitution"]
+    assert (foot.trained, foot.deployed) == (pytest.approx(1.0, abs=0.02), pytest.approx(0.5, abs=0.01))
+    assert (rebound.trained, rebound.deployed) == (0.0, pytest.approx(0.4, abs=0.01))
+    assert [row.change for row in comparison.changed] == [Change.LARGE, Change.LARGE]
+    assert "friction 1, restitution 0: ground 1" in foot.remark and "restitution 0.4: ground 0.5" in foot.remark
+
+
+def test_the_examples_hold_what_isaac_lab_writes() -> None:
+    """All keys and values of the trained example stand in the dumped file, materials of the robot aside."""
+    example = yaml_document((EXAMPLES / "g1_trained.yaml").read_bytes())
+    assert example.pop("events") == {"physics_material": None}
+
+    def assert_inside(part: Any, whole: Any, key: str) -> None:
+        if isinstance(part, dict):
+            for name, value in part.items():
+                assert name in whole, f"{key}.{name}"
+                assert_inside(value, whole[name], f"{key}.{name}")
+        else:
+            assert part == whole, key
+
+    assert_inside(example, DUMPED, "")
+
+
+def test_the_command_names_both_changes_first() -> None:
+    arguments = ["sanity", str(EXAMPLES / "g1_trained.yaml"), "--against", str(EXAMPLES / "g1_deployed.yaml")]
+    outcome = RUNNER.invoke(app, [*arguments, "--only", "slide-wood,rebound-slow", "--fail-on", "wrong"])
+    assert outcome.exit_code == 1
+    first = outcome.stdout.partition("\n\n")[0].replace("\n", " ")
+    assert "restitution that a foot meets: from 0 to 0.4" in first
+    assert "then friction that a foot meets, straight: from 0.98" in first
+    for name, reason in {"absent/env.yaml": "there is no such file", "x" * 300: "gymnasium.make fails"}.items():
+        refused = RUNNER.invoke(app, ["sanity", name])
+        assert refused.exit_code == 2
+        assert reason in refused.output.replace("\n", " ")

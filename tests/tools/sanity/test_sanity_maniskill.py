@@ -1,0 +1,259 @@
+"""ManiSkill: settings of tasks, by name and as a SimConfig. The stored ones are returned by ManiSkill 3.0.1 itself."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity import Verdict, check, configuration
+from gauge_envs.tools.sanity.languages import language
+from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.readers.maniskill import maniskill_configuration, task_sim_config
+
+pytest.importorskip("sapien")
+
+STORED: dict[str, Any] = json.loads((Path(__file__).parent / "data" / "maniskill_sim_configs.json").read_text())[
+    "tasks"
+]
+PICK_CUBE = STORED["PickCube-v1"]
+RUNNER = CliRunner()
+
+TYPES = '''
+from dataclasses import dataclass, field
+@dataclass
+class GPUMemoryConfig:
+    heap_capacity: int = 2**26
+@dataclass
+class SceneConfig:
+    gravity: list = field(default_factory=lambda: np.array([0, 0, -9.81]))
+    bounce_threshold: float = 2.0
+    solver_position_iterations: int = 15
+    enable_tgs: bool = True
+@dataclass
+class DefaultMaterialsConfig:
+    static_friction: float = 0.3
+    dynamic_friction: float = 0.3
+    restitution: float = 0
+@dataclass
+class SimConfig:
+    """Simulation configurations."""
+    sim_freq: int = 100
+    control_freq: int = 20
+    gpu_memory_config: GPUMemoryConfig = field(default_factory=GPUMemoryConfig)
+    scene_config: SceneConfig = field(default_factory=SceneConfig)
+    default_materials_config: DefaultMaterialsConfig = field(default_factory=DefaultMaterialsConfig)
+'''
+
+BASE = """
+class BaseEnv:
+    @property
+    def _default_sim_config(self):
+        return SimConfig()
+class Quadruped(BaseEnv):
+    @property
+    def _default_sim_config(self):
+        return SimConfig(sim_freq=200, scene_config=structs.SceneConfig(solver_position_iterations=2 * 2))
+class Computed(BaseEnv):
+    @property
+    def _default_sim_config(self):
+        config = SimConfig(sim_freq=self.rate)
+        config.control_freq = 5
+        return config
+"""
+
+TASKS = """
+raise RuntimeError("a task is never imported")
+from mani_skill.envs.base import BaseEnv, Computed
+from mani_skill.envs.base import Quadruped as Four
+@register_env("Plain-v1", max_episode_steps=50)
+class Plain(BaseEnv):
+    pass
+@register_env("Walk-v1", max_episode_steps=50)
+class Walk(Four):
+    pass
+@register_env("Run-v1")
+@register_env("Race-v1")
+class Run(Walk):
+    @property
+    def _default_sim_config(self):
+        return SimConfig(gpu_memory_config=GPUMemoryConfig(heap_capacity=self.size), control_freq=1e2 / 4)
+@register_env("Computed-v1")
+class Task(Computed):
+    pass
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package that is built like ManiSkill."""
+    for name, text in {
+        "__init__.py": "raise RuntimeError('it is never imported')",
+        "utils/structs/types.py": TYPES,
+        "envs/base.py": BASE,
+        "envs/tasks/walk.py": TASKS,
+    }.items():
+        file = tmp_path / "mani_skill" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+def test_a_task_is_read_without_importing_it(package: None) -> None:
+    plain, walk, run = (task_sim_config(f"maniskill:{name}-v1") for name in ("Plain", "Walk", "Run"))
+    assert (plain["sim_freq"], plain["scene_config"]["solver_position_iterations"]) == (100, 15)
+    assert plain["scene_config"]["gravity"] == [0, 0, -9.81]
+    # A base class of another file, imported under another name, states two values; the others are defaults.
+    assert (walk["sim_freq"], walk["control_freq"]) == (200, 20)
+    assert walk["scene_config"] == plain["scene_config"] | {"solver_position_iterations": 4}
+    # A task's own method replaces that of its base class as a whole.
+    assert (run["sim_freq"], run["control_freq"]) == (100, 25.0)
+    assert run == task_sim_config("maniskill:Race-v1")
+    assert "mani_skill" not in sys.modules
+    assert configuration("maniskill:Walk-v1").settings["position_iterations"] == 4
+
+
+def test_what_a_task_computes_is_declined(package: None) -> None:
+    with pytest.raises(TargetError, match="computes"):
+        task_sim_config("maniskill:Computed-v1")
+    with pytest.raises(TargetError, match=r"has no task 'Wal-v1'; similar ones: Walk-v1"):
+        task_sim_config("maniskill:Wal-v1")
+
+
+def test_an_absent_package_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gauge_envs.tools.sanity.readers.maniskill.find_spec", lambda name: None)
+    outcome = RUNNER.invoke(app, ["sanity", "maniskill:PickCube-v1"])
+    assert outcome.exit_code == 2
+    assert "pip install --no-deps mani-skill is enough" in outcome.output.replace("\n", " ")
+
+
+@pytest.mark.skipif(find_spec("mani_skill") is None, reason="ManiSkill is not installed")
+def test_the_installed_tasks_are_those_that_maniskill_returns() -> None:
+    for name, stored in STORED.items():
+        found = task_sim_config(f"maniskill:{name}")
+        found.pop("gpu_memory_config")
+        assert found == stored, name
+
+
+def test_a_sim_config_is_read() -> None:
+    found = maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test")
+    assert (found.backend, found.frame_skip, found.gravity_m_per_s2) == ("physx", 5, (0.0, 0.0, -9.81))
+    assert found.settings == {
+        "preset": "out_of_box",
+        "timestep_s": 0.01,
+        "bounce_threshold_m_per_s": 2.0,
+        "sleep_threshold_m2_per_s2": 0.005,
+        "contact_offset_m": 0.02,
+        "rest_offset_m": 0.0,
+        "position_iterations": 15,
+        "velocity_iterations": 1,
+        "persistent_manifolds": True,
+        "continuous_detection": False,
+        "enhanced_determinism": False,
+        "friction_every_iteration": True,
+        "solver": "TGS",
+        "hinges": "articulation",
+        "link_linear_damping_per_s": 0.05,
+        "angular_damping_per_s": 0.05,
+        "sustained_restitution": False,
+    }
+    assert found.foot_contact is not None
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (pytest.approx(0.3), 0.0)
+
+
+def test_damping_of_links_is_what_sapien_starts_with() -> None:
+    import sapien
+    from sapien import physx
+
+    builder = sapien.Scene([physx.PhysxCpuSystem()]).create_articulation_builder()
+    builder.create_link_builder()
+    (link,) = builder.build().links
+    assert (link.linear_damping, link.angular_damping) == (pytest.approx(0.05), pytest.approx(0.05))
+    assert physx.PhysxRigidDynamicComponent().linear_damping == 0.0
+
+
+def test_damping_of_links_acts_on_links_alone() -> None:
+    measurements = Measurements(backend("physx"))
+    slide, energy = phenomena(["energy", "slide-wood"])
+    free, damped = {"timestep_s": 0.01}, {"timestep_s": 0.01, "link_linear_damping_per_s": 0.05}
+    # Half of the energy of small swings is kinetic on average, so it decays at the rate of the damping.
+    lost = measurements.measure(energy, damped).value
+    assert lost == pytest.approx(1.0 - math.exp(-0.05 * 100.0), abs=0.005)
+    assert measurements.measure(slide, damped).value == measurements.measure(slide, free).value
+
+
+def test_objects_are_read_as_their_values() -> None:
+    @dataclass
+    class SceneConfig:
+        gravity: Any = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+        bounce_threshold: float = 0.5
+
+    @dataclass
+    class SimConfig:
+        sim_freq: int = 200
+        control_freq: int = 20
+        scene_config: SceneConfig = field(default_factory=SceneConfig)
+
+    class Env(gymnasium.Env):
+        sim_config = SimConfig()
+
+    for target in (SimConfig(), asdict(SimConfig()) | {"scene_config": {"bounce_threshold": 0.5}}, Env()):
+        found = configuration(target)
+        assert (found.settings["timestep_s"], found.settings["bounce_threshold_m_per_s"]) == (0.005, 0.5)
+    wrapped = SimpleNamespace(unwrapped=SimpleNamespace(sim_config=SimConfig()), spec=SimpleNamespace(id="Mine-v1"))
+    assert configuration(wrapped).name == "Mine-v1"
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"sim_freq": None}, "no positive sim_config.sim_freq"),
+        ({"sim_freq": "fast"}, "sim_config.sim_freq is 'fast'"),
+        ({"scene_config": [1]}, "sim_config.scene_config is a list"),
+        ({"scene_config": {"solver_position_iterations": 1.5}}, "solver_position_iterations is 1.5, and a whole"),
+        ({"scene_config": {"enable_tgs": "yes"}}, "enable_tgs is 'yes', and true or false"),
+        ({"scene_config": {"contact_offset": -1.0}}, "contact_offset_m"),
+        ({"default_materials_config": {"restitution": "inf"}}, "restitution is inf: give 0 or more"),
+    ],
+)
+def test_a_wrong_value_is_named(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(TargetError, match=message):
+        maniskill_configuration({**PICK_CUBE, **values}, name="PickCube-v1", source="test")
+
+
+@pytest.mark.slow
+def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_threshold() -> None:
+    report = check(maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test"), only=["period,rebound-slow"])
+    rows = {row.phenomenon: row for row in report.rows}
+    assert (rows["rebound-slow"].configured, rows["rebound-slow"].is_flag) == (0.0, False)
+    assert rows["period"].verdict is Verdict.WRONG
+    assert rows["period"].cause is not None and rows["period"].cause.settings == ("link_linear_damping_per_s",)
+    assert report.cure is not None
+    assert report.cure.line.startswith("[link.set_linear_damping(0) for link in self.agent.robot.links]: the one flag")
+
+
+def test_changes_are_a_sim_config() -> None:
+    written = language("maniskill")
+    text = written.paste_text({"timestep_s": 0.005, "bounce_threshold_m_per_s": 0.2, "solver": "PGS"})
+    assert text == "SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2, enable_tgs=False))"
+    compile(text, "cure", "eval")
+    damping = written.paste_text({"link_linear_damping_per_s": 0.0, "position_iterations": 20})
+    config, _, loop = damping.partition(" and ")
+    assert config == "SimConfig(scene_config=SceneConfig(solver_position_iterations=20))"
+    assert loop == "[link.set_linear_damping(0) for link in self.agent.robot.links]"
+    assert (written.writes("hinges"), written.writes("sleep_threshold_m2_per_s2")) == (False, True)
+    assert written.value_text("link_linear_damping_per_s", 0.05) == "0.05"

@@ -1,0 +1,192 @@
+"""Models of mujoco_warp and MJX in this process, and flagged rows that are run again on mujoco_warp."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from test_sanity_target import heap
+
+from gauge_envs.backends.mujoco.model_settings import option_settings
+from gauge_envs.errors import MissingExtraError, ParameterError, TargetError
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.runs.rollout import record
+from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity.capacity import capacity_row
+from gauge_envs.tools.sanity.contact_capacity import CapacityLimits, most_needed_data
+from gauge_envs.tools.sanity.languages import language
+from gauge_envs.tools.sanity.model import Report, TrainingConfiguration
+from gauge_envs.tools.sanity.mujoco_warp_run import EFFECT_S, BackendMuJoCoWarp, overflow_effect, with_mujoco_warp
+from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.target import configuration
+
+mujoco_warp = pytest.importorskip("mujoco_warp")
+wp = pytest.importorskip("warp")
+
+GO1: dict[str, Any] = {
+    "timestep_s": 0.004,
+    "integrator": "Euler",
+    "cone": "pyramidal",
+    "impratio": 1.0,
+    "iterations": 1,
+    "ls_iterations": 5,
+    "eulerdamp": False,
+    "contact_solref": (0.02, 1.0),
+    "contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
+}
+"""Options of MuJoCo Playground's Go1."""
+
+BALLS = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+  <body pos="0 0 .099"><freejoint/><geom size=".1"/></body>
+  <body pos="1 0 .099"><freejoint/><geom size=".1"/></body></worldbody></mujoco>"""
+
+
+def on_warp(model: mujoco.MjModel, **limits: int) -> tuple[Any, Any]:
+    """Return model and data of mujoco_warp after a first look at the contacts."""
+    with wp.ScopedDevice("cpu"):
+        there = mujoco_warp.put_model(model)
+        there.opt.warn_overflow = 0
+        data = mujoco_warp.put_data(model, mujoco.MjData(model), **limits)
+    return there, data
+
+
+def test_a_model_of_mujoco_warp_has_the_same_constants() -> None:
+    model = heap(option='timestep=".004" cone="elliptic" impratio="7" iterations="3" ls_iterations="9"')
+    own, there = configuration(model), configuration(on_warp(model)[0])
+    # mujoco_warp raises the tolerance to what single precision resolves.
+    assert there.settings["tolerance"] == 1e-6
+    names = ("timestep_s", "cone", "impratio", "iterations", "ls_iterations", "integrator", "solver")
+    assert [there.settings[name] for name in names] == [own.settings[name] for name in names]
+    assert [(one.pair_count, one.is_used) for one in there.contact_groups] == [
+        (one.pair_count, one.is_used) for one in own.contact_groups
+    ]
+    for one, other in zip(there.contact_groups, own.contact_groups, strict=True):
+        for name, value in other.constants.items():
+            np.testing.assert_allclose(one.constants[name], value, rtol=1e-5, atol=1e-9, err_msg=name)
+
+
+def test_a_model_of_mjx_keeps_the_names_of_its_geoms() -> None:
+    model = heap()
+    arrays = {
+        name: np.asarray(getattr(model, name)) for name in dir(model) if isinstance(getattr(model, name), np.ndarray)
+    }
+    option = SimpleNamespace(**{name: getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")})
+    kind = type("Model", (SimpleNamespace,), {"__module__": "mujoco.mjx._src.types"})
+    read = configuration(kind(**arrays, names=model.names, opt=option))
+    assert read.contact_groups[0].geoms.startswith("floor with ")
+    assert any("a1" in group.geoms for group in read.contact_groups)
+    expected = option_settings(model)
+    assert {name: read.settings[name] for name in ("cone", "solver", "iterations")} == {
+        name: expected[name] for name in ("cone", "solver", "iterations")
+    }
+    broken = kind(**{**arrays, "geom_friction": np.zeros(4)}, names=model.names, opt=option)
+    with pytest.raises(TargetError, match=r"give the mujoco\.MjModel that it is made from"):
+        configuration(broken)
+
+
+def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco_warp", None)
+    with pytest.raises(MissingExtraError, match=r"running on mujoco_warp needs mujoco_warp, .*gauge-envs\[newton\]"):
+        BackendMuJoCoWarp()
+
+
+def test_scenes_that_it_does_not_run() -> None:
+    backend = BackendMuJoCoWarp()
+    assert backend.supports(load_experiment("SlopeSlider-2-wood").scene)
+    assert "deformable bodies" in str(
+        backend.supports(phenomena(["cloth-sag"], include_deformables=True)[0].scenario.scene).missing
+    )
+    with pytest.raises(ParameterError):
+        backend.build(load_experiment("SlopeSlider-2-wood").scene, {"cone": "round"})
+
+
+def test_another_engine_is_named_and_not_run() -> None:
+    newton = TrainingConfiguration(name="n", source="test", backend="newton", settings={})
+    report = Report(configuration=newton, rows=(), versions={}, wall_s=0.0)
+    again = with_mujoco_warp(report)
+    assert again.rows == report.rows
+    assert again.notes[-1].endswith("runs models of MuJoCo; the target runs on newton")
+
+
+@pytest.mark.slow
+def test_data_states_an_overflow() -> None:
+    model = mujoco.MjModel.from_xml_string(BALLS)
+    there, data = on_warp(model, njmax=5, naconmax=1)
+    with wp.ScopedDevice("cpu"):
+        mujoco_warp.forward(there, data)
+    read = configuration((there, data))
+    assert read.capacity is not None and read.capacity.limits == CapacityLimits(njmax=5, naconmax=1, worlds=1)
+    row = capacity_row(read, language("mjcf"))
+    # Two balls touch the floor, and there is place for one.
+    assert row is not None and row.verdict.value == "wrong" and row.cause is not None
+    assert "naconmax" in row.cause.settings
+    there, data = on_warp(model, njmax=20, naconmax=9)
+    with wp.ScopedDevice("cpu"):
+        mujoco_warp.forward(there, data)
+    row = capacity_row(configuration((there, data)), language("mjcf"))
+    assert row is not None and row.verdict.value == "inside"
+
+
+@pytest.mark.slow
+def test_too_few_iterations_stop_sliding_on_mujoco_warp_too() -> None:
+    trained = TrainingConfiguration(name="go1", source="test", backend="mujoco", settings=GO1, language="mjcf")
+    report = with_mujoco_warp(check(trained, only=["slide-wood", "gravity"]))
+    row = next(row for row in report.rows if row.phenomenon == "slide-wood")
+    assert row.configured == pytest.approx(0.02, abs=0.02)
+    assert row.remark.startswith("holds on mujoco_warp ") and "0.02" in row.remark
+    # The cure gives the measured acceleration there too.
+    assert float(row.remark.split(", and ")[1].split()[0]) == pytest.approx(2.72, rel=0.02)
+    assert report.notes[-1].startswith("1 of 1 flags hold on mujoco_warp ")
+
+
+@pytest.mark.slow
+def test_sliding_and_driving_follow_the_laws() -> None:
+    backend = BackendMuJoCoWarp()
+    settings = {
+        **GO1,
+        "iterations": 100,
+        "ls_iterations": 50,
+        "cone": "elliptic",
+        "impratio": 100.0,
+        "timestep_s": 0.002,
+    }
+    settings |= {"contact_solref": (0.004, 1.0), "contact_solimp": (0.95, 0.95, 0.001, 0.5, 2.0)}
+    slide, carry = phenomena(["slide-wood"])[0], phenomena(["carry-wood"])[0]
+    for one in (slide, carry):
+        simulation = backend.build(one.scenario.scene, {**settings, "drive_interval_s": 0.002})
+        simulation.reset(0)
+        rollout = record(
+            simulation,
+            one.scenario.scene,
+            one.scenario.seconds,
+            interval_s=0.002,
+            speed_limit_m_per_s=one.scenario.scene.speed_limit_m_per_s,
+        )
+        assert abs(one.read(rollout).value - one.reality.value) <= one.reality.tolerance, one.id
+
+
+@pytest.mark.slow
+def test_the_effect_of_an_overflow_is_measured() -> None:
+    model = mujoco.MjModel.from_xml_string(BALLS)
+    falls_m = 0.5 * 9.81 * EFFECT_S**2 - most_needed_data(model).qvel[2] * EFFECT_S
+    need = "the model needs 8 constraint rows and 2 contacts"
+    rows = overflow_effect(model, CapacityLimits(njmax=4))
+    assert rows.startswith(f"{need}, and has place for 4 and 256: after 0.5 s joint ")
+    contacts = overflow_effect(model, CapacityLimits(naconmax=8, worlds=8))
+    assert contacts.startswith(f"{need}, and has place for 1024 and 1: after 0.5 s joint ")
+    for text in (rows, contacts):
+        # The ball whose contact is left out falls on.
+        assert float(text.split(" is ")[1].split()[0]) == pytest.approx(falls_m, rel=0.05)
+    enough = overflow_effect(model, CapacityLimits(njmax=8, naconmax=2, worlds=1))
+    assert enough == f"{need} at most, and has place for them"
+
+
+def test_limits_of_the_engine_are_described() -> None:
+    read = configuration(mujoco.MjModel.from_xml_string(BALLS))
+    assert capacity_row(read, language("mjcf")) is None
+    assert capacity_row(replace(read, capacity=None), language("toml")) is None

@@ -1,0 +1,93 @@
+"""YAML files of strangers: plain values only, within limits, and tags that run nothing."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.readers.yaml_document import MOST_DEPTH, MOST_YAML_BYTES, read_yaml, yaml_document
+
+LETTERS = "abcdefghi"
+
+
+def grown(value: str) -> str:
+    """Nine lists, each of nine aliases of the one before."""
+    lists = [f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in pairwise(LETTERS)]
+    return "\n".join([f"a: &a {value}", *lists])
+
+
+def merged() -> str:
+    tables = [f"{b}: &{b} {{<<: [{', '.join([f'*{a}'] * 9)}]}}" for a, b in pairwise(LETTERS)]
+    return "\n".join(["a: &a {w: 1, x: 2, y: 3, z: 4}", *tables])
+
+
+def test_tuples_slices_and_aliases_are_data() -> None:
+    text = """
+    gravity: !!python/tuple [0.0, 0.0, -9.81]
+    joints: !!python/object/apply:builtins.slice [null, null, null]
+    one: &id001 {x: 1}
+    other: *id001
+    """
+    assert yaml_document(text) == {"gravity": (0.0, 0.0, -9.81), "joints": None, "one": {"x": 1}, "other": {"x": 1}}
+
+
+@pytest.mark.parametrize(
+    "tag",
+    [
+        "!!python/object/apply:os.system ['touch RAN']",
+        "!!python/object/apply:builtins.open ['RAN', 'w']",
+        "!!python/object/new:os.system ['touch RAN']",
+        "!!python/object:collections.Counter {}",
+        "!!python/name:os.system ''",
+        "!!python/module:os ''",
+        "!!python/object/apply:builtins.slice.x [1]",
+        "!!python/tupl [1]",
+    ],
+)
+def test_every_other_tag_of_python_is_refused(tag: str, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "env.yaml").write_text(f"sim:\n  dt: {tag}\n")
+    with pytest.raises(TargetError, match=r"env\.yaml: line 2: the tag !!python/\S+ would run code; only"):
+        read_yaml(tmp_path / "env.yaml")
+    assert not (tmp_path / "RAN").exists()
+
+
+def test_a_slice_is_never_called() -> None:
+    assert yaml_document("a: !!python/object/apply:builtins.slice {args: [1, 2], state: {x: 1}}") == {"a": None}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (grown("[x, x]"), "more than 50000 values"),
+        (merged(), "more than 50000 values"),
+        ("- 1\n" * 50_001, "more than 50000 values"),
+        ("a: &a [*a]", "contains itself"),
+        ("a: &a {b: {c: *a}}", "contains itself"),
+        ("[" * 50_000, f"more than {MOST_DEPTH} deep"),
+        ("".join(f"{' ' * k}a:\n" for k in range(200)), f"more than {MOST_DEPTH} deep"),
+        ("a: *x", "undefined alias"),
+        ("a: 1\n---\nb: 2", "single document"),
+        ("a: !unknown 1", "is unknown"),
+        ("a: 2020-99-99", "month"),
+        ("a: !!bool x", "cannot be read"),
+        ("a: !!timestamp x", "cannot be read"),
+        ("a: " + "9" * 9000, "digits"),
+        ("a: \x00", "no YAML"),
+        ("? [a]\n: 1", "unhashable"),
+        ("x" * (MOST_YAML_BYTES + 1), "the limit is"),
+        (b"\xff\xfe\x00", "utf-8"),
+    ],
+    ids=lambda value: str(value)[:20].strip(),
+)
+def test_what_is_damaged_or_too_large_is_an_error(text: str | bytes, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        yaml_document(text)
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path) -> None:
+    for name, reason in {"absent.yaml": "no such file", ".": "not a regular file"}.items():
+        with pytest.raises(TargetError, match=reason):
+            read_yaml(tmp_path / name)

@@ -1,0 +1,311 @@
+"""The static site: its numbers are those of the results, its texts are escaped, and it replaces a site as a whole."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ResultFileError
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.pages.svg import ForestRow, forest, simplified
+from gauge_envs.pages.text import score_text
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.replay import replay
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import load_result
+from gauge_envs.scene.jitter import Jitter
+from gauge_envs.tools.site import save_site
+from gauge_envs.tools.site.replay import quantized, replay_data
+from gauge_envs.tools.site.reproduce import run_command
+
+SETTINGS = {"timestep_s": 1 / 900}
+
+
+class Page(HTMLParser):
+    """Elements and texts of a page."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.feed(file.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.texts)
+
+    @property
+    def links(self) -> list[str]:
+        return [
+            value
+            for _, attributes in self.elements
+            for key, value in attributes.items()
+            if key in ("href", "src") and value
+        ]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Result]:
+    folder = tmp_path_factory.mktemp("results")
+    requests = [
+        RunRequest(name, settings=settings)
+        for name in ("SlopeSlider-2-wood", "NonsmoothContact-3-wood", "SlopeSlider-3-wood")
+        for settings in (None, SETTINGS)
+    ]
+    list(run_many(requests, out=folder))
+    return {file: load_result(file) for file in sorted(folder.glob("*.json"))}
+
+
+@pytest.fixture(scope="module")
+def site(results: dict[Path, Result], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("site") / "site"
+    assert save_site(results, out) == ()
+    return out
+
+
+def pages(site: Path) -> list[Path]:
+    return sorted(site.glob("*.html"))
+
+
+def test_every_link_leads_to_a_file_of_the_site(site: Path) -> None:
+    assert len(pages(site)) == 2 + 3 + 1
+    for file in pages(site):
+        links = [link for link in Page(file).links if link != "data:,"]
+        assert links
+        for link in links:
+            assert (site / link).is_file(), f"{file.name}: {link}"
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    for file in (*pages(site), site / "assets" / "site.css", site / "assets" / "replay.js"):
+        assert not re.search(r"https?://|//[a-z]+\.[a-z]|@import|url\(", file.read_text(encoding="utf-8")), file.name
+
+
+def test_the_scores_are_those_of_the_results(site: Path, results: dict[Path, Result]) -> None:
+    overview, experiment = Page(site / "index.html").text, Page(site / "experiment-SlopeSlider-2-wood.html").text
+    for result in results.values():
+        if result.id != "GAUGE/SlopeSlider-2-wood":
+            continue
+        value, interval = result.score.rmse_aligned_normalized, result.score.rmse_aligned_normalized_95
+        assert value is not None and interval is not None
+        text = f"{score_text(value)} [{score_text(interval[0])}, {score_text(interval[1])}]"
+        assert text in overview
+        assert text in experiment
+
+
+@pytest.mark.parametrize("is_same", [True, False], ids=["same run", "other friction"])
+def test_the_first_page_says_whether_two_configurations_differ(is_same: bool, tmp_path: Path) -> None:
+    # The default step given as a setting is another configuration of the same run.
+    default = next(run_many([RunRequest("SlopeSlider-2-wood")], out=tmp_path))
+    other = (
+        {"settings": {"timestep_s": default.settings["timestep_s"]}}
+        if is_same
+        else {"parameters": {"cube.friction": 0.05}}
+    )
+    list(run_many([RunRequest("SlopeSlider-2-wood", **other)], out=tmp_path))
+    save_site({file: load_result(file) for file in tmp_path.glob("*.json")}, tmp_path / "site", replays=False)
+    overview = Page(tmp_path / "site" / "index.html").text
+    experiment = Page(tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").text
+    assert ("Not distinguishable from it" in overview) == is_same
+    assert ("Distinguishably further" in overview) != is_same
+    assert f"{0 if is_same else 1} of 1 pairs are distinguishable" in experiment
+
+
+def test_an_experiment_without_a_reference_shows_distances(site: Path) -> None:
+    assert "how far engines are apart" in Page(site / "index.html").text
+    assert "Distances between engines" in Page(site / "experiment-SlopeSlider-3-wood.html").text
+
+
+def test_replays_hold_the_poses_of_the_run(site: Path, results: dict[Path, Result]) -> None:
+    files = sorted((site / "data").glob("SlopeSlider-2-wood.*.js"))
+    assert len(files) == 2
+    key, data = json.loads("[" + files[0].read_text().removeprefix("gaugeReplay(").removesuffix(");\n") + "]")
+    assert key == files[0].name.removesuffix(".js")
+    assert data["moving"] == ["cube"]
+    assert data["views"] == 37
+
+
+# --- strangers' files ---
+
+EVIL = '"><img src=x onerror=alert(1)><script>alert(2)</script></style>'
+
+
+def tags(file: Path) -> list[str]:
+    page = Page(file)
+    assert not [key for _, attributes in page.elements for key in attributes if key.startswith("on")], file.name
+    return [tag for tag, _ in page.elements]
+
+
+def test_hostile_texts_are_escaped(results: dict[Path, Result], tmp_path: Path) -> None:
+    file, result = next((file, one) for file, one in results.items() if one.id == "GAUGE/SlopeSlider-2-wood")
+    hostile = replace(
+        result,
+        backend=EVIL,
+        parameters={EVIL: EVIL},
+        settings={EVIL: EVIL},
+        settings_given={EVIL: EVIL},
+        versions={**result.versions, EVIL: EVIL},
+        created=EVIL,
+        score=replace(result.score, unit=EVIL),
+        trajectory=replace(result.trajectory, unit=EVIL) if result.trajectory else None,
+    )
+    diverged = replace(hostile, seed=1, diverged_reason=EVIL + "\x1b[31m\ud800")
+    out = tmp_path / "site"
+    other = tmp_path / EVIL.replace("/", "")
+    other.write_text("{}")
+    save_site({file: hostile, other: diverged}, out, replays=False, command=EVIL)
+    for page in pages(out):
+        assert "img" not in tags(page), page.name
+        assert "script" not in tags(page), page.name
+        assert "\x1b" not in page.read_text(encoding="utf-8")
+    assert EVIL in Page(out / "reproduce.html").text
+
+
+def test_a_damaged_file_is_named_and_skipped(results: dict[Path, Result], tmp_path: Path) -> None:
+    source = tmp_path / "results"
+    source.mkdir()
+    good = next(iter(results))
+    (source / good.name).write_bytes(good.read_bytes())
+    (source / "damaged.json").write_bytes(good.read_bytes()[:-40])
+    run = CliRunner().invoke(app, ["report", str(source), "--out", str(tmp_path / "site"), "--no-replay"])
+    assert run.exit_code == 1
+    assert "damaged.json" in run.stderr
+    assert (tmp_path / "site" / "index.html").is_file()
+
+
+def test_an_empty_folder_is_an_error(tmp_path: Path) -> None:
+    run = CliRunner().invoke(app, ["report", str(tmp_path), "--out", str(tmp_path / "site")])
+    assert run.exit_code == 2
+    assert "holds no result files" in run.stderr
+    with pytest.raises(ResultFileError, match="no result"):
+        save_site({}, tmp_path / "site")
+
+
+# --- the folder ---
+
+
+def test_a_folder_with_something_else_is_refused(results: dict[Path, Result], tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(ResultFileError, match="something else than a site"):
+        save_site(results, tmp_path, replays=False)
+    assert (tmp_path / "thesis.txt").read_text() == "mine"
+
+
+def test_a_new_site_replaces_the_whole_old_one(results: dict[Path, Result], tmp_path: Path) -> None:
+    out = tmp_path / "site"
+    save_site(results, out, replays=False)
+    first = dict(list(results.items())[:1])
+    save_site(first, out, replays=False)
+    assert len(list(out.glob("experiment-*.html"))) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["site"]
+
+
+def test_an_interrupted_site_leaves_the_old_one(results: dict[Path, Result], tmp_path: Path) -> None:
+    out = tmp_path / "site"
+    save_site(dict(list(results.items())[:1]), out, replays=False)
+    before = sorted(path.name for path in out.rglob("*"))
+
+    def interrupt(name: str) -> None:
+        if name == "SlopeSlider-3-wood":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save_site(results, out, replays=False, progress=interrupt)
+    assert sorted(path.name for path in out.rglob("*")) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["site"]
+
+
+# --- numbers ---
+
+
+def test_a_quantized_position_is_within_half_a_step() -> None:
+    positions = np.random.default_rng(0).normal(size=(50, 3, 3)) * (1.0, 0.01, 0.0)
+    one = quantized(positions)
+    assert (np.abs(one.restored() - positions) <= 0.5000001 * one.step_m + 1e-12).all()
+    np.testing.assert_allclose(one.step_m[:2], np.ptp(positions, axis=(0, 1))[:2] / 65534)
+
+
+def test_the_ghost_has_the_real_values_along_the_measured_directions(results: dict[Path, Result]) -> None:
+    result = next(one for one in results.values() if one.id == "GAUGE/SlopeSlider-2-wood")
+    experiment = load_experiment("SlopeSlider-2-wood")
+    band = reference_band(experiment)
+    assert band is not None
+    ghost = replay_data(experiment, replay(result), band, label="", color="")["ghost"]
+    places_mm = 1e3 * np.array(ghost["places"])[:, 0]
+    # Rounded to 10 micrometres.
+    np.testing.assert_allclose(band.project(places_mm), band.mean, atol=0.02)
+    # Across the slope nothing was measured, so that the ghost stays in the plane of the start.
+    across = np.linalg.svd(band.projection)[2][1:]
+    np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=0.02)
+
+
+def test_a_simplified_curve_is_near_all_samples() -> None:
+    x = np.linspace(0.0, 300.0, 1000)
+    points = np.column_stack([x, 80.0 * np.abs(np.sin(x / 20.0))])
+    few = simplified(points, 0.2)
+    assert len(few) < 400
+    assert np.abs(np.interp(x, few[:, 0], few[:, 1]) - points[:, 1]).max() < 1.0
+
+
+def requests() -> Sequence[RunRequest]:
+    return (
+        RunRequest("SlopeSlider-2-wood", settings=SETTINGS, seed=3),
+        RunRequest("SlopeSlider-2-wood", parameters={"cube.friction": 0.21}),
+        RunRequest("BouncingBall-rubber", parameters="effective"),
+        RunRequest("SlopeSlider-2-wood", repeats=2, seed=1, jitter=Jitter(position_m=0.0015, angle_rad=0.01)),
+    )
+
+
+@pytest.mark.parametrize("request_", requests(), ids=["settings", "overrides", "set", "repeats"])
+def test_the_command_of_a_page_makes_the_same_results(request_: RunRequest, tmp_path: Path) -> None:
+    made = list(run_many([request_]))
+    command = run_command(made)
+    assert command is not None
+    words = [word.strip("'") for word in command.split()]
+    run = CliRunner().invoke(app, [*words[1:], "--out", str(tmp_path)])
+    assert run.exit_code == 0, run.output
+    again = sorted((load_result(file) for file in tmp_path.glob("*.json")), key=lambda one: one.seed or 0)
+    assert [one.seed for one in again] == [one.seed for one in made]
+    for one, other in zip(made, again, strict=True):
+        assert one.trajectory == other.trajectory
+        assert one.settings == other.settings
+
+
+def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot() -> None:
+    rows = [
+        ForestRow(label=name, color="red", value=value, interval=(0.5 * value, 2.0 * value))
+        for name, value in (("near", 0.02), ("far", 3.0))
+    ]
+    drawn = forest("scores", rows)
+    # Each arrow is a path, and each dot a circle.
+    assert (drawn.count("<path"), drawn.count("<circle")) == (1, 1)
+    assert "arrow in place of a dot" in drawn
+    assert "arrow in place of a dot" not in forest("scores", rows[1:])
+
+
+def test_a_page_says_when_its_reference_ends(site: Path) -> None:
+    # The law of a fall holds until the first contact, after frame 3 of 10.
+    assert "It ends at 0.10 s." in Page(site / "experiment-NonsmoothContact-3-wood.html").text
+    assert "It ends" not in Page(site / "experiment-SlopeSlider-2-wood.html").text
+
+
+def test_the_share_of_closer_trials_is_shown_where_there_are_trials(site: Path) -> None:
+    assert "real trials closer" in Page(site / "experiment-SlopeSlider-2-wood.html").text
+    assert "closer" not in Page(site / "experiment-NonsmoothContact-3-wood.html").text

@@ -1,0 +1,290 @@
+"""Hostile sweep files, result files, stores and statements end in an error for people, and nothing is written."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import stat
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.evaluation.score import Score
+from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.tools.sweep import command
+from gauge_envs.tools.sweep.estimate import EarlierCosts
+from gauge_envs.tools.sweep.folder import SweepFolder
+from gauge_envs.tools.sweep.plan import plan_sweep
+from gauge_envs.tools.sweep.query import query_sweep
+from gauge_envs.tools.sweep.spec import sweep_spec
+from gauge_envs.tools.sweep.store import SweepStore
+
+NAME = "SlopeSlider-2-wood"
+ESCAPE = "\x1b[2J"
+
+
+def failed(**changes: Any) -> Result:
+    values: dict[str, Any] = {
+        "id": f"GAUGE/{NAME}",
+        "outcome": Outcome.FAILED,
+        "parameters": "calibrated",
+        "score": Score(grade="trials", unit="mm"),
+        "task_sha256": "0",
+        "backend": "mujoco",
+        "error": "it broke",
+        "seed": 0,
+    }
+    return Result(**values | changes)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> SweepFolder:
+    """A folder with the result file of an episode that did not run."""
+    folder = SweepFolder(tmp_path / "out")
+    folder.create()
+    folder.write(failed(), "a.json")
+    return folder
+
+
+def gauge(*arguments: Any) -> Any:
+    return CliRunner(env={"COLUMNS": "160"}).invoke(app, list(map(str, arguments)))
+
+
+# --- statements ---
+
+WRITES = {
+    "a table": "CREATE TEMP TABLE other (a)",
+    "a file": "VACUUM INTO '{0}/copy.sqlite'",
+    "another file": "ATTACH '{0}/other.sqlite' AS other",
+    "rows": "DELETE FROM results RETURNING file",
+    "the schema": "PRAGMA writable_schema = 1",
+    "code": "SELECT load_extension('{0}/library.so')",
+    "the header": "PRAGMA user_version = 7",
+}
+
+
+@pytest.mark.parametrize("what", WRITES)
+def test_a_statement_writes_nothing(what: str, folder: SweepFolder, tmp_path: Path) -> None:
+    query_sweep(folder.path, "SELECT 1")
+    before, content = sorted(tmp_path.rglob("*")), folder.store_path.read_bytes()
+    with pytest.raises(ParameterError):
+        query_sweep(folder.path, WRITES[what].format(tmp_path))
+    assert sorted(tmp_path.rglob("*")) == before and folder.store_path.read_bytes() == content
+
+
+ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT {0} FROM n"
+
+
+@pytest.mark.parametrize(
+    ("sql", "reason"),
+    [
+        (ENDLESS.format("max(x)"), "took more than 0.05 s"),
+        (ENDLESS.format("x"), "the answer has 0.1 MB, the limit: add a LIMIT"),
+        ("SELECT zeroblob(999999999)", "string or blob too big"),
+    ],
+)
+def test_a_statement_has_limits(sql: str, reason: str, folder: SweepFolder) -> None:
+    with pytest.raises(ParameterError, match=reason):
+        query_sweep(folder.path, sql, time_limit_s=0.05, most_bytes=10**5)
+
+
+def test_ctrl_c_ends_a_statement(folder: SweepFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> float:
+        if calls.append(None) or len(calls) == 2:
+            raise KeyboardInterrupt
+        return 0.0
+
+    calls: list[None] = []
+    monkeypatch.setattr("gauge_envs.tools.sweep.query.time.monotonic", interrupted)
+    with pytest.raises(ParameterError, match="interrupted"):
+        query_sweep(folder.path, ENDLESS.format("max(x)"))
+
+
+@pytest.mark.parametrize("form", ["table", "csv", "json"])
+@pytest.mark.parametrize("value", ["x'00ff'", "1e999", "char(27) || '[2J'", "'[red]' || char(10) || 'b'", "''"])
+def test_any_value_can_be_printed(form: str, value: str, folder: SweepFolder) -> None:
+    result = gauge("query", folder.path, f"SELECT {value} AS value", "--format", form)
+    assert result.exit_code == 0, result.stderr
+    assert "value" in result.stdout and "\x1b" not in result.stdout
+    assert ("00ff" in result.stdout) == ("x'" in value)
+    assert ("[red]" in result.stdout) == ("red" in value)
+    assert form != "json" or list(json.loads(result.stdout)) == ["value"]
+
+
+def test_json_loses_no_column(folder: SweepFolder) -> None:
+    result = gauge("query", folder.path, "SELECT 1 AS a, 2 AS a", "--format", "json")
+    assert result.exit_code == 2 and "two columns have the name 'a'" in result.stderr
+
+
+# --- files of a folder ---
+
+
+def test_result_files_hold_what_sqlite_does_not(folder: SweepFolder) -> None:
+    hostile = {
+        "seed": 10**30,
+        "settings": {"timestep_s": [1, {"a": 2}], "preset": {"b": 1}},
+        "error": "\ud800" + ESCAPE,
+        "marker_proxy": "material",
+    }
+    folder.write(failed(**hostile), "b.json")
+    _, rows = query_sweep(folder.path, "SELECT error, seed, timestep_s, preset FROM results ORDER BY file")
+    assert rows == [("it broke", 0, None, None), ("\\ud800" + ESCAPE, float("inf"), '[1, {"a": 2}]', '{"b": 1}')]
+
+
+def test_names_of_files_are_no_unicode(folder: SweepFolder) -> None:
+    file = folder.path / "failed" / os.fsdecode(b"\xff.json")
+    file.write_bytes((folder.path / "failed" / "a.json").read_bytes())
+    for _ in range(2):
+        assert query_sweep(folder.path, "SELECT file FROM results ORDER BY file")[1] == [
+            ("failed/\\udcff.json",),
+            ("failed/a.json",),
+        ]
+
+
+def dangling(file: Path) -> None:
+    file.symlink_to("nowhere")
+
+
+def loop(file: Path) -> None:
+    file.symlink_to(file)
+
+
+def fifo(file: Path) -> None:
+    os.mkfifo(file)
+
+
+def subfolder(file: Path) -> None:
+    file.mkdir()
+
+
+@pytest.mark.parametrize("make", [dangling, loop, fifo, subfolder])
+def test_what_is_no_file_takes_no_part(make: Callable[[Path], None], folder: SweepFolder) -> None:
+    make(folder.path / "b.json")
+    assert query_sweep(folder.path, "SELECT file FROM results")[1] == [("failed/a.json",)]
+
+
+# --- stores ---
+
+
+def spoil_text(store: Path) -> None:
+    with closing(sqlite3.connect(store)) as connection, connection:
+        connection.execute("UPDATE results SET file = CAST(x'ff' AS TEXT), outcome = 'diverged'")
+
+
+def add_trigger(store: Path) -> None:
+    with closing(sqlite3.connect(store)) as connection, connection:
+        connection.execute(
+            f"CREATE TRIGGER t DELETE ON results BEGIN INSERT INTO results(file) {ENDLESS.format('x')}; END"
+        )
+
+
+def make_view(store: Path) -> None:
+    with closing(sqlite3.connect(store)) as connection, connection:
+        columns = ", ".join(f"x AS {row[1]}" for row in connection.execute("PRAGMA table_info(results)"))
+        connection.execute("DROP TABLE results")
+        connection.execute(f"CREATE VIEW results AS {ENDLESS.format(columns)}")
+
+
+def make_folder(store: Path) -> None:
+    store.unlink()
+    store.mkdir()
+
+
+def make_fifo(store: Path) -> None:
+    store.unlink()
+    os.mkfifo(store)
+
+
+def lock(store: Path) -> None:
+    store.unlink()
+    store.symlink_to("/proc/self/mem")
+
+
+@pytest.mark.parametrize("damage", [spoil_text, add_trigger, make_view, make_folder, make_fifo, lock])
+def test_a_hostile_store_is_an_error_or_is_made_again(damage: Callable[[Path], None], folder: SweepFolder) -> None:
+    query_sweep(folder.path, "SELECT 1")
+    damage(folder.store_path)
+    for used in (asked, synchronised):
+        try:
+            outcome = used(folder)
+        except GaugeError as error:
+            outcome = str(error)
+        assert outcome is None or any(text in outcome for text in ("sweep.sqlite", "took more than")), outcome
+    EarlierCosts(folder)
+
+
+def asked(folder: SweepFolder) -> str | None:
+    """Return what is said about the store; without a word, its rows must be those of the files."""
+    notes: list[str] = []
+    _, rows = query_sweep(folder.path, "SELECT outcome FROM results", time_limit_s=0.05, notify=notes.append)
+    assert notes or rows == [("failed",)]
+    return " ".join(notes) or None
+
+
+def synchronised(folder: SweepFolder) -> str | None:
+    with SweepStore(folder, lambda text: None) as store:
+        store.synchronise()
+        store.diverged(())
+    return None
+
+
+def test_costs_of_a_hostile_store_are_unknown(folder: SweepFolder) -> None:
+    with SweepStore(folder, lambda text: None) as store:
+        store.synchronise()
+    with closing(sqlite3.connect(folder.store_path)) as connection, connection:
+        connection.execute("UPDATE results SET outcome = 'finished', wall_s = 'long', sim_s = 1, timestep_s = 1e-3")
+        connection.execute(
+            "INSERT INTO results (file, outcome, wall_s, sim_s, timestep_s) VALUES ('b', 'finished', 1, 9e999, 1)"
+        )
+    EarlierCosts(folder)
+
+
+# --- sweep files and options ---
+
+
+def test_endless_combinations_are_refused() -> None:
+    settings = {f"a{number}": [1, 2] for number in range(15_000)}
+    with pytest.raises(ParameterError, match="more than 1,000,000,000,000,000 episodes, the limit is 1,000,000"):
+        plan_sweep(sweep_spec({"variants": [NAME], "settings": settings}))
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("seed = 100000000000000000000", [], "seed: Input should be less than or equal to"),
+        ("[settings]\nmujoco = [1]", [], "settings.mujoco: the name of an engine; a table of settings is expected"),
+        (
+            'backends = ["rapier"]\n[settings]\nmujoco = [1]',
+            ["--backend", "mujoco", "--set", "mujoco.iterations=3"],
+            "settings.mujoco of the sweep file is a list",
+        ),
+        ("", ["--shard", "1" * 5000 + "/2"], "expected NUMBER/COUNT, as 0/16"),
+    ],
+)
+def test_hostile_requests_have_exit_code_2(text: str, options: list[str], message: str, tmp_path: Path) -> None:
+    file = tmp_path / "sweep.toml"
+    file.write_text(f'variants = ["{NAME}"]\n{text}\n')
+    result = gauge("sweep", file, "--dry-run", "--out", tmp_path / "out", *options)
+    assert result.exit_code == 2 and message in " ".join(result.stderr.split())
+
+
+def test_there_are_no_more_lanes_than_tasks() -> None:
+    from gauge_envs.tools.sweep.lanes import Limits
+
+    assert len(command._lanes(None, None, 10**9, Limits(), 3)) == 3
+
+
+def test_the_slurm_script_takes_the_place_of_no_device(tmp_path: Path) -> None:
+    (tmp_path / "sweep.toml").write_text(f'variants = ["{NAME}"]\n')
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    result = gauge("sweep", tmp_path / "sweep.toml", "--slurm", pipe)
+    assert result.exit_code == 2 and "it is not a regular file" in result.stderr
+    assert stat.S_ISFIFO(pipe.stat().st_mode)

@@ -1,0 +1,106 @@
+"""Sweeps that are killed at random moments, and Ray: the same bits, nothing lost, nothing twice."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from places import ROOT
+from sweep_lanes import HereLane, contents, needs_rapier
+
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result import Result
+from gauge_envs.tools.sweep.lanes import Limits
+from gauge_envs.tools.sweep.plan import SweepPlan, plan_sweep
+from gauge_envs.tools.sweep.query import query_sweep
+from gauge_envs.tools.sweep.ray_lanes import ray_lanes
+from gauge_envs.tools.sweep.session import SweepSession
+from gauge_envs.tools.sweep.spec import sweep_spec
+
+VALUES: dict[str, Any] = {
+    "backends": ["mujoco", "rapier"],
+    "variants": ["SlopeSlider-2-*"],
+    "repeats": 2,
+    "settings": {"timestep_s": [1 / 360, 1 / 720]},
+}
+COUNT = 24
+COMMAND = [
+    *(sys.executable, "-c", "from gauge_command import main; main()", "sweep", "--workers", "2"),
+    *("--backend", "mujoco", "--backend", "rapier", "--variant", "SlopeSlider-2-*", "--repeats", "2"),
+    *("--set", f"timestep_s={1 / 360!r},{1 / 720!r}", "--retry-failed", "--out"),
+]
+
+
+def whole(folder: Path) -> dict[str, str]:
+    """The results of the sweep in one process."""
+    with SweepSession(plan_sweep(sweep_spec(VALUES)), folder) as session:
+        assert len(list(session.run([HereLane()]))) == COUNT
+    return contents(folder)
+
+
+def children(pid: int) -> list[int]:
+    """Processes that any thread of a process has started."""
+    files = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for file in files for word in file.read_text().split()]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
+@needs_rapier
+def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_path: Path) -> None:
+    expected = whole(tmp_path / "whole")
+    folder, moments = tmp_path / "killed", random.Random(0)
+    kills = []
+    for victim in ("parent", "parent", "worker", None):
+        before = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.json")}
+        process = subprocess.Popen([*COMMAND, str(folder)], cwd=ROOT, stdout=subprocess.DEVNULL)
+        while victim and process.poll() is None and len(list(folder.glob("*.json"))) < len(before) + 3:
+            time.sleep(0.01)
+        time.sleep(moments.uniform(0.0, 0.3))
+        for pid in [process.pid] if victim == "parent" else children(process.pid)[:1] if victim else []:
+            os.kill(pid, signal.SIGKILL)
+            kills.append(victim)
+        returncode = process.wait()
+        assert returncode in ({"parent": [-signal.SIGKILL], "worker": [0, 1], None: [0]}[victim])
+        after = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.json")}
+        assert before.items() <= after.items()
+        assert contents(folder).items() <= expected.items()
+    assert kills == ["parent", "parent", "worker"]
+    assert contents(folder) == expected
+    assert query_sweep(folder, "SELECT outcome, count(*) FROM results GROUP BY 1")[1] == [("finished", COUNT)]
+
+
+@pytest.mark.slow
+@needs_rapier
+def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray = pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    expected = whole(tmp_path / "whole")
+    plan: SweepPlan = plan_sweep(sweep_spec(VALUES))
+    lanes = ray_lanes("local", 2, Limits())
+    try:
+        first = lanes[0]
+        run, calls = first.run, []
+
+        def run_and_kill(request: RunRequest) -> list[Result]:
+            calls.append(request)
+            if len(calls) == 3:
+                ray.kill(first._actor)
+            return run(request)
+
+        monkeypatch.setattr(first, "run", run_and_kill)
+        with SweepSession(plan, tmp_path / "ray") as session:
+            assert len(list(session.run(lanes))) == COUNT
+    finally:
+        ray.shutdown()
+    assert len(calls) > 3
+    assert contents(tmp_path / "ray") == expected

@@ -1,0 +1,245 @@
+"""Envelopes against closed forms, and the ranges that are written for other packages."""
+
+from __future__ import annotations
+
+import json
+import math
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs import load_experiment, variants
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
+from gauge_envs.tools.transfer.envelope import Envelope, LawPolicy, control_envelope, experiment_envelope, sobol_sigmas
+from gauge_envs.tools.transfer.envelope_statistics import envelope_report
+from gauge_envs.tools.transfer.policy_replays import make_control_env
+from gauge_envs.tools.transfer.randomization import randomization_files, ranges_of
+from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
+
+SLIDE = "SlopeSlider-2-wood"
+TASK = "SlopeSlider-Limit-wood"
+FAST = {"timestep_s": 1 / 1080}
+
+
+# --- parameters ---
+
+
+def test_parameters_have_the_uncertainties_of_their_files() -> None:
+    found = {one.name: one for one in uncertain_parameters(load_experiment(SLIDE))}
+    assert list(found) == [
+        "cube.friction",
+        "cube.restitution",
+        "cube.mass_kg",
+        "cube.position_m along its x axis",
+        "cube.position_m along its y axis",
+    ]
+    assert (found["cube.friction"].value, found["cube.friction"].std) == (0.273673, 0.0079)
+    assert found["cube.mass_kg"].std == pytest.approx(1e-4 / math.sqrt(12))
+    assert all(one.source for one in found.values())
+    # The face of a board at 30 degrees.
+    assert abs(found["cube.position_m along its x axis"].direction[2]) == pytest.approx(0.5)
+
+
+def test_every_experiment_can_be_moved_along_its_parameters() -> None:
+    for variant in variants():
+        experiment = load_experiment(variant)
+        parameters = uncertain_parameters(experiment)
+        moved = load_experiment(variant, overrides_at(parameters, [1.0] * len(parameters))).scene
+        assert (moved == experiment.scene) is (not parameters), variant.name
+
+
+def test_a_control_task_takes_the_sigma_of_its_limit() -> None:
+    env = make_control_env(TASK)
+    friction = next(one for one in task_uncertainties(env) if one.key == "cube.friction")
+    assert (friction.value, friction.std) == (env.limit.value, env.limit.sigma)
+    assert env.limit.sigma_source in friction.source
+
+
+def test_values_stay_physical() -> None:
+    friction = next(one for one in uncertain_parameters(load_experiment(SLIDE)) if one.key == "cube.friction")
+    assert overrides_at([friction], [-100.0]) == {"cube.friction": 0.0}
+    assert overrides_at([replace(friction, high=0.3)], [100.0]) == {"cube.friction": 0.3}
+
+
+def test_points_are_normally_distributed() -> None:
+    points = sobol_sigmas(4096, 3, seed=1)
+    # A Sobol sequence of 4096 points is far closer than the 0.016 of random numbers.
+    assert np.abs(points.mean(axis=0)).max() < 0.002
+    assert np.abs(points.std(axis=0) - 1.0).max() < 0.005
+    assert np.array_equal(points, sobol_sigmas(4096, 3, seed=1))
+    with pytest.raises(ParameterError, match="100 samples: a Sobol sequence needs a power of 2"):
+        sobol_sigmas(100, 3)
+
+
+# --- envelopes ---
+
+
+def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses() -> None:
+    """At 0.98 of the calibrated friction, open loop: it slips where friction is below 0.98 of the calibrated one."""
+    found = control_envelope(TASK, policy=LawPolicy(fraction=0.98), samples=8, settings=FAST)
+    column = [one.key for one in found.parameters].index("cube.friction")
+    friction = found.parameters[column]
+    relative = 1.0 + found.sigmas[:, column] * friction.std / friction.value
+    # Within 1 % of its limit a cube creeps to the speed of a slip, or just does not.
+    clear = np.abs(relative - 0.98) > 0.01
+    assert clear.sum() > 5
+    expected = np.where(relative > 0.98, "held", "slipped")
+    assert np.array_equal(np.array(found.endings)[clear], expected[clear])
+    report = envelope_report(found)
+    assert report.effects[0].parameter.key == "cube.friction"
+    assert report.largest_ratio == pytest.approx(0.98 / relative[relative > 0.98].min(), abs=0.03)
+
+
+def test_carry_pays_over_friction_as_the_law_says() -> None:
+    """The same actions need the same friction where the cube holds, so their share of the limit is that over mu."""
+    found = control_envelope("Carry-Limit-wood", policy=LawPolicy(fraction=0.8), samples=8, settings=FAST, batch=5)
+    column = [one.key for one in found.parameters].index("cube.friction")
+    friction = found.parameters[column]
+    relative = 1.0 + found.sigmas[:, column] * friction.std / friction.value
+    assert relative.min() > 0.82  # the cube holds in all worlds
+    assert set(found.endings) == {"reached"}
+    # A third of the reward is for the way, and two thirds are the share of the limit.
+    share = (found.calibrated - 1.0 / 3.0) * 1.5
+    assert found.ratios == pytest.approx(share / relative, rel=2e-3)
+    assert found.values == pytest.approx(1.0 / 3.0 + 2.0 / 3.0 * share / relative, rel=2e-3)
+
+
+def test_a_policy_that_knows_the_constants_succeeds_everywhere() -> None:
+    found = control_envelope(TASK, policy=LawPolicy(informed=True), samples=2, settings=FAST)
+    assert set(found.endings) == {"held"}
+    assert found.ratios == pytest.approx(np.full(2, 0.95), abs=0.005)
+
+
+def test_the_size_of_a_batch_changes_nothing() -> None:
+    found = experiment_envelope(SLIDE, samples=4, batch=3)
+    assert found.quantity == "normalized RMSE"
+    assert np.array_equal(found.values, experiment_envelope(SLIDE, samples=4, batch=4).values)
+    # README: the score of this experiment.
+    assert found.calibrated == pytest.approx(0.41, abs=0.005)
+
+
+def test_experiments_without_a_band_have_a_deviation() -> None:
+    found = experiment_envelope("SlopeSlider-3-wood", samples=2, settings={"timestep_s": 1 / 1080})
+    assert (found.quantity, found.calibrated) == ("deviation", 0.0)
+    assert np.all(found.values > 0.0)
+
+
+def test_effects_are_those_of_a_known_function() -> None:
+    parameters = uncertain_parameters(load_experiment(SLIDE))
+    sigmas = sobol_sigmas(256, len(parameters))
+    values = 3.0 + 0.5 * sigmas[:, 0] - 2.0 * sigmas[:, 2]
+    found = Envelope(
+        id="GAUGE/X",
+        backend="mujoco",
+        quantity="reward",
+        unit="1",
+        policy="none",
+        scene=load_experiment(SLIDE).scene,
+        parameters=parameters,
+        sigmas=sigmas,
+        values=values,
+        calibrated=3.0,
+        endings=("complete",) * 256,
+        calibrated_ending="complete",
+    )
+    report = envelope_report(found)
+    assert [one.parameter.key for one in report.effects[:2]] == ["cube.mass_kg", "cube.friction"]
+    assert [one.per_sigma for one in report.effects[:2]] == pytest.approx([-2.0, 0.5])
+    assert (report.low, report.high) == pytest.approx((3 - 1.96 * 2.06, 3 + 1.96 * 2.06), abs=0.15)
+
+
+# --- ranges ---
+
+
+def test_all_files_of_all_experiments_compile() -> None:
+    for variant in variants():
+        experiment = load_experiment(variant)
+        files = randomization_files(experiment.id, experiment.scene, uncertain_parameters(experiment))
+        assert len(files) == 4
+        for name, text in files.items():
+            compile(text, f"{variant.name}/{name}", "exec")
+
+
+def test_ranges_have_their_width_and_stay_physical() -> None:
+    ranges = {one.parameter.name: one for one in ranges_of(uncertain_parameters(load_experiment(SLIDE)), 3.0)}
+    assert ranges["cube.friction"].high - ranges["cube.friction"].low == pytest.approx(6 * 0.0079)
+    assert ranges["cube.position_m along its x axis"].half_m == pytest.approx(0.003)
+    with pytest.raises(ParameterError, match="above 0"):
+        ranges_of([], 0.0)
+
+
+def test_a_tilted_start_is_not_written_as_independent_ranges() -> None:
+    experiment = load_experiment(SLIDE)
+    text = randomization_files(experiment.id, experiment.scene, uncertain_parameters(experiment))
+    assert "its face is tilted" in text["randomized_isaac_lab.py"]
+    assert "reset_root_state_uniform" not in text["randomized_isaac_lab.py"]
+
+
+def test_a_body_on_a_slope_is_built_with_its_orientation() -> None:
+    """ManiSkill's builder takes a pose; a quaternion of SAPIEN is w, x, y, z, as this package's."""
+    experiment = load_experiment(SLIDE)
+    text = randomization_files(experiment.id, experiment.scene, uncertain_parameters(experiment))
+    (line,) = (one for one in text["randomized_maniskill.py"].splitlines() if "initial_pose" in one)
+    turned = eval(line.partition("q=")[2].rstrip(")"))
+    # The board of SlopeSlider-2 is tilted by 30 degrees.
+    assert 2.0 * math.degrees(math.acos(abs(turned[0]))) == pytest.approx(30.0, abs=1e-6)
+
+
+def test_the_wrapper_for_gymnasium_runs_and_stays_within_its_ranges(tmp_path: Path) -> None:
+    experiment = load_experiment(SLIDE)
+    parameters = uncertain_parameters(experiment)
+    file = tmp_path / "randomized_gymnasium.py"
+    file.write_text(
+        randomization_files(experiment.id, experiment.scene, parameters)["randomized_gymnasium.py"], encoding="utf-8"
+    )
+    module = runpy.run_path(str(file))
+    env = module["RandomizedConstants"]()
+    _, first = env.reset(seed=1)
+    again = env.reset(seed=1)[1]["constants"]
+    assert again == first["constants"] != env.reset()[1]["constants"]
+    low, high = module["CONSTANTS"]["cube.friction"]
+    for _ in range(5):
+        info = env.reset()[1]
+        friction = info["constants"]["cube.friction"]
+        assert low <= friction <= high
+        assert env.unwrapped.experiment.scene.contacts[0].friction == friction
+    observation, reward, *_ = env.step(0)
+    assert observation in env.observation_space
+    assert math.isfinite(reward)
+
+
+# --- command ---
+
+
+def test_command_reports_draws_and_writes(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    arguments = ["envelope", "GAUGE/Pendulum-Limit-metal", "--samples", "4", "--figure", str(tmp_path / "a.png"),
+                 "--out", str(tmp_path / "ranges")]  # fmt: skip
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "100.0 % end as the calibrated one does" in result.stdout.replace("\n", " ")
+    assert (tmp_path / "a.png").stat().st_size > 5_000
+    assert len(list((tmp_path / "ranges").iterdir())) == 4
+    line = json.loads(CliRunner().invoke(app, [*arguments[:4], "--json"]).stdout)
+    assert line["samples"] == 4
+    assert line["effects"][0]["parameter"]["key"] == "ball.mass_kg"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["Turntable-9"], "unknown"),
+        (["Turntable-1-wood", "--policy", "a.zip"], "only control tasks have policies"),
+        (["Turntable-Limit-wood", "--samples", "5"], "power of 2"),
+    ],
+)
+def test_command_names_what_is_wrong(arguments: list[str], reason: str) -> None:
+    result = CliRunner().invoke(app, ["envelope", *arguments])
+    assert result.exit_code == 2
+    assert reason in result.output.replace("\n", " ")

@@ -1,0 +1,180 @@
+"""Draw clips whose motion is known: simple scenes on the grid of the first frames, with blur, noise and compression."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
+
+Draw = Callable[[NDArray[np.uint8], NDArray[np.float64], float], None]
+
+SHIFT = 4
+"""Fractions of pixels with which OpenCV draws: 1/16 px."""
+
+EXPOSURES = 4
+"""Pictures that are averaged to one frame, over half of its time."""
+
+RAMP_S = 0.4
+"""Time in which a turntable reaches its rate [s]."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Frames in red, green and blue, and the true values of the metrics."""
+
+    task: str
+    frames: list[NDArray[np.uint8]]
+    fps: float
+    truth: dict[str, float]
+
+
+def clip(
+    name: str,
+    rng: np.random.Generator,
+    *,
+    fps: float = 30.0,
+    noise: float = 3.0,
+    quality: int = 80,
+    calibration_sigma: float = 0.0,
+) -> Clip:
+    """Return a clip of a task with random constants, a release between two frames, and the truth.
+
+    With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
+    """
+    task = video_task(name)
+    place, truth, duration_s = _motion(task, rng)
+    share = 1.0 + rng.normal(0.0, calibration_sigma)
+    powers = {"a_m_s2": 1.0, "mte": 0.5}
+    truth = {metric: value * share ** powers.get(metric, 0.0) for metric, value in truth.items()}
+    scene = _scene(task, rng)
+    frames = []
+    sheet = rng.normal(0.0, noise, scene.shape)
+    for number in range(int(duration_s * fps)):
+        exposed = np.zeros(scene.shape, dtype=np.float64)
+        for part in range(EXPOSURES):
+            time_s = (number + (part - 0.5 * (EXPOSURES - 1)) / EXPOSURES * 0.5) / fps
+            picture = scene.copy()
+            _draw(task, picture, *place(time_s))
+            exposed += picture
+        # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
+        grain = np.roll(sheet, rng.integers(0, 400, 2), axis=(0, 1))
+        frame = np.clip(exposed / EXPOSURES + grain, 0, 255).astype(np.uint8)
+        _, packed = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        frames.append(cv2.imdecode(packed, cv2.IMREAD_COLOR)[:, :, ::-1])
+    return Clip(task=name, frames=frames, fps=fps, truth=truth)
+
+
+def _motion(
+    task: VideoTask, rng: np.random.Generator
+) -> tuple[Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float]:
+    """Return the place and rotation of the object at a time, the truth, and the duration [s]."""
+    start = np.array(task.centre_px)
+    scale = task.scale_m_per_px
+    release = float(rng.uniform(0.2, 0.5))
+    if task.motion in (Motion.SLIDE, Motion.FALL):
+        return _straight(task, rng, release)
+    pivot = np.array(task.pivot_px)
+    if task.motion is Motion.TURN:
+        offset = start - pivot
+        rate = float(rng.uniform(1.0, 2.5))
+
+        def turning(time_s: float) -> tuple[NDArray[np.float64], float]:
+            # A plate that starts at once would need more force than friction has.
+            since = max(0.0, time_s - release)
+            angle = rate * (0.5 * since**2 / RAMP_S if since < RAMP_S else since - 0.5 * RAMP_S)
+            c, s = np.cos(angle), np.sin(angle)
+            return pivot + np.array([[c, -s], [s, c]]) @ offset, -float(np.degrees(angle))
+
+        return turning, {"de_n": 0.0}, release + 1.5
+    if task.motion is Motion.PENDULUM:
+        period, damping = float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.2))
+        amplitude = float(np.arctan2(*(start - pivot)))
+        length = float(np.linalg.norm(start - pivot))
+
+        def swinging(time_s: float) -> tuple[NDArray[np.float64], float]:
+            angle = amplitude * np.exp(-damping * time_s) * np.cos(2.0 * np.pi * time_s / period)
+            return pivot + length * np.array([np.sin(angle), np.cos(angle)]), 0.0
+
+        return swinging, {"pd_s": period, "r2": 1.0}, 4.0
+    rest = np.array(task.rest_px)
+    length = float(np.linalg.norm(rest - pivot))
+    mte = float(rng.uniform(0.3, 0.95))
+    ratios = mte * np.array([1.1, 0.9])
+    heights_px = ratios**2 * task.release_height_m / scale
+    peaks = np.arccos(1.0 - heights_px / length)
+
+    def outgoing(time_s: float) -> tuple[NDArray[np.float64], float]:
+        angle = 0.0
+        for number, peak in enumerate(peaks):
+            since = time_s - 0.4 - 0.9 * number
+            if 0.0 < since < 0.4:
+                angle = float(peak * np.sin(np.pi * since / 0.4))
+        return pivot + length * np.array([np.sin(angle), np.cos(angle)]), 0.0
+
+    return outgoing, {"mte": float(ratios.mean())}, 2.0
+
+
+def _straight(
+    task: VideoTask, rng: np.random.Generator, release: float
+) -> tuple[Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float]:
+    start, scale = np.array(task.centre_px), task.scale_m_per_px
+    a = float(rng.uniform(0.6, 4.0) if task.motion is Motion.SLIDE else rng.uniform(1.0, 9.81))
+    reach_m = (0.38 if task.motion is Motion.SLIDE else 0.44) * 1.0
+    lasts = (2.0 * reach_m / a) ** 0.5
+    direction = np.array(task.direction)
+
+    def straight(time_s: float) -> tuple[NDArray[np.float64], float]:
+        since = min(max(0.0, time_s - release), lasts)
+        s = 0.5 * a * since**2
+        late = time_s - release - lasts
+        if task.motion is Motion.FALL and late > 0.0:
+            s = max(0.0, s - 0.6 * a * lasts * late + 0.5 * a * late**2)
+        return start + direction * s / scale, 31.6 if task.motion is Motion.SLIDE else 0.0
+
+    return straight, {"a_m_s2": a}, release + lasts + (0.3 if task.motion is Motion.SLIDE else 0.2)
+
+
+def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return a still scene: what stands around the object in the first frames, in plain colours with some texture."""
+    width, height = REFERENCE_SIZE_PX
+    is_dark = task.id in ("SlopeSlider-2-wood", "SlopeSlider-2-metal") or task.motion is Motion.TURN
+    scene = np.full((height, width, 3), 30 if is_dark else 205, dtype=np.uint8)
+    if task.motion is Motion.SLIDE:
+        cv2.line(scene, (670, 72), (150, 392), (150, 185, 215), 16, cv2.LINE_AA)
+    elif task.motion is Motion.FALL:
+        cv2.rectangle(scene, (230, 410), (640, 445), (120, 170, 215), -1)
+    elif task.motion is Motion.TURN:
+        centre = tuple(int(value) for value in task.pivot_px or (0, 0))
+        cv2.circle(scene, centre, 225, (185, 205, 215), -1, cv2.LINE_AA)
+    elif task.motion is Motion.PENDULUM:
+        cv2.rectangle(scene, (400, 50), (426, 440), (28, 28, 28), -1)
+        cv2.rectangle(scene, (0, 330), (width, height), (35, 35, 35), -1)
+    else:
+        cv2.rectangle(scene, (0, 275), (width, height), (95, 95, 95), -1)
+        for x in (367.0, 404.0, 440.5):
+            _disk(scene, np.array([x, 347.0]), 18.6, (25, 25, 25))
+    texture = cv2.GaussianBlur(rng.normal(0.0, 60.0, scene.shape), (0, 0), 5)
+    return np.clip(scene + texture, 0, 255).astype(np.uint8)
+
+
+def _draw(task: VideoTask, picture: NDArray[np.uint8], place: NDArray[np.float64], angle_deg: float) -> None:
+    if task.motion in (Motion.SLIDE, Motion.TURN):
+        colour = {"wood": (105, 150, 195), "plastic": (40, 35, 25), "metal": (190, 185, 190)}[task.id.rsplit("-", 1)[1]]
+        half = 0.5 * task.size_px
+        corners = cv2.boxPoints(((0.0, 0.0), (2 * half, 2 * half), -angle_deg))
+        points = np.round((corners + place) * (1 << SHIFT)).astype(np.int32)
+        cv2.fillPoly(picture, [points], colour, cv2.LINE_AA, SHIFT)
+        inner = np.round((0.5 * corners + place) * (1 << SHIFT)).astype(np.int32)
+        cv2.polylines(picture, [inner[:3]], False, (60, 60, 90), 2, cv2.LINE_AA, SHIFT)
+        return
+    _disk(picture, place, 0.5 * task.size_px, (22, 22, 22))
+
+
+def _disk(picture: NDArray[np.uint8], place: NDArray[np.float64], radius: float, colour: tuple[int, int, int]) -> None:
+    centre = tuple(round(value * (1 << SHIFT)) for value in place)
+    cv2.circle(picture, centre, round(radius * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT)

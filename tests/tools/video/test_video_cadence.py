@@ -1,0 +1,110 @@
+"""Times of frames: repeated pictures, rest that is no repeat, stated times, and files that are cut off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+cv2 = pytest.importorskip("cv2")
+
+from clips import clip  # noqa: E402
+
+from gauge_envs.errors import VideoError  # noqa: E402
+from gauge_envs.tools.video import Grade, score  # noqa: E402
+from gauge_envs.tools.video.cadence import cadence_of  # noqa: E402
+from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
+from gauge_envs.tools.video.tasks import video_task  # noqa: E402
+from gauge_envs.tools.video.tracker import track_object  # noqa: E402
+
+
+def shown(motion: np.ndarray, source_fps: float, fps: float) -> np.ndarray:
+    """Return differences of frames that show the latest picture of a source with these differences."""
+    count = int(len(motion) * fps / source_fps)
+    pictures = (np.arange(count) * source_fps / fps + 1e-9).astype(int)
+    differences = np.where(np.diff(pictures, prepend=-1) > 0, motion[np.minimum(pictures, len(motion) - 1)], 3.0)
+    differences[0] = np.inf
+    return np.asarray(differences)
+
+
+MOTION = np.r_[np.full(15, 3.0), np.linspace(20.0, 120.0, 30), np.full(15, 3.0)]
+
+
+@pytest.mark.parametrize(("source", "fps"), [(25.0, 30.0), (24.0, 30.0), (15.0, 30.0), (24.0, 60.0), (12.0, 60.0)])
+def test_pictures_that_are_shown_again_are_left_out(source: float, fps: float) -> None:
+    found = cadence_of(shown(MOTION, source, fps), fps)
+    assert found.fps == pytest.approx(source)
+    assert abs(int(found.is_new.sum()) - len(MOTION)) <= 1
+    assert found.times_s[1] == pytest.approx(1.0 / source)
+    assert "show the picture before again" in found.text
+
+
+@pytest.mark.parametrize(
+    "differences",
+    [
+        MOTION,
+        np.full(60, 3.0),
+        np.r_[np.full(6, 3.0), 25.0, np.full(53, 3.0)],
+        np.r_[MOTION, MOTION],
+        # Halts in motion, without a rhythm.
+        np.where(np.isin(np.arange(60), (18, 22, 31, 40)), 2.0, 60.0),
+    ],
+)
+def test_a_body_at_rest_repeats_no_pictures(differences: np.ndarray) -> None:
+    found = cadence_of(np.r_[np.inf, differences], 30.0)
+    assert found.is_new.all()
+    assert found.fps == 30.0
+    assert not found.text
+
+
+def test_stated_times_are_used_where_they_are_not_uniform() -> None:
+    still = np.full(40, 3.0)
+    uneven = np.cumsum(np.where(np.arange(40) % 7 == 3, 0.05, 1 / 30))
+    found = cadence_of(still, 30.0, uneven)
+    assert found.times_s == pytest.approx(uneven - uneven[0])
+    assert "the times that the file states are used" in found.text
+    rounded = cadence_of(still, 30.0, np.round(np.arange(40) / 30, 3))
+    assert rounded.times_s == pytest.approx(np.arange(40) / 30)
+    # Times that go back are damaged.
+    assert not cadence_of(still, 30.0, uneven[::-1]).text
+
+
+def test_25_pictures_shown_at_30_give_the_true_acceleration() -> None:
+    one = clip("SlopeSlider-2-metal", np.random.default_rng(11), fps=25.0)
+    frames = [frame for number, frame in enumerate(one.frames) for _ in range(2 if number % 5 == 4 else 1)]
+    result = score(frames, 30.0, one.task)
+    assert result.grade is Grade.VALID, result.reasons
+    assert result.reasons[0].startswith("1 of every 6 frames show the picture before again")
+    assert result.metrics["a_m_s2"] == pytest.approx(one.truth["a_m_s2"], rel=0.02)
+
+
+@pytest.mark.slow
+def test_repeated_pictures_are_no_force_on_a_turntable() -> None:
+    # Counted as pictures of their own, they give 0.09 N.
+    one = clip("Turntable-2-metal", np.random.default_rng(3), fps=25.0)
+    frames = [frame for number, frame in enumerate(one.frames) for _ in range(2 if number % 5 == 4 else 1)]
+    result = score(frames, 30.0, one.task)
+    assert result.grade is Grade.VALID, result.reasons
+    assert result.metrics["de_n"] == pytest.approx(one.truth["de_n"], abs=0.01)
+
+
+def test_files_that_are_cut_off_are_named(tmp_path: Path) -> None:
+    one = clip("SlopeSlider-2-metal", np.random.default_rng(11), fps=12.0)
+    for name, code in (("whole.avi", "MJPG"), ("whole.mp4", "mp4v")):
+        writer = cv2.VideoWriter(str(tmp_path / name), cv2.VideoWriter_fourcc(*code), 12.0, (832, 480))
+        for frame in one.frames:
+            writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
+        writer.release()
+    packed = (tmp_path / "whole.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(packed[: int(0.7 * len(packed))])
+    (tmp_path / "short.avi").write_bytes(packed[: int(0.1 * len(packed))])
+    reasons = score(tmp_path / "cut.avi", None, one.task).reasons
+    assert any(f"states {len(one.frames)} frames, and" in reason for reason in reasons), reasons
+    with pytest.raises(VideoError, match=f"that can be decoded, of the {len(one.frames)} that it states"):
+        track_object(FileFrames(tmp_path / "short.avi"), video_task(one.task))
+    # An MP4 holds its table of contents at the end.
+    packed = (tmp_path / "whole.mp4").read_bytes()
+    (tmp_path / "cut.mp4").write_bytes(packed[: len(packed) // 2])
+    with pytest.raises(VideoError, match="cannot decode it"):
+        FileFrames(tmp_path / "cut.mp4")

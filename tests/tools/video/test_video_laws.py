@@ -1,0 +1,120 @@
+"""Laws of the world-model track, against closed forms and other implementations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.tools.video.laws import (
+    dynamic_error,
+    fit_constant_acceleration,
+    fit_damped_oscillation,
+    momentum_transfer,
+)
+
+TIMES_S = np.arange(40) / 30.0
+
+
+def test_acceleration_from_rest_is_exact() -> None:
+    fit = fit_constant_acceleration(TIMES_S, 0.01 + 0.5 * 2.58 * TIMES_S**2)
+    assert fit.a_m_per_s2 == pytest.approx(2.58, rel=1e-12)
+    assert fit.start_m == pytest.approx(0.01, rel=1e-9)
+    assert fit.qfi == 0.0
+    assert fit.r2 == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("release_s", [-0.02, 0.0, 0.013, 0.03])
+def test_a_release_between_two_frames_is_found(release_s: float) -> None:
+    moving = np.maximum(TIMES_S - release_s, 0.0)
+    fit = fit_constant_acceleration(TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=1 / 30)
+    assert fit.a_m_per_s2 == pytest.approx(2.58, rel=1e-4)
+    assert fit.release_s == pytest.approx(release_s, abs=1e-4)
+
+
+def test_qfi_is_the_f_statistic_of_the_nested_models() -> None:
+    rng = np.random.default_rng(0)
+    s = 0.5 * 1.3 * TIMES_S**2 + 0.2 * TIMES_S**4 + rng.normal(0.0, 0.01, TIMES_S.size)
+    u = TIMES_S**2
+    linear = np.polynomial.Polynomial.fit(u, s, 1)
+    quadratic = np.polynomial.Polynomial.fit(u, s, 2)
+    sse = [float(((s - model(u)) ** 2).sum()) for model in (linear, quadratic)]
+    expected = (sse[0] - sse[1]) / (sse[1] / (TIMES_S.size - 3))
+    assert fit_constant_acceleration(TIMES_S, s).qfi == pytest.approx(expected, rel=1e-6)
+
+
+def test_qfi_of_noise_follows_the_f_distribution() -> None:
+    rng = np.random.default_rng(1)
+    values = [
+        fit_constant_acceleration(TIMES_S, TIMES_S**2 + rng.normal(0.0, 0.01, TIMES_S.size)).qfi for _ in range(400)
+    ]
+    assert stats.kstest(values, stats.f(1, TIMES_S.size - 3).cdf).pvalue > 0.01
+
+
+def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction() -> None:
+    radius_m, rate = 0.1, 8.0
+    times_s = np.arange(300) / 240.0
+    circle = radius_m * np.column_stack([np.cos(rate * times_s), np.sin(rate * times_s)])
+    error = dynamic_error(times_s, circle, mass_kg=0.09, friction=0.38)
+    # Three points of a circle give the acceleration 2 r (1 - cos(w dt)) / dt^2.
+    a = 2.0 * radius_m * (1.0 - np.cos(rate / 240.0)) * 240.0**2
+    assert error.accelerations_m_per_s2 == pytest.approx(np.full(298, a), rel=1e-9)
+    assert error.de_n == pytest.approx(0.09 * (a - 0.38 * 9.80665), rel=1e-9)
+    assert dynamic_error(times_s, circle, mass_kg=0.09, friction=0.7).de_n == 0.0
+
+
+def test_accelerations_over_a_gap_are_exact_for_a_parabola() -> None:
+    times_s = np.array([0.0, 0.1, 0.4, 0.5, 0.9])
+    parabola = np.column_stack([1.5 * times_s**2, 0.2 * times_s])
+    assert dynamic_error(times_s, parabola, mass_kg=1.0, friction=0.0).accelerations_m_per_s2 == pytest.approx(3.0)
+
+
+def test_momentum_transfer_averages_the_ratios_of_speeds() -> None:
+    assert momentum_transfer(0.16, [0.04, 0.01]) == pytest.approx((0.5 + 0.25) / 2.0)
+    with pytest.raises(ParameterError, match="no apex"):
+        momentum_transfer(0.16, [])
+    with pytest.raises(ParameterError, match="release height"):
+        momentum_transfer(0.0, [0.1])
+
+
+@pytest.mark.parametrize(("period_s", "damping"), [(1.06, 0.05), (0.4, 0.0), (6.0, -0.2), (2.3, 1.0)])
+def test_damped_oscillation_is_found(period_s: float, damping: float) -> None:
+    times_s = np.arange(150) / 25.0
+    omega = 2.0 * np.pi / period_s
+    angles = 0.1 + 0.3 * np.exp(-damping * times_s) * np.cos(omega * times_s + 0.7)
+    fit = fit_damped_oscillation(times_s, angles)
+    assert fit.period_s == pytest.approx(period_s, rel=1e-5)
+    assert fit.damping_per_s == pytest.approx(damping, abs=1e-5)
+    assert fit.equilibrium_rad == pytest.approx(0.1, abs=1e-5)
+    assert fit.r2 == pytest.approx(1.0, abs=1e-9)
+
+
+def test_damped_oscillation_with_gaps_and_noise() -> None:
+    rng = np.random.default_rng(2)
+    times_s = np.arange(200) / 30.0
+    kept = rng.random(times_s.size) > 0.4
+    angles = 0.2 * np.cos(2.0 * np.pi * times_s / 1.06) + rng.normal(0.0, 0.01, times_s.size)
+    fit = fit_damped_oscillation(times_s[kept], angles[kept])
+    assert fit.period_s == pytest.approx(1.06, rel=2e-3)
+    guess = (fit.damping_per_s, 2.0 * np.pi / fit.period_s)
+    assert fit_damped_oscillation(times_s[kept], angles[kept], guess=guess).period_s == pytest.approx(fit.period_s)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "values", "message"),
+    [
+        ([0.0, 0.1, 0.2], [0.0, 0.1, 0.2], "too few"),
+        ([0.0, 0.1, 0.1, 0.2], [0.0, 0.1, 0.2, 0.3], "increase"),
+        ([0.0, 0.1, 0.2, 0.3], [0.0, np.nan, 0.2, 0.3], "finite"),
+        ([0.0, 0.1, 0.2, 0.3], [0.0, 0.1], "must match"),
+    ],
+)
+def test_samples_that_cannot_be_fitted_are_errors(times_s: list[float], values: list[float], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        fit_constant_acceleration(times_s, values)
+
+
+def test_an_angle_that_does_not_change_is_an_error() -> None:
+    with pytest.raises(ParameterError, match="no oscillation"):
+        fit_damped_oscillation(TIMES_S, np.full(TIMES_S.size, 0.2))

@@ -1,0 +1,129 @@
+"""Registration of first frames that are stretched, cropped, padded or moved, and clips that are scored through it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+cv2 = pytest.importorskip("cv2")
+
+from clips import clip  # noqa: E402
+from typer.testing import CliRunner  # noqa: E402
+
+from gauge_envs.cli.app import app  # noqa: E402
+from gauge_envs.errors import VideoError  # noqa: E402
+from gauge_envs.tools.video import Grade, score, video_task, video_tasks  # noqa: E402
+from gauge_envs.tools.video.frames import read_picture  # noqa: E402
+from gauge_envs.tools.video.grid import Registration, stretched  # noqa: E402
+from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline  # noqa: E402
+
+TASKS = [task.id for task in video_tasks()]
+
+LAYOUTS = {
+    # Name of the method, scales and offsets that bring the picture back to the grid.
+    "stretch": (1.0, 480 / 464, 0.0, 0.0),
+    "crop": (6 / 7, 6 / 7, (832 - 752 * 6 / 7) / 2, 0.0),
+    "pad": (832 / 1080, 832 / 1080, 0.0, (480 - 1920 * 832 / 1080) / 2),
+}
+
+
+@cache
+def first_picture(task: str, seed: int = 1) -> NDArray[np.uint8]:
+    frame = clip(task, np.random.default_rng(seed), fps=5.0).frames[0]
+    return np.ascontiguousarray(frame[:, :, ::-1])
+
+
+def laid_out(picture: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:
+    if method == "stretch":
+        return np.asarray(cv2.resize(picture, (832, 464), interpolation=cv2.INTER_AREA))
+    sizes = {"crop": (752, 560), "pad": (1080, 1920)}
+    scale_x, scale_y, x, y = LAYOUTS[method]
+    matrix = np.array([[1 / scale_x, 0.0, -x / scale_x], [0.0, 1 / scale_y, -y / scale_y]])
+    matrix[:, 2] += 0.5 * np.diag(matrix[:, :2]) - 0.5
+    return np.asarray(cv2.warpAffine(picture, matrix, sizes[method]))
+
+
+def numbers(one: Registration) -> tuple[float, float, float, float]:
+    return one.scale_x, one.scale_y, one.offset_x_px, one.offset_y_px
+
+
+@pytest.mark.parametrize("method", LAYOUTS)
+@pytest.mark.parametrize("task", TASKS)
+def test_the_outline_tells_how_a_picture_was_laid_out(task: str, method: str) -> None:
+    found = registration_by_outline(laid_out(first_picture(task), method), video_task(task))
+    if found.problem:
+        # The ball of the pendulum is near the middle, where a slight stretch and a slight crop look alike.
+        assert (task, method) == ("Pendulum-metal", "stretch")
+        assert "stretch or crop" in found.problem
+        return
+    assert found.method == method
+    assert numbers(found) == pytest.approx(LAYOUTS[method], abs=1e-3)
+
+
+@pytest.mark.parametrize("task", ["BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal", "Turntable-2-metal"])
+def test_an_object_at_another_place_is_doubtful_without_the_first_frame(task: str) -> None:
+    picture = first_picture(task)
+    moved = np.ascontiguousarray(cv2.resize(picture, None, fx=1.2, fy=1.2)[10:500, 50:930])
+    assert "give that frame with --first-frame" in registration_by_outline(moved, video_task(task)).problem
+    found = registration_by_first_frame(moved, picture)
+    assert found.method == "first frame"
+    assert numbers(found)[:2] == pytest.approx((5 / 6, 5 / 6), rel=4e-3)
+    assert numbers(found)[2:] == pytest.approx((50 / 1.2, 10 / 1.2), abs=1.5)
+
+
+def test_another_first_frame_is_doubtful() -> None:
+    found = registration_by_first_frame(first_picture("BouncingBall-rubber", 2), first_picture("Turntable-2-wood"))
+    assert "are found again" in found.problem
+    plain = registration_by_first_frame(np.full((480, 832, 3), 90, np.uint8), first_picture("Turntable-2-wood"))
+    assert "too few points" in plain.problem
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.5])
+def test_a_registration_puts_pixels_where_it_says(factor: float) -> None:
+    picture = np.zeros((round(560 * factor), round(752 * factor), 3), np.uint8)
+    cv2.circle(picture, (round(300 * factor), round(200 * factor)), round(20 * factor), (255, 255, 255), -1)
+    x, y = (np.array([300, 200]) * factor).round() + 0.5
+    scale = 6 / 7 / factor
+    grid = Registration(scale_x=scale, scale_y=scale, offset_x_px=93.7, offset_y_px=2.0).applied(picture)
+    rows, columns = np.nonzero(grid[:, :, 0] > 127)
+    assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx((x * scale + 93.7, y * scale + 2.0), abs=0.1)
+
+
+def test_the_plain_registration_is_the_scaling_of_both_axes() -> None:
+    picture = first_picture("SlopeSlider-2-wood")
+    assert (stretched((832, 480)).applied(picture) == picture).all()
+
+
+def test_a_cropped_clip_gives_the_true_acceleration() -> None:
+    one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
+    frames = [laid_out(np.ascontiguousarray(frame), "crop") for frame in one.frames]
+    result = score(frames, one.fps, one.task)
+    assert result.grade is Grade.VALID, result.reasons
+    assert result.to_dict()["registration"]["method"] == "crop"
+    assert result.metrics["a_m_s2"] == pytest.approx(one.truth["a_m_s2"], rel=0.02)
+
+
+def test_a_first_frame_that_is_no_picture_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "first.png").write_text("no picture")
+    with pytest.raises(VideoError, match="give the first frame as PNG or JPEG"):
+        read_picture(tmp_path / "first.png")
+    with pytest.raises(VideoError, match="there is no such file"):
+        read_picture(tmp_path / "none.png")
+    (tmp_path / "track.csv").write_text("frame,x,y\n0,1,1\n")
+    arguments = [
+        "video",
+        "score",
+        str(tmp_path / "track.csv"),
+        "--task",
+        "SlopeSlider-2-wood",
+        "--track",
+        "--fps",
+        "30",
+    ]
+    outcome = CliRunner().invoke(app, [*arguments, "--first-frame", str(tmp_path / "first.png")])
+    assert outcome.exit_code == 2
+    assert "--first-frame need the video" in outcome.output

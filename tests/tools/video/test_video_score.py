@@ -1,0 +1,236 @@
+"""Scores of clips and tracks whose motion is known, and what becomes of broken ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+cv2 = pytest.importorskip("cv2")
+
+from clips import Clip, clip  # noqa: E402
+from typer.testing import CliRunner  # noqa: E402
+
+from gauge_envs.cli.app import app  # noqa: E402
+from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
+from gauge_envs.tools.video import Grade, Motion, VideoScore, read_track, score, score_track, video_task, video_tasks  # noqa: E402
+from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
+from gauge_envs.tools.video.published import published_results  # noqa: E402
+
+FIVE = ("SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal")
+
+TOLERANCE = {"a_m_s2": 0.02, "pd_s": 0.01, "mte": 0.02, "de_n": 0.01, "r2": 0.01}
+"""Largest error: relative for accelerations and periods, absolute for the others."""
+
+
+def is_close(name: str, value: float | None, truth: float) -> bool:
+    scale = truth if name in ("a_m_s2", "pd_s") else 1.0
+    return value is not None and abs(value - truth) <= TOLERANCE[name] * scale
+
+
+def scored(one: Clip) -> VideoScore:
+    return score(one.frames, one.fps, one.task)
+
+
+@pytest.mark.parametrize("task", FIVE)
+def test_a_known_motion_is_recovered(task: str) -> None:
+    one = clip(task, np.random.default_rng(7))
+    result = scored(one)
+    assert result.grade is Grade.VALID, result.reasons
+    for name, truth in one.truth.items():
+        assert is_close(name, result.metrics[name], truth), (name, result.metrics[name], truth)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", [task.id for task in video_tasks()])
+def test_intervals_hold_the_truth(task: str) -> None:
+    inside, count = 0, 0
+    for seed in range(20):
+        # The stated uncertainty of the scale is 0.65 % for cubes and balls alike.
+        one = clip(task, np.random.default_rng(seed), calibration_sigma=0.0065)
+        result = scored(one)
+        assert result.grade is Grade.VALID, (seed, result.reasons)
+        for name, truth in one.truth.items():
+            assert is_close(name, result.metrics[name], truth), (seed, name, result.metrics[name], truth)
+            # A fit of noisy places explains less than all of them, so R^2 has no true value of 1.
+            interval = result.uncertainty[name]
+            if name != "r2" and interval is not None:
+                inside += interval[0] - 1e-12 <= truth <= interval[1] + 1e-12
+                count += 1
+    assert inside >= 0.9 * count
+
+
+def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
+    one = clip("SlopeSlider-2-plastic", np.random.default_rng(3))
+    right, half = score(one.frames, 30.0, one.task), score(one.frames, 15.0, one.task)
+    a, slow = right.metrics["a_m_s2"], half.metrics["a_m_s2"]
+    assert a is not None
+    assert slow == pytest.approx(a / 4.0, rel=1e-3)
+
+
+def test_the_scale_follows_resolution_and_aspect() -> None:
+    one = clip("BouncingBall-rubber", np.random.default_rng(5))
+    wide = [cv2.resize(frame, (1280, 720)) for frame in one.frames]
+    squeezed = [cv2.resize(frame, (640, 480)) for frame in one.frames]
+    for frames in (wide, squeezed):
+        result = score(frames, one.fps, one.task)
+        assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
+
+
+def test_an_object_that_vanishes_is_named() -> None:
+    one = clip("Pendulum-metal", np.random.default_rng(7))
+    empty = one.frames[0].copy()
+    empty[220:310, 420:510] = empty[220:310, 520:610]
+    frames = [*one.frames[:20], *[empty] * 40]
+    result = score(frames, one.fps, one.task)
+    assert result.grade is Grade.INVALID
+    assert any("is lost in" in reason for reason in result.reasons), result.reasons
+
+
+def test_a_camera_that_zooms_is_named() -> None:
+    one = clip("SlopeSlider-2-wood", np.random.default_rng(7))
+    height, width = one.frames[0].shape[:2]
+    frames = []
+    for number, frame in enumerate(one.frames):
+        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), 0.0, 1.0 + 0.003 * number)
+        frames.append(cv2.warpAffine(frame, matrix, (width, height)))
+    result = score(frames, one.fps, one.task)
+    assert result.grade is not Grade.VALID
+    assert any("camera" in reason for reason in result.reasons), result.reasons
+
+
+def test_a_still_picture_is_invalid() -> None:
+    one = clip("SlopeSlider-2-wood", np.random.default_rng(7))
+    result = score([one.frames[0]] * 12, 30.0, one.task)
+    assert result.grade is Grade.INVALID
+    assert result.reasons[0].startswith("the object does not move")
+    assert result.interval_frames is None
+    assert set(result.metrics.values()) == {None}
+
+
+# --- tracks ----------------------------------------------------------------------------------------------------------
+
+
+def slide_track(path: Path, a_m_per_s2: float) -> Path:
+    task = video_task("SlopeSlider-2-wood")
+    assert task.motion is Motion.SLIDE
+    times_s = np.maximum(np.arange(40) - 10.3, 0.0) / 30.0
+    along = 0.5 * a_m_per_s2 * times_s**2 / task.scale_m_per_px
+    places = np.array(task.centre_px) + along[:, None] * np.array(task.direction)
+    rows = [f"{number},{x:.3f},{y:.3f}" for number, (x, y) in enumerate(places)]
+    path.write_text("frame,x,y\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_a_track_is_scored_like_a_video(tmp_path: Path) -> None:
+    path = slide_track(tmp_path / "track.csv", 1.7)
+    result = score_track(read_track(path, fps=30.0), video_task("SlopeSlider-2-wood"))
+    assert result.metrics["a_m_s2"] == pytest.approx(1.7, rel=2e-3)
+    interval = result.uncertainty["a_m_s2"]
+    assert interval is not None
+    assert interval[0] < 1.7 < interval[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame,x\n0,1\n", "no column y"),
+        ("frame,x,y\n0,1,abc\n", "line 2: y is 'abc'"),
+        ("frame,x,y\n0.5,1,1\n", "line 2: frame is '0.5'"),
+        ("frame,x,y\n3,1,1\n3,1,1\n", "frame 3 stands there twice"),
+        ("frame,x,y\n", "no row"),
+        ("frame,x,y\n0,inf,1\n", "line 2: x is 'inf'"),
+    ],
+)
+def test_a_damaged_track_is_an_error(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "track.csv").write_text(text)
+    with pytest.raises(VideoError, match=message):
+        read_track(tmp_path / "track.csv", fps=30.0)
+
+
+# --- files and the command -------------------------------------------------------------------------------------------
+
+
+def written(one: Clip, path: Path) -> Path:
+    height, width = one.frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), one.fps, (width, height))
+    for frame in one.frames:
+        writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
+    writer.release()
+    return path
+
+
+def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
+    one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
+    path = written(one, tmp_path / "slide.mp4")
+    arguments = ["video", "score", str(path), "--task", one.task, "--json", "--overlay", str(tmp_path / "drawn")]
+    outcome = CliRunner().invoke(app, arguments)
+    assert outcome.exit_code == 0, outcome.output
+    line = json.loads(outcome.stdout)
+    assert set(line) == {
+        "video", "task", "grade", "reasons", "metrics", "uncertainty", "interval_frames", "scale_m_per_px", "details",
+        "registration",
+    }  # fmt: skip
+    assert line["grade"] == "valid"
+    assert is_close("a_m_s2", line["metrics"]["a_m_s2"], one.truth["a_m_s2"])
+    assert line["metrics"]["mte"] is None
+    drawn = FileFrames(tmp_path / "drawn" / "slide.overlay.mp4")
+    assert sum(1 for _ in drawn.pictures()) == len(one.frames)
+
+
+def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> None:
+    one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
+    for model in ("seedance2", "slow"):
+        (tmp_path / "videos" / model).mkdir(parents=True)
+    written(one, tmp_path / "videos" / "seedance2" / "SlopeSlider-2-metal.mp4")
+    (tmp_path / "videos" / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
+    outcome = CliRunner().invoke(app, ["video", "report", str(tmp_path / "videos"), "--out", str(tmp_path / "page")])
+    assert outcome.exit_code == 1
+    page = (tmp_path / "page" / "index.html").read_text()
+    (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
+    assert json.loads(line)["model"] == "seedance2"
+    assert page.count("<img ") == 6
+    # The published value stands below the one of the video, and in the table of the published models.
+    assert "published 0.074" in page
+    assert "<td class=n>0.074</td>" in page
+    assert "http" not in page
+    empty = CliRunner().invoke(app, ["video", "report", str(tmp_path / "page")])
+    assert empty.exit_code == 2
+
+
+def test_published_values_are_those_of_the_table() -> None:
+    published = published_results()
+    assert len(published) == 10
+    assert published["seedance2"]["Pendulum-metal", "pd_s"] == 3.13
+    assert published["wan22"]["NewtonsCradle-metal", "mte"] is None
+    named = {key for values in published.values() for key in values}
+    assert named == {(task.id, name) for task in video_tasks() for name in task.real}
+
+
+def test_files_that_are_no_videos_are_errors(tmp_path: Path) -> None:
+    (tmp_path / "text.mp4").write_text("no video\n" * 100)
+    with pytest.raises(VideoError, match=r"text.mp4: OpenCV cannot decode it"):
+        FileFrames(tmp_path / "text.mp4")
+    with pytest.raises(VideoError, match="there is no such file"):
+        FileFrames(tmp_path / "none.mp4")
+
+
+@pytest.mark.parametrize(
+    ("shape", "fps", "message"),
+    [
+        ((0, 480, 832, 3), 30.0, "no frame"),
+        ((5, 480, 832, 3), 30.0, "5 frames"),
+        ((12, 480, 832, 3), 1.0, "1 frames per second"),
+        ((12, 480, 832), 30.0, "shape"),
+    ],
+)
+def test_frames_that_cannot_be_judged_are_errors(shape: tuple[int, ...], fps: float, message: str) -> None:
+    with pytest.raises(VideoError, match=message):
+        score(np.zeros(shape, dtype=np.uint8), fps, "SlopeSlider-2-wood")
+
+
+def test_an_unknown_task_is_an_error() -> None:
+    with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
+        video_task("SlopeSlider-2-woof")
