@@ -10,31 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-__all__ = [
-    "ActionError",
-    "AssetError",
-    "BackendError",
-    "DatasetError",
-    "EpisodeError",
-    "GaugeError",
-    "MissingExtraError",
-    "NoRewardWarning",
-    "ParameterError",
-    "PolicyError",
-    "ReferenceFileError",
-    "RenderError",
-    "ResultFileError",
-    "ShapeError",
-    "SweepFileError",
-    "TargetError",
-    "TaskFileError",
-    "TrajectoryFileError",
-    "UnknownNameError",
-    "UnsupportedSceneError",
-    "VideoError",
-    "first_fault",
-]
-
 
 class GaugeError(Exception):
     """Base of every error that gauge-envs raises on purpose; the command line prints it without a traceback."""

@@ -26,28 +26,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "MEGABYTE",
-    "MOST_TOML_BYTES",
-    "check_json_size",
-    "check_replaceable",
-    "child_refusal",
-    "data_folder",
-    "file_folders",
-    "json_document",
-    "json_ready",
-    "locked",
-    "npz_arrays",
-    "npz_names",
-    "outside_reason",
-    "printable",
-    "read_regular",
-    "replaced_whole",
-    "toml_document",
-    "versions",
-    "write_whole",
-]
-
 MEGABYTE = 10**6
 
 OUTSIDE_VARIABLE = "GAUGE_OUTSIDE_FILES"
@@ -83,11 +61,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def data_folder(name: str) -> Path:
-    """Return the folder `tasks`, `scoring` or `assets`, inside the installed package or beside it in a checkout.
-
-    Raises:
-        FileNotFoundError: The installation lacks the folder.
-    """
+    """Return the folder `tasks`, `scoring` or `assets`, inside the installed package or beside it in a checkout."""
     package = Path(__file__).parent
     for folder in (package / name, package.parent / name):
         if folder.is_dir() and not (folder / "__init__.py").exists():
@@ -107,9 +81,6 @@ def read_regular(file: Path, most_bytes: int) -> bytes:
     """Return the content of a regular file of limited size.
 
     A FIFO, a device or a folder is never opened for reading, and nothing is read of a file that is too large.
-
-    Raises:
-        OSError: The file cannot be read, is not a regular file, or is too large; `strerror` states which.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -162,22 +133,14 @@ def outside_reason(named: Path, by: Path) -> str:
 
 
 def check_json_size(content: bytes) -> None:
-    """Check that a JSON document has few objects and lists, which take twenty times their bytes in memory.
-
-    Raises:
-        ValueError: The document has too many.
-    """
+    """Check that a JSON document has few objects and lists, which take twenty times their bytes in memory."""
     count = content.count(b"{") + content.count(b"[")
     if count > MOST_JSON_CONTAINERS:
         raise ValueError(f"it has {count} objects and lists, the limit is {MOST_JSON_CONTAINERS}")
 
 
 def json_document(content: bytes) -> Any:
-    """Return the value of a JSON document.
-
-    Raises:
-        ValueError: It is not JSON, is nested too deeply, or has too many objects and lists.
-    """
+    """Return the value of a JSON document."""
     check_json_size(content)
     try:
         return json.loads(content.removeprefix(b"\xef\xbb\xbf"))
@@ -186,11 +149,7 @@ def json_document(content: bytes) -> Any:
 
 
 def toml_document(content: bytes) -> dict[str, Any]:
-    """Return the tables of a TOML document.
-
-    Raises:
-        ValueError: It is not TOML in UTF-8, is nested too deeply, is too large, or a number has too many digits.
-    """
+    """Return the tables of a TOML document."""
     if len(content) > MOST_TOML_BYTES:
         raise ValueError(f"it has {len(content)} bytes, the limit is {MOST_TOML_BYTES}")
     text = content.decode("utf-8")
@@ -204,11 +163,7 @@ def toml_document(content: bytes) -> dict[str, Any]:
 
 
 def npz_names(content: bytes) -> list[str]:
-    """Return the names of the arrays of an NPZ file.
-
-    Raises:
-        ValueError: The content is no NPZ file.
-    """
+    """Return the names of the arrays of an NPZ file."""
     with _archive(content) as archive:
         return [name.removesuffix(".npy") for name in archive.namelist()]
 
@@ -220,9 +175,6 @@ def npz_arrays(content: bytes, names: Iterable[str], most_bytes: int) -> dict[st
         content: The content of the file.
         names: Arrays to read.
         most_bytes: Limit of the sum of their sizes in memory.
-
-    Raises:
-        ValueError: The content is no NPZ file, an array is damaged or holds no numbers, or the arrays are too large.
     """
     arrays: dict[str, NDArray[Any]] = {}
     left = most_bytes
@@ -328,11 +280,7 @@ def _versions() -> dict[str, str]:
 
 
 def check_replaceable(file: Path) -> None:
-    """Check that a new file may take the place of what is there.
-
-    Raises:
-        OSError: A folder, a device or a FIFO is there.
-    """
+    """Check that a new file may take the place of what is there."""
     if file.is_dir():
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
     if file.exists() and not file.is_file():
@@ -340,11 +288,7 @@ def check_replaceable(file: Path) -> None:
 
 
 def write_whole(file: Path, content: bytes) -> None:
-    """Write a file whole or not at all: a reader finds the old content or the new one.
-
-    Raises:
-        OSError: The file cannot be written; an older one is unchanged.
-    """
+    """Write a file whole or not at all: a reader finds the old content or the new one."""
     with replaced_whole(file) as part, part.open("xb") as stream:
         stream.write(content)
         stream.flush()
@@ -357,9 +301,6 @@ def replaced_whole(file: Path) -> Iterator[Path]:
 
     After an error the new content is removed, and an older file is unchanged. A device or a FIFO is never replaced:
     root could otherwise put a file in the place of `/dev/null`.
-
-    Raises:
-        OSError: The new content was not written, or cannot take its place.
     """
     check_replaceable(file)
     part = file.with_name(f".{file.name}.{token_hex(8)}.tmp")
@@ -379,10 +320,6 @@ def locked(folder: Path, *, name: str = ".lock", waits: bool = True, shared: boo
         name: Name of the file that carries the lock.
         waits: Whether to wait for a process that holds it.
         shared: Whether other processes may hold it, too, if they share it. Windows has no such lock, and takes none.
-
-    Raises:
-        BlockingIOError: Another process holds the lock, and `waits` is False.
-        OSError: The folder cannot be written.
     """
     with (folder / name).open("a") as stream:
         if sys.platform == "win32":

@@ -150,8 +150,8 @@ def test_an_import_of_the_package_itself_is_found(copy: Path) -> None:
 
 
 def test_an_import_within_a_layer_is_found(copy: Path) -> None:
-    edges = plant(copy, "analysis/comparison.py", "from gauge_envs.tools.dataset import layout")
-    assert not_downward(edges) == ["gauge_envs.tools.compare.comparison imports gauge_envs.tools.dataset.layout"]
+    edges = plant(copy, "references/tables.py", "from gauge_envs.backends import registry")
+    assert not_downward(edges) == ["gauge_envs.references.tables imports gauge_envs.backends.registry"]
 
 
 def test_a_cycle_within_a_package_is_found(copy: Path) -> None:

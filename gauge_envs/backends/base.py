@@ -30,19 +30,6 @@ from gauge_envs.backends.recording import Recording
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = [
-    "Backend",
-    "FileBackend",
-    "ModelFile",
-    "Simulation",
-    "Support",
-    "World",
-    "Worlds",
-    "scene_support",
-    "with_declared",
-    "worlds_of",
-]
-
 
 @dataclass(frozen=True)
 class Support:
@@ -417,9 +404,6 @@ def worlds_of(
         scenes: One or more scenes with the same bodies, shapes and drivers.
         settings: As in `Backend.build`.
         restart_alone: Whether `Worlds.restart` is needed.
-
-    Raises:
-        ParameterError: A setting does not exist or has an invalid value.
     """
     if restart_alone and not engine.worlds_restart_alone:
         return Backend.build_worlds(engine, scenes, settings)

@@ -12,17 +12,6 @@ from gauge_envs.backends.base import Backend, FileBackend, Support, with_declare
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
 from gauge_envs.scene import Scene
 
-__all__ = [
-    "backend",
-    "backend_for",
-    "backend_names",
-    "backend_of_suffix",
-    "engine_call",
-    "is_bundled",
-    "support_of",
-    "versions_of",
-]
-
 ENTRY_POINT_GROUP = "gauge_envs.backends"
 
 

@@ -10,8 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-__all__ = ["SteppedSettings", "check_drive_interval", "resolve_settings"]
-
 INTEGER_LIMIT = 2**31 - 1
 """Largest integer setting; engines hold integers in 32 bits."""
 
@@ -55,11 +53,6 @@ def resolve_settings(
         presets: Settings of each preset, by name.
         preset: Name of the preset for the scene; `changes["preset"]` overrides it.
         changes: Settings that replace those of the preset.
-
-    Raises:
-        UnknownNameError: The preset does not exist.
-        ParameterError: A setting does not exist or has an invalid value, or `timestep_s` does not divide
-            `drive_interval_s`.
     """
     if not isinstance(changes, Mapping | None):
         raise ParameterError(f"{engine} settings {changes!r}: expected a mapping, as {{'timestep_s': 0.0005}}")
@@ -90,9 +83,6 @@ def check_drive_interval(settings: Mapping[str, Any]) -> None:
 
     Args:
         settings: `World.settings`. Settings of engines with variable steps may have no drive interval.
-
-    Raises:
-        ParameterError: The drive interval is not 1/180 s.
     """
     interval = settings.get("drive_interval_s", DRIVE_INTERVAL_S)
     if abs(interval - DRIVE_INTERVAL_S) > 1e-9:

@@ -20,8 +20,6 @@ from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_co
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
 from gauge_envs.errors import GaugeError
 
-__all__ = ["COMMANDS", "app", "main"]
-
 COMMANDS = {
     "list": "catalog.command:list_",
     "show": "catalog.command:show",

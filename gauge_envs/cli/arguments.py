@@ -13,22 +13,6 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.references.imported import DataSource
 
-__all__ = [
-    "AssetOption",
-    "DriversOption",
-    "Json",
-    "ParametersOption",
-    "ReferenceOption",
-    "Wide",
-    "WithheldOption",
-    "check_one_format",
-    "json_or_text",
-    "parsed_parameters",
-    "parsed_settings",
-    "split_list",
-]
-
-
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, one object a line.")]
 
 
@@ -108,10 +92,6 @@ def parsed_settings(changes: Sequence[str]) -> dict[str, Any] | None:
 
 
 def check_one_format(json_lines: bool, markdown: bool) -> None:
-    """Check that at most one output format is asked for.
-
-    Raises:
-        ParameterError: Both formats are asked for.
-    """
+    """Check that at most one output format is asked for."""
     if json_lines and markdown:
         raise ParameterError("--json and --markdown exclude each other; give one of them")

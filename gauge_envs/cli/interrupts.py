@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["EXIT_INTERRUPTED", "command_runs", "handle_interrupts", "report_interrupt", "was_interrupted"]
-
 EXIT_INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 

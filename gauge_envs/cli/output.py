@@ -21,20 +21,6 @@ from gauge_envs.cli.streams import result_stream
 from gauge_envs.files import printable
 from gauge_envs.pages.table import Table, as_rich, as_rows
 
-__all__ = [
-    "EXIT_FAILED",
-    "EXIT_USAGE",
-    "PIPE_WIDTH",
-    "counted",
-    "echo",
-    "plain_text",
-    "print_json_lines",
-    "print_table",
-    "progress_bar",
-    "stderr_console",
-    "stdout_console",
-]
-
 UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters but tabs and ends of lines, and lone surrogates."""
 

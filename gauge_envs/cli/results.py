@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-__all__ = ["loaded_files", "loaded_results"]
-
-
 def loaded_results(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[list[Result], int]:
     """Return what `loaded_files` returns, without the files."""
     results, skipped = loaded_files(sources, with_scene=with_scene)

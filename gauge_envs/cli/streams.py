@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TextIO
 
-__all__ = ["open_closed_streams", "reserved_stdout", "result_stream"]
-
 _reserved: list[TextIO] = []
 
 

@@ -25,16 +25,6 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter, jittered
 
-__all__ = [
-    "EnvArguments",
-    "EnvKeywords",
-    "check_support",
-    "jitter_option",
-    "jittered_experiment",
-    "plain_spec",
-    "start_of",
-]
-
 
 @dataclass(frozen=True)
 class EnvArguments:
@@ -55,9 +45,6 @@ class EnvArguments:
         asset: File that states the scene in place of the task file: a USD layer for any engine, an MJCF file for
             `mujoco`. It states constants and driven motion; observation and score stay the variant's. With the id
             `GAUGE/Asset` it is an experiment file.
-
-    Raises:
-        ParameterError: There is no such marker proxy, or an argument has the wrong type.
     """
 
     variant: str | Variant
@@ -98,11 +85,7 @@ class EnvArguments:
         return MarkerProxy(self.marker_proxy)
 
     def experiment(self) -> Experiment:
-        """Load the experiment.
-
-        Raises:
-            GaugeError: See `resolve_experiment`.
-        """
+        """Load the experiment."""
         return resolve_experiment(
             self.variant, self.parameters, drivers=self.drivers, reference=self.reference, asset=self.asset
         )
@@ -126,11 +109,7 @@ class EnvKeywords(TypedDict, total=False):
 
 
 def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
-    """Return a copy of a spec whose arguments `EnvSpec.to_json` accepts.
-
-    Raises:
-        ParameterError: An argument has no plain form.
-    """
+    """Return a copy of a spec whose arguments `EnvSpec.to_json` accepts."""
     if spec is None:
         return None
     return replace(spec, kwargs={name: _plain(name, value) for name, value in spec.kwargs.items()})
@@ -157,11 +136,7 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def jitter_option(options: Mapping[str, Any]) -> Jitter | TrialStart | None:
-    """Return the start that the options of a reset ask for, or None for the calibrated start.
-
-    Raises:
-        ParameterError: An option is unknown or contradicts another, or its value has the wrong type.
-    """
+    """Return the start that the options of a reset ask for, or None for the calibrated start."""
     unknown = [repr(key) for key in options if key not in ("jitter", "trial")]
     if unknown:
         raise ParameterError(f"reset has only the options 'jitter' and 'trial', got {', '.join(unknown)}")
@@ -190,10 +165,6 @@ def jittered_experiment(
         jitter: Standard deviations of the start, or the imported or single-shot trial; None keeps the start.
         seed: Seed of the random numbers.
         backend: Name of the engine that will build the scene.
-
-    Raises:
-        ParameterError: The scene has no start that can be jittered, or no such trial was imported.
-        UnsupportedSceneError: The engine cannot build the scene from that start.
     """
     if jitter is None:
         return experiment
@@ -223,13 +194,7 @@ def start_of(experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed
 
 
 def check_support(experiment: Experiment, backend: str) -> None:
-    """Raise an error if a backend cannot build an experiment.
-
-    Raises:
-        UnknownNameError: No such backend.
-        MissingExtraError: Its engine is not installed.
-        UnsupportedSceneError: It does not support the scene; the message names the features, and a backend that does.
-    """
+    """Raise an error if a backend cannot build an experiment."""
     support = support_of(backend, experiment.scene, experiment.model_file)
     if not support:
         raise UnsupportedSceneError(_unsupported_message(experiment, backend, support.missing))

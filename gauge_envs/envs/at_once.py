@@ -18,8 +18,6 @@ from gauge_envs.envs.rollout import RecordedEpisodes
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["EpisodesAtOnce"]
-
 FloatArray = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 

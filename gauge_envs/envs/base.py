@@ -17,8 +17,6 @@ from gauge_envs.errors import BackendError, EpisodeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["EngineEnvironment", "SimulationEnvironment"]
-
 
 class EngineEnvironment:
     """An environment of one experiment on one engine.
@@ -36,11 +34,6 @@ class EngineEnvironment:
         backend_name: Name of the engine.
         versions: Versions of the engine's packages.
         render_mode: None or `rgb_array`.
-
-    Raises:
-        UnknownNameError: No such backend.
-        MissingExtraError: The engine is not installed.
-        UnsupportedSceneError: The engine cannot build the scene.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES], "render_fps": int(FRAME_RATE_HZ)}
@@ -77,11 +70,7 @@ class EngineEnvironment:
         return self.experiment.id
 
     def _check_open(self, call: str) -> None:
-        """Raise an error if a method is called after `close`.
-
-        Raises:
-            EpisodeError: The environment is closed.
-        """
+        """Raise an error if a method is called after `close`."""
         if self._is_closed:
             raise EpisodeError(f"{self._label}: {call} after close; make the environment again")
 
@@ -91,9 +80,6 @@ class EngineEnvironment:
         Args:
             call: Name of the method.
             started: Whether `reset` was called.
-
-        Raises:
-            EpisodeError: It was not, or the environment is closed.
         """
         self._check_open(call)
         if not started:
@@ -127,11 +113,7 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
         return {"settings": dict(self.simulation.settings), "simulation": self.simulation.state()}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
-        """Restore what `_state` returned.
-
-        Raises:
-            BackendError: Other settings are in force, as defaults may change with the version of gauge-envs.
-        """
+        """Restore what `_state` returned."""
         before, now = state["settings"], self.simulation.settings
         changed = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
         if changed:
@@ -149,12 +131,7 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
         return {"attributes": plain, "state": self._state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Build the simulation and restore its state.
-
-        Raises:
-            BackendError: The installed versions of the engine differ from those of the pickle.
-            MissingExtraError: The engine is not installed.
-        """
+        """Build the simulation and restore its state."""
         vars(self).update(state["attributes"])
         installed = versions_of(self.backend_name)
         if installed != self.versions:
@@ -166,11 +143,7 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
         self._restore(state["state"])
 
     def _check_running(self, *, started: bool, is_over: bool) -> None:
-        """Raise an error if no step may follow.
-
-        Raises:
-            EpisodeError: The environment was not reset, or the episode is over.
-        """
+        """Raise an error if no step may follow."""
         self._check_started("step", started=started)
         if is_over:
             raise EpisodeError(f"{self._label}: the episode is over, call reset")

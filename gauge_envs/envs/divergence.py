@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene import Scene
 
-__all__ = ["DeformableBounds", "RigidBounds", "RigidBoundsOfWorlds", "speed_fault"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -27,7 +27,6 @@ try:
 except ImportError as error:
     raise MissingExtraError("gauge_envs.envs.dm_env", "dm", error) from error
 
-__all__ = ["DmEnvironment", "load"]
 
 SCORED = "gauge_envs.envs.wrappers:scored_env"
 """Entry point of the ids that are experiments; control tasks have others."""
@@ -41,10 +40,6 @@ def load(name: str, *, seed: int = 0, options: Mapping[str, Any] | None = None, 
         seed: Seed of the first episode; each next one has one more.
         options: Options of every reset, as `{"jitter": True}`.
         **arguments: Keywords of `GaugeEnv`: `backend`, `settings`, `parameters`, ...
-
-    Raises:
-        UnknownNameError: No such variant or backend.
-        GaugeError: See `GaugeEnv`.
 
     Example:
         >>> from gauge_envs.envs.dm_env import load
@@ -88,22 +83,14 @@ class DmEnvironment(dm_env.Environment):
         self._is_over = True
 
     def reset(self) -> dm_env.TimeStep:
-        """Start an episode.
-
-        Raises:
-            ParameterError: There is no such reset option, or nothing can be jittered.
-        """
+        """Start an episode."""
         observation, self.info = self._env.reset(seed=self._next_seed, options=self._options)
         self._next_seed += 1
         self._is_over = False
         return dm_env.restart(observation)
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """Simulate one frame, 1/30 s; before the first episode and after the end of one, start an episode instead.
-
-        Raises:
-            ActionError: The action has the wrong shape, is out of range or is not a number.
-        """
+        """Simulate one frame, 1/30 s; before the first episode and after the end of one, start an episode instead."""
         if self._is_over:
             return self.reset()
         observation, reward, terminated, truncated, self.info = self._env.step(action)

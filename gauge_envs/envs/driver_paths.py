@@ -11,8 +11,6 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = ["DriverPaths"]
-
 
 class DriverPaths:
     """Recorded motions of a scene's kinematic bodies, cut into intervals.

@@ -20,8 +20,6 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = ["GaugeEnv"]
-
 
 class GaugeEnv(SimulationEnvironment[Observation, Any]):
     """One experiment of the GAUGE benchmark.

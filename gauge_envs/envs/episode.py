@@ -29,8 +29,6 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["Episode", "Observation", "Trajectory", "advance_together", "reward_terms", "run_on_together"]
-
 NO_RATES = np.zeros(0)
 
 LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
@@ -95,9 +93,6 @@ class Episode:
         action_space: Action space of the environment.
         observation_space: Observation space of the environment.
         rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
-
-    Raises:
-        ParameterError: The world was built for another drive interval than `SAMPLE_INTERVAL_S`.
     """
 
     def __init__(
@@ -356,11 +351,7 @@ class Episode:
         return self._simulated_frame * SAMPLES_PER_FRAME + 1
 
     def trajectory(self) -> Trajectory:
-        """Return what the episode has recorded so far.
-
-        Raises:
-            EpisodeError: The environment was not reset.
-        """
+        """Return what the episode has recorded so far."""
         if self.frame is None:
             raise EpisodeError(f"{self.experiment.id}: no trajectory before reset")
         last = self.frame * SAMPLES_PER_FRAME + 1
@@ -375,11 +366,7 @@ class Episode:
         )
 
     def score(self) -> Score:
-        """Return the score of the episode; if it diverged, the score has a grade and no metric.
-
-        Raises:
-            EpisodeError: The episode is not over.
-        """
+        """Return the score of the episode; if it diverged, the score has a grade and no metric."""
         if not self.is_over:
             raise EpisodeError(f"{self.experiment.id}: no score before the episode is over")
         if self.fault is not None:
@@ -388,11 +375,7 @@ class Episode:
         return score_trajectory(self.experiment, self.band, times_s=times_s, values=values, backend=self._backend)
 
     def deformation(self) -> DeformationScore | None:
-        """Return the statistics of deformation beside real ones; None without them, or if the episode diverged.
-
-        Raises:
-            EpisodeError: The episode is not over.
-        """
+        """Return the statistics of deformation beside real ones; None without them, or if the episode diverged."""
         if not self.is_over:
             raise EpisodeError(f"{self.experiment.id}: no statistics of deformation before the episode is over")
         if self.fault is not None or not self._markers_m.size:
@@ -424,11 +407,7 @@ class Episode:
         return states
 
     def checked(self, action: Any) -> NDArray[np.float64]:
-        """Return the residual rates of an action, shape [motion_count].
-
-        Raises:
-            ActionError: The action has the wrong shape, is out of range or is not a number.
-        """
+        """Return the residual rates of an action, shape [motion_count]."""
         space = self.action_space
         if isinstance(space, spaces.Discrete):
             if isinstance(action, int | np.integer) and action == 0:

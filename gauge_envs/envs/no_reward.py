@@ -13,8 +13,6 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.imported import has_import
 
-__all__ = ["unreported", "warn_without_reward"]
-
 CALLER = 4
 """Frames from the warning to the caller of `gymnasium.make`: this module, the entry point, `make`, the caller."""
 

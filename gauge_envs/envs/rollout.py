@@ -19,8 +19,6 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.evaluation.device_scores import device_array, score_recording
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["RecordedEpisodes", "Rollout"]
-
 FloatArray = NDArray[np.float64]
 
 

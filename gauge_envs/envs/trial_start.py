@@ -18,8 +18,6 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["TrialStart", "trial_scene"]
-
 FloatArray = NDArray[np.float64]
 
 DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
@@ -66,10 +64,6 @@ def trial_scene(experiment: Experiment, trial: int) -> Scene:
     Args:
         experiment: An experiment that observes positions of rigid bodies.
         trial: Number of the trial, from 0.
-
-    Raises:
-        ParameterError: The experiment observes no rigid bodies or all of them are attached, no trials were imported,
-            there is no such trial, or its first three frames were not all measured.
     """
     scene = experiment.scene
     imported = _imported(experiment)

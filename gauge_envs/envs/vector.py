@@ -33,8 +33,6 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = ["GaugeVectorEnv", "ScoreEpisodes", "scored_vector_env"]
-
 WORLD_LIMIT = 100_000
 """Largest number of worlds; as many SlopeSlider worlds take 63 GB on MuJoCo."""
 
@@ -73,10 +71,6 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         episodes: The current episode of each world.
         seeds_used: Seeds of the last reset; empty before the first.
         jitter: Jitter or trial of the last reset, or None.
-
-    Raises:
-        GaugeError: See `GaugeEnv`.
-        ParameterError: `num_envs` is no whole number from 1 to 100 000, or `world_parameters` has another length.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -166,11 +160,6 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
                 world; the engine takes the first. None is 0.
             options: See `GaugeEnv.reset`. With `{"jitter": True}` each world has a start of its own; `{"trial": 3}`
                 starts every world from imported trial 3. With single-shot trials each world starts from its seed's one.
-
-        Raises:
-            ParameterError: There is no such option, the scene has no start that can be jittered, or the number of seeds
-                is wrong.
-            UnsupportedSceneError: The backend cannot build the scene from one of the starts.
         """
         seeds = self._seeds(seed)
         self._check_open("reset")
@@ -214,10 +203,6 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
 
         Args:
             actions: One action for each world.
-
-        Raises:
-            ActionError: An action has the wrong shape, is out of range or is not a number, or their number is wrong.
-            EpisodeError: The environment was not reset.
         """
         self._check_started("step", started=self._is_reset)
         if self._at_once is not None:
@@ -247,10 +232,6 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             keep: Whether to copy the record to the host at the end. `scores`, `score_arrays`, `render` and the records
                 of `episodes` are then as after stepping. Otherwise the environment must be reset before anything else.
                 Episodes that were stepped are always kept.
-
-        Raises:
-            ActionError: An action is wrong; see `step`.
-            EpisodeError: The environment was not reset just before, or the experiment has no reference.
         """
         self._check_started("rollout", started=self._is_reset)
         if self.band is None:
@@ -355,11 +336,7 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         return infos
 
     def scores(self) -> tuple[Score | None, ...]:
-        """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`.
-
-        Raises:
-            EpisodeError: The episode was a rollout that kept no record.
-        """
+        """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
         self._check_record("scores")
         self._run_on()
         return tuple(episode.score() if episode.is_over else None for episode in self.episodes)
@@ -370,9 +347,6 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
         The keys are those of `Score`: `rmse` and, where they apply, `rmse_normalized`, `release_offset_s`,
         `rmse_aligned` and `rmse_aligned_normalized`. Entries of worlds whose episode is not over or diverged are NaN.
         A `Score` holds more, as intervals, and takes some milliseconds for each world.
-
-        Raises:
-            EpisodeError: The experiment has no reference, or the episode was a rollout that kept no record.
         """
         self._check_record("score_arrays")
         if self.band is None:
@@ -393,21 +367,12 @@ class GaugeVectorEnv(EngineEnvironment, VectorEnv[Observation, Any, NDArray[Any]
             self._at_once.run_on()
 
     def deformations(self) -> tuple[DeformationScore | None, ...]:
-        """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`.
-
-        Raises:
-            EpisodeError: The episode was a rollout that kept no record.
-        """
+        """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""
         self._check_record("deformations")
         return tuple(episode.deformation() if episode.is_over else None for episode in self.episodes)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`.
-
-        Raises:
-            RenderError: The machine has no OpenGL library.
-            EpisodeError: The environment was not reset.
-        """
+        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._is_reset)
@@ -435,11 +400,7 @@ def _padded(
 
 
 def _check_world_count(num_envs: object) -> None:
-    """Raise an error for an impossible number of worlds.
-
-    Raises:
-        ParameterError: It is no whole number from 1 to `WORLD_LIMIT`.
-    """
+    """Raise an error for an impossible number of worlds."""
     if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool) or not 1 <= num_envs <= WORLD_LIMIT:
         raise ParameterError(f"num_envs is {num_envs!r}, expected a whole number from 1 to {WORLD_LIMIT}")
 
@@ -455,9 +416,6 @@ class ScoreEpisodes(VectorWrapper):
         env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
         arrays: Whether to add, in place of `score` and `deformation`, the arrays of `GaugeVectorEnv.score_arrays` with
             their masks, at the step that ends the last episode. Thousands of worlds are then scored in one pass.
-
-    Raises:
-        ParameterError: `arrays` is given for an environment other than `GaugeVectorEnv`.
 
     Example:
         >>> import gymnasium as gym
@@ -488,11 +446,7 @@ class ScoreEpisodes(VectorWrapper):
         return self.env.reset(seed=cast("int | None", seed), options=options)
 
     def step(self, actions: Any) -> Step:
-        """Step, and score the episodes that end.
-
-        Raises:
-            EpisodeError: A sub-environment restarted in the step that ended its episode, and its score is lost.
-        """
+        """Step, and score the episodes that end."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         over = terminations | truncations
         ended = np.flatnonzero(over & ~self._over).tolist()
@@ -535,9 +489,6 @@ def scored_vector_env(*, score_arrays: bool = False, **arguments: Any) -> ScoreE
     Args:
         score_arrays: Argument `arrays` of `ScoreEpisodes`.
         **arguments: Arguments of `GaugeVectorEnv`.
-
-    Raises:
-        GaugeError: See `GaugeVectorEnv`.
 
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.

@@ -9,8 +9,6 @@ import gymnasium
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.no_reward import warn_without_reward
 
-__all__ = ["ScoreEpisode", "scored_env"]
-
 
 class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
     """Score each episode against reality when it ends.
@@ -59,9 +57,6 @@ def scored_env(**arguments: Any) -> ScoreEpisode:
 
     Args:
         **arguments: Arguments of `GaugeEnv`.
-
-    Raises:
-        GaugeError: See `GaugeEnv`.
 
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.

@@ -23,8 +23,6 @@ from gauge_envs.scene import Hinge, Motion, Plane, RigidBody, Scene, Sphere
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["closed_form"]
-
 FloatArray = NDArray[np.float64]
 
 LEAST_APEX_M = 1e-9

@@ -18,8 +18,6 @@ from gauge_envs.observables.deformation import STATISTICS, deformation_statistic
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
 from gauge_envs.references.imported import DataSource, load_imported
 
-__all__ = ["DeformationScore", "StatisticScore", "deformation_reference", "score_deformation"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -89,11 +87,7 @@ class DeformationScore:
 
 
 def deformation_reference(experiment: Experiment) -> DeformationReference | None:
-    """Return the real statistics of an experiment from its reference source; None without any.
-
-    Raises:
-        ReferenceFileError: A file of the reference is damaged.
-    """
+    """Return the real statistics of an experiment from its reference source; None without any."""
     if experiment.reference is not None:
         return None
     if experiment.reference_source is DataSource.BUNDLED:
@@ -119,10 +113,6 @@ def score_deformation(
 
     Returns:
         The comparison; None if the experiment has no markers on a solid, or no real statistics.
-
-    Raises:
-        ShapeError: Frames or markers of rollout or reference are not those of the experiment.
-        ReferenceFileError: A file of the reference is damaged.
     """
     solid = marked_solid(experiment.scene)
     reference = deformation_reference(experiment) if reference is None else reference

@@ -16,8 +16,6 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Deviation", "Deviations", "band_baseline", "band_deviations", "experiment_sensitivities", "sampled_frames"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -87,9 +85,6 @@ def band_deviations(
         times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count].
         values: g(t) at those times, shape [sample_count, coordinate_count].
         sensitivities: Uncertain inputs of the simulation; None leaves them out.
-
-    Raises:
-        ShapeError: A frame is missing, or values are not finite or have the wrong width.
     """
     frames = sampled_frames(experiment, times_s, values)
     simulated = band.project(frames)
@@ -111,11 +106,7 @@ def band_deviations(
 
 
 def sampled_frames(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the samples at the 30 Hz frames of an experiment, shape [T, coordinate_count].
-
-    Raises:
-        ShapeError: A frame is missing.
-    """
+    """Return the samples at the 30 Hz frames of an experiment, shape [T, coordinate_count]."""
     wanted = np.arange(experiment.frame_count) / FRAME_RATE_HZ
     index = np.clip(np.searchsorted(times_s, wanted - 1e-6), 0, len(times_s) - 1)
     missing = np.abs(times_s[index] - wanted) > 1e-4

@@ -21,17 +21,12 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["device_array", "score_recording"]
-
 
 def device_array(array: Any) -> wp.array:
     """Return an array of another library as a Warp array on the same device, without a copy.
 
     Args:
         array: An array that follows the DLPack protocol.
-
-    Raises:
-        MissingExtraError: Warp is not installed.
     """
     try:
         import warp as wp
@@ -66,10 +61,6 @@ def score_recording(
 
     Returns:
         As `score_worlds` returns them.
-
-    Raises:
-        ShapeError: The shapes do not agree, the positions are no 64-bit floats, or a row is the number of no body.
-        MissingExtraError: Warp is not installed.
     """
     positions = device_array(positions_m)
     import warp as wp

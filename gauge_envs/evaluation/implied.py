@@ -19,8 +19,6 @@ from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["ImpliedParameter", "implied_parameters"]
-
 FloatArray = NDArray[np.float64]
 
 LEAST_SAMPLES = 4

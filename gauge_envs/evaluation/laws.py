@@ -15,8 +15,6 @@ from gauge_envs.scene import Plane, RigidBody, Scene
 from gauge_envs.scene.contact_faces import TOUCHING_M
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Straight", "distance_to_contact_m", "free_flight", "slide"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -58,9 +56,6 @@ def free_flight(scene: Scene, body: str) -> Straight:
     Args:
         scene: The scene.
         body: Name of the body.
-
-    Raises:
-        ShapeError: The body touches another one at the start, so that it does not fall freely.
     """
     falling = scene.body(body)
     down = np.array([0.0, 0.0, -1.0])
@@ -81,9 +76,6 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
         scene: The scene; both bodies are convex, and the origin of the sliding one is its centroid.
         body: Name of the sliding body.
         support: Name of the body on which it slides.
-
-    Raises:
-        ShapeError: The bodies do not touch at a face, friction holds the body, or its centroid is not above the face.
     """
     sliding, fixed = scene.body(body), scene.body(support)
     facets = np.unique(ConvexHull(_corners_m(fixed)).equations.round(9), axis=0)

@@ -29,17 +29,6 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene import ContactMode
 
-__all__ = [
-    "RATE_BOUNDS",
-    "SCALE_BOUNDS",
-    "Change",
-    "Impact",
-    "MotionKind",
-    "RecognizedMotion",
-    "find_impact",
-    "recognized",
-]
-
 FloatArray = NDArray[np.float64]
 Continuation = Callable[[FloatArray], FloatArray]
 

@@ -16,8 +16,6 @@ from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["band_grade", "load_band", "reference_band"]
-
 
 def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
     """Return the band that an experiment is scored against: its trial or measured band, or else that of a law.
@@ -72,9 +70,6 @@ def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | N
     Args:
         variant: Name of the variant.
         source: `bundled`, or `imported` for the band of the imported trials.
-
-    Raises:
-        ReferenceFileError: A file of the band is damaged.
     """
     if source is DataSource.BUNDLED:
         return bundled_band(variant)

@@ -12,8 +12,6 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["ReferencePath", "reference_path"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReferencePath:

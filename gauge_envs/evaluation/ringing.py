@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-__all__ = ["Ringing", "fit_ringing"]
-
 FloatArray = NDArray[np.float64]
 
 LEAST_SAMPLES = 12

@@ -28,8 +28,6 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities
 
-__all__ = ["Score", "score_trajectory"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import warp as wp
 
-__all__ = ["align", "compare", "project"]
-
 
 @wp.kernel(enable_backward=False)
 def project(

@@ -30,20 +30,6 @@ from gauge_envs.scene.hinged import carried
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
-__all__ = [
-    "AngleError",
-    "Impact",
-    "ShotError",
-    "angle_error",
-    "bootstrap_interval",
-    "energies_j",
-    "impacts",
-    "perturbed_scene",
-    "perturbed_start",
-    "shot_error",
-    "upper_face",
-]
-
 FloatArray = NDArray[np.float64]
 
 SLIP_WINDOW_S = 0.1
@@ -102,9 +88,6 @@ def shot_error(
         positions_m: Simulated positions of the body origin [m], shape [T, 3].
         rotations: Simulated orientations, body to world, T of them.
         early_s: Time of the early errors [s].
-
-    Raises:
-        ShapeError: The arrays disagree in length, or the samples end before the early time.
     """
     if not len(times_s) == len(positions_m) == len(rotations):
         raise ShapeError(f"{len(times_s)} times, {len(positions_m)} positions and {len(rotations)} rotations")
@@ -161,9 +144,6 @@ def angle_error(
         times_s: Times of the samples from the recorded start on [s], increasing, shape [T].
         rotations: Simulated orientations of both bodies, body to world, T of them each.
         early_s: Time of the early error [s].
-
-    Raises:
-        ShapeError: The arrays disagree in length, or the samples end before the early time.
     """
     if not len(times_s) == len(rotations[0]) == len(rotations[1]):
         raise ShapeError(f"{len(times_s)} times, and {len(rotations[0])} and {len(rotations[1])} rotations")

@@ -28,8 +28,6 @@ from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["EventTime", "event_intervals", "swing_metrics", "swing_notes"]
-
 FloatArray = NDArray[np.float64]
 
 NORMAL_95 = 1.959964

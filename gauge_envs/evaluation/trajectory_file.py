@@ -34,8 +34,6 @@ from gauge_envs.files import MEGABYTE, json_document, npz_arrays, npz_names, rea
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["StatedOrigin", "UserTrajectory", "read_trajectory", "stated_origin"]
-
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
 
@@ -83,11 +81,7 @@ class StatedOrigin:
 
 
 def stated_origin(file: Path) -> StatedOrigin:
-    """Return what a trajectory file states about its origin.
-
-    Raises:
-        TrajectoryFileError: The file cannot be read, or its `id` is not text.
-    """
+    """Return what a trajectory file states about its origin."""
     if file.suffix.lower() != ".json":
         return StatedOrigin()
     content = _json_object(file)
@@ -109,9 +103,6 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     Args:
         file: The file; its suffix selects the format.
         experiment: Experiment that was simulated.
-
-    Raises:
-        TrajectoryFileError: The file cannot be read or used.
     """
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
     reader = readers.get(file.suffix.lower())

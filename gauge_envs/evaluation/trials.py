@@ -13,8 +13,6 @@ from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["TrialDistances", "percentile_among", "trial_distances"]
-
 FloatArray = NDArray[np.float64]
 
 SHIFT_STEP_S = 1.0 / 120.0

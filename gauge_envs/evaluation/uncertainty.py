@@ -36,8 +36,6 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities, input_uncertainties
 
-__all__ = ["BandErrors", "BudgetEntry", "band_errors"]
-
 FloatArray = NDArray[np.float64]
 
 DRAW_COUNT = 4000

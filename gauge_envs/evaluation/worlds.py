@@ -12,8 +12,6 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["MOST_STEPS", "is_aligned", "normalized", "score_worlds"]
-
 FloatArray = NDArray[np.float64]
 
 MOST_STEPS = round(MAX_RELEASE_OFFSET_S / SAMPLE_INTERVAL_S)
@@ -37,9 +35,6 @@ def score_worlds(
         Arrays of shape [world_count] by field of `Score`, NaN for a world without a score: `rmse`; `rmse_normalized` if
         there is a published baseline; and for bands that are aligned `release_offset_s`, `rmse_aligned` and
         `rmse_aligned_normalized`.
-
-    Raises:
-        ShapeError: The shapes do not agree, or the times are not those of 180 samples a second.
     """
     needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
     if values.ndim != 3 or values.shape[1:] != (len(times_s), band.projection.shape[1]) or len(times_s) < needed:

@@ -15,8 +15,6 @@ from gauge_envs.references.imported import DataSource
 from gauge_envs.references.published import Baseline, Reference, published_baselines
 from gauge_envs.scene import Scene
 
-__all__ = ["ASSET_NAME", "Asset", "AssetKind", "Experiment", "TaskExperiment", "driver_provenance"]
-
 
 class AssetKind(StrEnum):
     """Kind of asset."""

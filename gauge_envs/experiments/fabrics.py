@@ -8,8 +8,6 @@ from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import ClothConstants
 from gauge_envs.scene.fabrics import Fabric
 
-__all__ = ["fabrics"]
-
 FABRICS_FROM = "TextileFlinging"
 """Family whose task file names the six calibrated fabrics; other families repeat its constants."""
 
@@ -18,10 +16,6 @@ def fabrics(family: str = FABRICS_FROM) -> dict[str, Fabric]:
     """Return the calibrated fabrics of a family, by name.
 
     The default family has the six fabrics of the benchmark. The nylon of `TableclothPulling` is another cloth.
-
-    Raises:
-        UnknownNameError: No such family.
-        TaskFileError: Its file is wrong.
     """
     spec = task_spec(family)
     return {

@@ -10,8 +10,6 @@ from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.scene_source import is_experiment_file
 from gauge_envs.experiments.variants import Variant, beyond_variants, find_variant, variants
 
-__all__ = ["is_glob", "matching_subjects", "matching_variants"]
-
 GLOB_CHARACTERS = "*?["
 
 
@@ -24,9 +22,6 @@ def matching_variants(pattern: str) -> list[Variant]:
     """Return the variants of an id or a pattern, with or without `GAUGE/`.
 
     A pattern matches the benchmark; only one that matches nothing there matches the variants beyond it.
-
-    Raises:
-        UnknownNameError: No variant matches; the message offers the nearest name.
     """
     if not is_glob(pattern):
         return [find_variant(pattern)]
@@ -39,9 +34,5 @@ def matching_variants(pattern: str) -> list[Variant]:
 
 
 def matching_subjects(pattern: str) -> Sequence[Variant | str]:
-    """Return the variants of an id or a pattern, or the path of an experiment file.
-
-    Raises:
-        UnknownNameError: No variant matches; the message offers the nearest name.
-    """
+    """Return the variants of an id or a pattern, or the path of an experiment file."""
     return [pattern] if is_experiment_file(Path(pattern)) else matching_variants(pattern)

@@ -18,8 +18,6 @@ from gauge_envs.experiments.variants import Variant, find_variant, task_path
 from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
 from gauge_envs.references.single_shot import single_shots
 
-__all__ = ["load_experiment", "load_experiment_from_asset", "resolve_experiment"]
-
 START_KEYS = set(Placement.model_fields)
 """Overrides that state the start of a body."""
 
@@ -125,13 +123,6 @@ def resolve_experiment(
         drivers: As for `load_experiment`.
         reference: As for `load_experiment`.
         asset: File of `load_experiment_from_asset`; or, for `GAUGE/Asset`, an experiment file.
-
-    Raises:
-        UnknownNameError: There is no such variant.
-        ParameterError: As for `load_experiment`; or an argument contradicts the asset.
-        TaskFileError: The task file or the experiment file is wrong.
-        ReferenceFileError: The imported trials, or the band of an experiment file, are damaged.
-        AssetError: The asset cannot be read, or does not fit the variant.
     """
     path = None if asset is None else Path(asset)
     if isinstance(subject, str) and subject.removeprefix("GAUGE/") == ASSET_NAME:

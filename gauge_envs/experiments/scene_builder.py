@@ -39,9 +39,6 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Parameters", "SceneBuilder", "parameter_overrides"]
-
-
 AIR = "air"
 """Name under which overrides state the air of a scene, as `air.density_kg_per_m3`."""
 
@@ -50,11 +47,7 @@ Parameters = str | Mapping[str, Any]
 
 
 def parameter_overrides(spec: TaskSpec, variant: Variant, parameters: Parameters) -> tuple[str, dict[str, Any]]:
-    """Return the name of the parameters, `custom` for overrides, and the overrides that they are.
-
-    Raises:
-        ParameterError: The task file has no such parameter set.
-    """
+    """Return the name of the parameters, `custom` for overrides, and the overrides that they are."""
     if isinstance(parameters, Mapping):
         return ("custom" if parameters else "calibrated"), dict(parameters)
     if parameters == "calibrated":
@@ -75,10 +68,6 @@ class SceneBuilder:
         variant: The variant.
         overrides: Values that replace calibrated ones, keyed `body.constant`; `air.<field>` adds air to a scene with
             cloth, by the fields of `scene.Air`.
-
-    Raises:
-        ParameterError: An override names an unknown body or constant, or has an impossible value.
-        TaskFileError: The task file lacks a start or a frame count.
     """
 
     def __init__(self, path: Path, spec: TaskSpec, variant: Variant, overrides: Mapping[str, Any]) -> None:
@@ -158,12 +147,7 @@ class SceneBuilder:
         return body if body in self.spec.bodies else body.rpartition("-")[0]
 
     def build(self) -> Scene:
-        """Return the scene.
-
-        Raises:
-            TaskFileError: Parts of the task file contradict each other.
-            ParameterError: An override gives a start velocity that its body cannot have.
-        """
+        """Return the scene."""
         try:
             return self._scene()
         except ParameterError as error:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from gauge_envs.experiments.experiment import Experiment, TaskExperiment
     from gauge_envs.scene.usd.reader import UsdScene
 
-__all__ = ["USD_SUFFIXES", "check_fit", "contents_sha256", "is_experiment_file", "read_bytes", "with_asset"]
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 """Suffixes of USD layers."""
@@ -41,11 +40,7 @@ def is_experiment_file(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of an asset.
-
-    Raises:
-        AssetError: The file cannot be read.
-    """
+    """Return the content of an asset."""
     try:
         return read_regular(path, MOST_ASSET_BYTES)
     except OSError as error:
@@ -68,9 +63,6 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
     Args:
         experiment: Experiment with its calibrated scene and bundled drivers.
         path: USD layer, or model file of an installed engine.
-
-    Raises:
-        AssetError: The file cannot be read, belongs to another variant, or does not fit this one.
     """
     from gauge_envs.backends.registry import backend_of_suffix
     from gauge_envs.experiments.experiment import driver_provenance
@@ -124,9 +116,6 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
     Args:
         found: Experiment with the scene of its asset.
         wanted: Experiment with the scene that states what is observed.
-
-    Raises:
-        AssetError: A recorded body is missing or does not move, or the markers differ or are on a rigid body.
     """
     assert found.asset is not None
     path, scene = found.asset.path, found.scene

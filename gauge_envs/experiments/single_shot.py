@@ -12,8 +12,6 @@ from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import carried
 
-__all__ = ["shots_of", "with_trial"]
-
 AnyExperiment = TypeVar("AnyExperiment", bound=Experiment)
 
 
@@ -31,9 +29,6 @@ def with_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment:
     Args:
         experiment: An experiment with single-shot trials.
         trial: Number of the trial, from 0.
-
-    Raises:
-        ParameterError: The experiment has no single-shot trials, or no such trial.
     """
     shots = single_shots(experiment.name)
     if shots is None:

@@ -16,8 +16,6 @@ from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
 from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
-__all__ = ["PROVENANCES", "DriverSpec", "Fraction", "ShapeTable", "UnitVector"]
-
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"]

@@ -22,8 +22,6 @@ from gauge_envs.experiments.variants import Variant, beyond_variants, task_path,
 from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, read_regular, toml_document
 from gauge_envs.scene import Plane
 
-__all__ = ["load_task", "task_file_error", "task_file_faults", "task_sha256", "task_spec"]
-
 
 def load_task(path: Path) -> TaskSpec:
     """Read and validate one task file.
@@ -197,20 +195,11 @@ def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
 
 @cache
 def task_sha256(family: str) -> str:
-    """Return the hash of the task file of a family.
-
-    Raises:
-        UnknownNameError: No such family.
-    """
+    """Return the hash of the task file of a family."""
     return hashlib.sha256(read_regular(task_path(family), MOST_TOML_BYTES)).hexdigest()
 
 
 @cache
 def task_spec(family: str) -> TaskSpec:
-    """Return the validated task file of a family.
-
-    Raises:
-        UnknownNameError: No such family.
-        TaskFileError: Its file is wrong.
-    """
+    """Return the validated task file of a family."""
     return load_task(task_path(family))

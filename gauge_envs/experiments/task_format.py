@@ -18,20 +18,6 @@ from gauge_envs.references.tables import FileModel
 from gauge_envs.scene import ContactMode, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
-__all__ = [
-    "BodyHingeSpec",
-    "ClothConstants",
-    "ContactSpec",
-    "Group",
-    "JointSpec",
-    "MarkersSpec",
-    "Placement",
-    "RigidConstants",
-    "ScoreSpec",
-    "SolidConstants",
-    "TaskSpec",
-]
-
 
 class Group(StrEnum):
     """Kind of matter that an experiment is about."""
@@ -358,9 +344,6 @@ class TaskSpec(FileModel):
         """Return the origin of the number under a dotted key.
 
         The entry with the longest matching prefix counts; of equally long ones, that with the fewest wildcards.
-
-        Raises:
-            UnknownNameError: No entry covers the key.
         """
         parts = key.split(".")
         for length in range(len(parts), 0, -1):

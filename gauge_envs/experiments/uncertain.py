@@ -16,8 +16,6 @@ from gauge_envs.experiments.variants import task_path
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import ContactMode, Motion, Sphere, Vector
 
-__all__ = ["UncertainParameter", "overrides_at", "uncertain_parameters"]
-
 MASS_STEP_KG = 1e-4
 """Masses are published to 0.1 g."""
 

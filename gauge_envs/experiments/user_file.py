@@ -31,15 +31,6 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
 
-__all__ = [
-    "EXPERIMENT_NAME",
-    "ExperimentFile",
-    "FileExperiment",
-    "experiment_record",
-    "load_experiment_file",
-    "recorded_experiment_file",
-]
-
 EXPERIMENT_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
 """Pattern of the name of an experiment file, which is part of ids and of file names."""
 
@@ -175,11 +166,7 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
 
 
 def _named_file(path: Path, key: str, name: str) -> Path:
-    """Return the path of a file that an experiment file names.
-
-    Raises:
-        TaskFileError: It is outside the folder of the experiment file.
-    """
+    """Return the path of a file that an experiment file names."""
     file = path.parent / name
     try:
         reason = outside_reason(file, path)
@@ -239,11 +226,7 @@ def experiment_record(experiment: FileExperiment) -> dict[str, Any]:
 def recorded_experiment_file(
     record: Mapping[str, Any], scene: Scene, *, asset: Asset, file_sha256: str
 ) -> FileExperiment:
-    """Build an experiment from `experiment_record` and its scene.
-
-    Raises:
-        ValueError: The record is damaged.
-    """
+    """Build an experiment from `experiment_record` and its scene."""
     definition = ExperimentFile.model_validate(record["definition"])
     band = None if record["band"] is None else Band.from_dict(record["band"])
     return _file_experiment(definition, scene, band, asset=asset, file_sha256=file_sha256)
@@ -281,11 +264,7 @@ class _Names:
         self._names = {name: name for name in paths} | {prim: name for name, prim in paths.items()}
 
     def body(self, key: str, stated: str) -> str:
-        """Return the name of a body.
-
-        Raises:
-            AssetError: There is no such body.
-        """
+        """Return the name of a body."""
         if stated not in self._names:
             prims = ", ".join(name for name in self._names if name.startswith("/")) or "none"
             raise AssetError(self._path, key, f"{stated!r} is no body of {self._layer.name}, which has: {prims}")

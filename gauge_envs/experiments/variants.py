@@ -15,17 +15,6 @@ from typing import Any
 from gauge_envs.errors import TaskFileError, UnknownNameError
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
 
-__all__ = [
-    "Collection",
-    "Variant",
-    "beyond_variants",
-    "find_variant",
-    "task_files",
-    "task_path",
-    "unreadable_task_files",
-    "variants",
-]
-
 
 class Collection(StrEnum):
     """Where an experiment is from."""
@@ -78,11 +67,7 @@ def _read_files() -> tuple[dict[str, tuple[Path, dict[str, Any]]], tuple[TaskFil
 
 
 def _header(raw: dict[str, Any]) -> str:
-    """Return the family of a task file, of which the names of its variants can be read.
-
-    Raises:
-        ValueError: A name is missing or is not text.
-    """
+    """Return the family of a task file, of which the names of its variants can be read."""
     family, materials, subtasks = raw.get("family"), raw.get("materials"), raw.get("subtasks", {})
     if not isinstance(family, str):
         raise ValueError("family: a name is expected")
@@ -114,12 +99,7 @@ def _unknown(kind: str, name: str, known: Iterable[str]) -> TaskFileError | Unkn
 
 
 def task_path(family: str) -> Path:
-    """Return the path of a family's task file.
-
-    Raises:
-        UnknownNameError: No such family.
-        TaskFileError: Its file cannot be read.
-    """
+    """Return the path of a family's task file."""
     try:
         return _headers()[family][0]
     except KeyError:

@@ -17,20 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Scene, SoftBody
 
-__all__ = [
-    "STATISTICS",
-    "AffineMap",
-    "MarkedSolid",
-    "affine_map",
-    "deformation_statistics",
-    "independent_noise",
-    "marked_solid",
-    "statistic_uncertainty",
-    "statistic_unit",
-    "trial_statistics",
-    "white_noise_m",
-]
-
 FloatArray = NDArray[np.float64]
 
 STATISTICS = (
@@ -128,9 +114,6 @@ def affine_map(rest_m: ArrayLike, markers_m: ArrayLike) -> AffineMap:
     Args:
         rest_m: Marker positions at rest [m], shape [marker_count, 3]; NaN where missing.
         markers_m: Marker positions [m], shape [frame_count, marker_count, 3]; NaN where missing.
-
-    Raises:
-        ShapeError: The arrays have other shapes, or differ in their markers.
     """
     rest, markers = np.asarray(rest_m, dtype=np.float64), np.asarray(markers_m, dtype=np.float64)
     if rest.ndim != 2 or rest.shape[1] != 3:
@@ -185,9 +168,6 @@ def deformation_statistics(
     Returns:
         Statistics, shape [frame_count, 10]: strain and ratios without unit, `non_affine` in mm; NaN where the markers
         do not determine a statistic.
-
-    Raises:
-        ShapeError: The arrays disagree in their markers.
     """
     fit = affine_map(rest_m, markers_m)
     values = np.full((len(fit.rank), len(STATISTICS)), np.nan)
@@ -279,9 +259,6 @@ def trial_statistics(markers_m: ArrayLike, solid: MarkedSolid) -> FloatArray:
 
     Returns:
         Statistics as from `deformation_statistics`, shape [frame_count, 10].
-
-    Raises:
-        ShapeError: The positions have another shape.
     """
     markers = np.asarray(markers_m, dtype=np.float64)
     noise = independent_noise(np.full(markers.shape[1:], np.sqrt(2.0) * white_noise_m(markers)))
@@ -311,9 +288,6 @@ def statistic_uncertainty(
 
     Returns:
         Uncertainty of each statistic in its unit, shape [10]; NaN where the statistic is.
-
-    Raises:
-        ShapeError: The arrays disagree in their markers.
     """
     noise, markers = np.asarray(noise_m, dtype=np.float64), np.asarray(markers_m, dtype=np.float64)
     unseen = np.zeros((0, *markers.shape)) if unseen_m is None else np.asarray(unseen_m, dtype=np.float64)

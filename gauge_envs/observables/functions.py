@@ -15,8 +15,6 @@ from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
 
-__all__ = ["angle_deficit_curvature", "assign_markers", "face_areas_mm2", "line_turning_angle", "positions_mm"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -28,9 +26,6 @@ def positions_mm(positions_m: ArrayLike) -> FloatArray:
 
     Returns:
         x, y, z of the first body, then of the next, shape [frame_count, 3 * body_count], mm.
-
-    Raises:
-        ShapeError: The positions have another shape.
     """
     positions_m = _points("positions_m", positions_m, dimension=3)
     return 1e3 * positions_m.reshape(len(positions_m), -1)
@@ -53,9 +48,6 @@ def angle_deficit_curvature(
 
     Returns:
         Curvature, shape [frame_count, marker_count], rad; NaN where the marker itself is missing.
-
-    Raises:
-        ShapeError: Markers or faces have another shape, an index names no marker, or a marker is in both sets.
     """
     markers_m = _points("markers_m", markers_m, dimension=3)
     marker_count = markers_m.shape[1]
@@ -94,10 +86,6 @@ def line_turning_angle(markers_m: ArrayLike, lines: ArrayLike) -> FloatArray:
     Returns:
         Angles in [0, pi] at the markers where one segment ends and another starts, in order of the marker indices,
         shape [frame_count, inner_count], rad; NaN where a neighbour is missing or coincident.
-
-    Raises:
-        ShapeError: Markers or lines have another shape, an index names no marker, a marker starts or ends more than
-            one segment, or no marker has a segment on both sides.
     """
     markers_m = _points("markers_m", markers_m, dimension=3)
     lines = _indices("lines", lines, width=2, marker_count=markers_m.shape[1])
@@ -123,9 +111,6 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
 
     Returns:
         Areas, shape [frame_count, face_count], mm^2; NaN where a vertex is missing.
-
-    Raises:
-        ShapeError: Markers or faces have another shape, or an index names no marker.
     """
     markers_m = _points("markers_m", markers_m, dimension=3)
     faces = _indices("faces", faces, width=3, marker_count=markers_m.shape[1])
@@ -145,10 +130,6 @@ def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: 
 
     Returns:
         Node index of each marker, shape [marker_count].
-
-    Raises:
-        ShapeError: The arrays have other shapes or values that are not finite, there are fewer nodes than markers, or a
-            marker is too far from its node.
     """
     markers_m, nodes_m = _points("markers_m", markers_m, dimension=2), _points("nodes_m", nodes_m, dimension=2)
     for name, points in (("markers_m", markers_m), ("nodes_m", nodes_m)):

@@ -7,8 +7,6 @@ from enum import StrEnum
 
 from gauge_envs.scene import Markers
 
-__all__ = ["Observable", "coordinate_names"]
-
 
 class Observable(StrEnum):
     """Kind of generalized trajectory g(t)."""

@@ -21,16 +21,6 @@ from gauge_envs.observables.functions import angle_deficit_curvature, assign_mar
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
 
-__all__ = [
-    "MarkerProxy",
-    "Observer",
-    "ObserverMarkers",
-    "ObserverPositions",
-    "checked_proxy",
-    "material_points",
-    "observe_markers",
-]
-
 MARKER_REACH_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
 
@@ -45,11 +35,7 @@ class MarkerProxy(StrEnum):
 
 
 def checked_proxy(name: str) -> MarkerProxy:
-    """Return the marker proxy of a name.
-
-    Raises:
-        ParameterError: There is no such proxy.
-    """
+    """Return the marker proxy of a name."""
     if name not in list(MarkerProxy):
         known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
         raise ParameterError(f"marker_proxy {name!r}: choose {known}")
@@ -108,9 +94,6 @@ class ObserverMarkers:
     Attributes:
         markers_m: Marker positions at the last observation [m], shape [marker_count, 3].
         largest_distance_m: Distance of the worst marker from its proxy at rest.
-
-    Raises:
-        ShapeError: A marker is more than 1 cm from every free node, or outside the material.
     """
 
     def __init__(self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy) -> None:
@@ -180,9 +163,6 @@ def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable
 
     Returns:
         g(t) in the observable's unit, shape [sample_count, coordinate_count]; NaN where a marker is missing.
-
-    Raises:
-        ShapeError: Positions and marker set disagree.
     """
     if observable is Observable.CURVATURE:
         return angle_deficit_curvature(markers_m, markers.faces, corner=markers.corner, edge=markers.edge)
@@ -205,9 +185,6 @@ def material_points(
 
     Returns:
         Node indices over the bodies of `rest` in their order, shape [marker_count, 4], and weights of the same shape.
-
-    Raises:
-        ShapeError: A marker is more than 1 cm from the material, or the nodes of a body span no area or volume.
     """
     indices = np.zeros((len(targets_m), 4), dtype=np.intp)
     weights = np.zeros((len(targets_m), 4))

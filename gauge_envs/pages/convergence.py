@@ -8,8 +8,6 @@ from typing import Any
 from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.convergence import RefinedSetting, convergence_table
 
-__all__ = ["convergence_rows", "convergence_text"]
-
 NAMES: dict[RefinedSetting, str] = {"timestep_s": "half step", "cell_m": "half cell"}
 
 

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 
 from gauge_envs.evaluation.score import Score
 
-__all__ = ["estimator_lines"]
-
 
 def estimator_lines(name: str, score: Score) -> Iterator[str]:
     """Yield the lines of one result; none for a score without event metrics.

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = []
-
 OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of results: Okabe and Ito's, which colour-blind readers distinguish."""
 
@@ -45,11 +43,7 @@ BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size [inch].
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Return an empty figure of a size [inch]."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -58,11 +52,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save_png(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG and return its path.
-
-    Raises:
-        ResultFileError: The file cannot be written.
-    """
+    """Write a figure as PNG and return its path."""
     from matplotlib.text import Text
 
     try:

@@ -14,8 +14,6 @@ from typing import Any
 
 from gauge_envs.files import printable
 
-__all__ = ["SITE_STYLE", "STYLE", "Html", "code", "element", "join", "page", "script_value", "slug", "table"]
-
 Text = str | float | int | None
 
 

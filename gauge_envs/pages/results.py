@@ -33,17 +33,6 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = [
-    "PLAIN",
-    "configuration_labels",
-    "configuration_parts",
-    "deformation_table",
-    "discretization_text",
-    "result_label",
-    "summary_view",
-    "versions_text",
-]
-
 PLAIN = ("parameters", "calibrated")
 """Part of a configuration that labels leave out."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from gauge_envs.pages.html import Html, element
 from gauge_envs.pages.text import quantity_text, score_text
 
-__all__ = ["CurvePanel", "ForestRow", "curve_panel", "forest"]
-
 FloatArray = NDArray[np.float64]
 
 WIDTH, LEFT, RIGHT = 360.0, 46.0, 8.0

@@ -19,8 +19,6 @@ from rich.text import Text
 from gauge_envs.files import json_ready
 from gauge_envs.pages.text import markdown_row, markdown_text, value_text
 
-__all__ = ["Column", "Facts", "Place", "Table", "TerminalTable", "as_markdown", "as_rich", "as_rows"]
-
 GAP = "  "
 """Between two columns, and the indentation of rows below a heading."""
 

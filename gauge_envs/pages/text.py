@@ -12,31 +12,6 @@ from gauge_envs.files import printable
 from gauge_envs.references.bands import BandGrade, SigmaSource
 from gauge_envs.references.metrics import METRICS
 
-__all__ = [
-    "ALIGNED_TITLE",
-    "BACKEND_TITLES",
-    "COST_TITLE",
-    "DEFORMATION_NOTE",
-    "ENGINE_TITLES",
-    "GRADE_NOTES",
-    "METRIC_TITLES",
-    "NORMALIZED_NOTE",
-    "SIGMA_NOTES",
-    "heading",
-    "interval_text",
-    "markdown_row",
-    "markdown_text",
-    "number_text",
-    "pairs_text",
-    "plus_minus_text",
-    "quantity_text",
-    "score_text",
-    "short_id",
-    "shortened",
-    "value_text",
-    "vector_text",
-]
-
 BACKEND_TITLES = {
     "drake": "Drake",
     "genesis": "Genesis",

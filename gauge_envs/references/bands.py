@@ -22,17 +22,6 @@ from gauge_envs.references.tables import FileModel, csv_header, header_fault, re
 from gauge_envs.scene.geometry import NonNegative, Positive
 from gauge_envs.scene.timing import MOST_FRAMES
 
-__all__ = [
-    "Band",
-    "BandGrade",
-    "BandSidecar",
-    "BandSpec",
-    "SigmaSource",
-    "bundled_band",
-    "bundled_sidecar",
-    "read_band",
-]
-
 FloatArray = NDArray[np.float64]
 
 MOST_COORDINATES = 10_000
@@ -90,9 +79,6 @@ class Band:
             and scatter are known.
         normalized_by_baseline: Whether distances to the band are divided by the published baseline. False for a band
             of another span than the baseline.
-
-    Raises:
-        ShapeError: The arrays do not agree in shape, or a sigma is negative.
     """
 
     grade: BandGrade
@@ -149,9 +135,6 @@ class Band:
 
         Returns:
             Band coordinates in the same unit, shape [frame_count, C].
-
-        Raises:
-            ShapeError: The width of `g` is not D.
         """
         trajectory = np.asarray(g, dtype=np.float64)
         if trajectory.ndim != 2 or trajectory.shape[1] != self.projection.shape[1]:
@@ -168,12 +151,7 @@ class Band:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Band:
-        """Build a band from `to_dict`.
-
-        Raises:
-            ShapeError: The arrays do not agree.
-            ValueError: A value is of the wrong kind, or one is missing.
-        """
+        """Build a band from `to_dict`."""
         try:
             return cls(
                 **{
@@ -280,11 +258,7 @@ class BandSidecar(BandSpec):
 
 
 def bundled_band(variant: str) -> Band | None:
-    """Return the band of a variant that comes with the package; None without one. Imports play no part.
-
-    Raises:
-        ReferenceFileError: A file of the band is damaged.
-    """
+    """Return the band of a variant that comes with the package; None without one. Imports play no part."""
     return _bundled_band(scoring_folder("bands"), variant)
 
 
@@ -324,11 +298,7 @@ def _read_trials(file: Path, coordinates: Sequence[str], trial_count: int) -> Fl
 
 
 def bundled_sidecar(variant: str) -> BandSidecar | None:
-    """Return what the package states about the band of a variant; None without a band.
-
-    Raises:
-        ReferenceFileError: The file is damaged.
-    """
+    """Return what the package states about the band of a variant; None without a band."""
     file = scoring_folder("bands") / f"{variant}.toml"
     return read_toml(file, BandSidecar) if file.is_file() else None
 
@@ -341,9 +311,6 @@ def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
             `measured_trials`, `sigma.*`, `uncertainty.*`.
         sidecar: Statements about the table.
         sidecar_file: File that makes them, for messages.
-
-    Raises:
-        ReferenceFileError: The table is missing, is damaged, or does not fit the sidecar.
     """
     columns = _band_columns(file, sidecar.coordinates)
     row_count = len(columns["measured"])

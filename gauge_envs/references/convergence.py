@@ -19,8 +19,6 @@ from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import read_regular
 from gauge_envs.references.tables import MOST_TABLE_BYTES, FileModel, scoring_folder
 
-__all__ = ["REFINED_SETTINGS", "Convergence", "ConvergenceTable", "RefinedSetting", "convergence_table"]
-
 RefinedSetting = Literal["timestep_s", "cell_m"]
 """Setting that is halved: the time step, or the edge of the cells of a deformable body."""
 
@@ -79,11 +77,7 @@ class ConvergenceTable:
 
     @classmethod
     def read(cls, file: Path) -> ConvergenceTable:
-        """Read a table.
-
-        Raises:
-            ReferenceFileError: The file cannot be read, or a row is damaged.
-        """
+        """Read a table."""
         try:
             lines = read_regular(file, MOST_TABLE_BYTES).decode("utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
@@ -128,11 +122,7 @@ def _line(row: Convergence) -> str:
 
 
 def convergence_table(engine: str) -> ConvergenceTable:
-    """Return the bundled table of an engine, as `mujoco`; it is empty if there is no such file.
-
-    Raises:
-        ReferenceFileError: The file is damaged.
-    """
+    """Return the bundled table of an engine, as `mujoco`; it is empty if there is no such file."""
     return _bundled(scoring_folder("convergence") / f"{engine}.csv")
 
 

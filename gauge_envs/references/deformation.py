@@ -19,8 +19,6 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.references.tables import FileModel, read_rows, read_toml, scoring_folder
 
-__all__ = ["DeformationReference", "bundled_deformation"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -38,9 +36,6 @@ class DeformationReference:
         trial_count: Number of real trials.
         source: Where the numbers are from, one sentence.
         note: What limits them; None without a limit.
-
-    Raises:
-        ShapeError: The arrays do not agree.
     """
 
     statistics: tuple[str, ...]
@@ -93,11 +88,7 @@ class _StatisticsRow(FileModel):
 
 
 def bundled_deformation(variant: str) -> DeformationReference | None:
-    """Return the statistics of a variant that come with the package; None without any. Imports play no part.
-
-    Raises:
-        ReferenceFileError: A file of the statistics is damaged.
-    """
+    """Return the statistics of a variant that come with the package; None without any. Imports play no part."""
     return _bundled(scoring_folder("statistics"), variant)
 
 

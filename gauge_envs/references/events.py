@@ -12,8 +12,6 @@ from pydantic import Field
 from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
 from gauge_envs.scene.geometry import Positive
 
-__all__ = ["EventQuantity", "RecordedEvents", "recorded_events"]
-
 
 class EventQuantity(StrEnum):
     """What is compared of the swings of a cradle's last ball."""
@@ -51,11 +49,7 @@ class _Events(FileModel):
 
 
 def recorded_events(variant: str) -> tuple[RecordedEvents, ...]:
-    """Return the recorded events of a variant, which may be none.
-
-    Raises:
-        ReferenceFileError: The file is damaged.
-    """
+    """Return the recorded events of a variant, which may be none."""
     return tuple(events for events in _all_events(scoring_folder("bands")) if events.variant == variant)
 
 

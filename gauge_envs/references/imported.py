@@ -35,24 +35,6 @@ from gauge_envs.references.tables import FileModel
 from gauge_envs.scene.drivers import Driver, SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "BUNDLED_DATA",
-    "START_FRAMES",
-    "DataSource",
-    "DriverRecord",
-    "ImportFacts",
-    "ImportedVariant",
-    "SpreadRecord",
-    "VariantRecord",
-    "dataset_record",
-    "has_import",
-    "load_imported",
-    "recorded_drivers",
-    "remove_leftovers",
-    "user_data_folder",
-    "write_imported",
-]
-
 FloatArray = NDArray[np.float64]
 
 MOST_RECORD_BYTES = 8 * MEGABYTE
@@ -80,9 +62,6 @@ class DataSource(StrEnum):
         Args:
             value: `bundled` or `imported`.
             name: Argument that has the value, as `drivers`.
-
-        Raises:
-            ParameterError: The value is neither.
         """
         if value not in tuple(cls):
             raise ParameterError(f"{name} {value!r}: choose {' or '.join(repr(source.value) for source in cls)}")
@@ -207,11 +186,7 @@ class ImportedVariant:
 
 
 def user_data_folder() -> Path:
-    """Return the folder of imported data, which need not exist.
-
-    Raises:
-        DatasetError: `GAUGE_DATA_DIR` names the home folder of an unknown user.
-    """
+    """Return the folder of imported data, which need not exist."""
     given = os.environ.get("GAUGE_DATA_DIR")
     if not given:
         return user_data_path("gauge-envs", appauthor=False)
@@ -243,9 +218,6 @@ def write_imported(
         facts: Origin and scores of the trials; `statistics` names those of `deformation`.
         deformation: Statistics of deformation over the trials.
         start_quaternions: As in `ImportedVariant`.
-
-    Raises:
-        DatasetError: The user's data folder cannot be written.
     """
     stream = io.BytesIO()
     arrays: dict[str, Any] = {"mean": band.mean, "sigma": band.sigma, "measured": band.measured}
@@ -286,11 +258,7 @@ def write_imported(
 
 
 def remove_leftovers() -> None:
-    """Remove the files of imports that were killed: half-written files, and arrays that no variant names.
-
-    Raises:
-        DatasetError: The user's data folder cannot be written.
-    """
+    """Remove the files of imports that were killed: half-written files, and arrays that no variant names."""
     folder = _trials_folder()
     if not folder.is_dir():
         return
@@ -321,11 +289,7 @@ def has_import(variant: str) -> bool:
 
 
 def load_imported(variant: str) -> ImportedVariant | None:
-    """Return the import of a variant, or None.
-
-    Raises:
-        ReferenceFileError: The files are damaged, or of another version of gauge-envs.
-    """
+    """Return the import of a variant, or None."""
     file = _trials_folder() / f"{variant}.json"
     for _ in range(READ_ATTEMPTS):
         stamp = _stamp(file)
@@ -442,9 +406,6 @@ def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver,
     Args:
         variant: Name of the variant.
         bundled: Drivers of the task file; axes and action rates stay.
-
-    Raises:
-        ReferenceFileError: The import is damaged, or was made for drivers with other motions.
     """
     imported = load_imported(variant)
     if imported is None:
@@ -485,9 +446,6 @@ def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) 
 
     Returns:
         `drivers` and `reference`; and `revision` and `sha256` of the import, if one of them is imported.
-
-    Raises:
-        ReferenceFileError: The import is damaged.
     """
     sources = {"drivers": drivers.value, "reference": reference.value}
     imported = load_imported(variant) if DataSource.IMPORTED in (drivers, reference) else None

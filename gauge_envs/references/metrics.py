@@ -8,8 +8,6 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-__all__ = ["EVENT_METRICS", "METRICS", "BaselineMetric", "Metric", "MetricKey"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:

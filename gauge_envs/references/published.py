@@ -20,22 +20,6 @@ from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, read_rows, read_toml, scoring_folder
 from gauge_envs.scene.geometry import Positive
 
-__all__ = [
-    "ENGINES",
-    "Baseline",
-    "CarriedLaw",
-    "FlightLaw",
-    "Law",
-    "Reference",
-    "SlideLaw",
-    "UncontactedLaw",
-    "carried_band",
-    "law_for",
-    "published_baselines",
-    "published_variants",
-    "uncontacted_band",
-]
-
 ENGINES = ("isaacsim", "genesis", "newton")
 """Engines whose scores were published."""
 
@@ -65,11 +49,7 @@ class Baseline:
 
 
 def published_baselines(variant: str) -> dict[str, Baseline]:
-    """Return the published baselines of a variant by metric, which may be none.
-
-    Raises:
-        ReferenceFileError: The table is damaged.
-    """
+    """Return the published baselines of a variant by metric, which may be none."""
     return dict(_all_baselines(scoring_folder("published")).get(variant, {}))
 
 
@@ -213,9 +193,6 @@ def law_for(variant: str) -> CarriedLaw | FlightLaw | SlideLaw | None:
     """Return the law that gives the real outcome of a variant, or None.
 
     A law needs the published scatter of the variant's trials. A new material, which nobody has measured, has no law.
-
-    Raises:
-        ReferenceFileError: The table of laws or of published scores is damaged.
     """
     if "rmse" not in published_baselines(variant):
         return None
@@ -238,10 +215,6 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
 
     Returns:
         Band of grade `law` over x, y and z [mm]. Every frame counts as measured.
-
-    Raises:
-        UnknownNameError: The variant has no such law.
-        ShapeError: `positions_mm` has another shape, or is not finite.
     """
     law, baseline = law_for(variant), published_baselines(variant).get("rmse")
     if not isinstance(law, CarriedLaw) or baseline is None:

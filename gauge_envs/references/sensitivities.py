@@ -20,16 +20,6 @@ from gauge_envs.files import read_regular, write_whole
 from gauge_envs.references.imported import user_data_folder
 from gauge_envs.references.tables import MOST_TABLE_BYTES, FileModel, read_toml, scoring_folder
 
-__all__ = [
-    "InputUncertainty",
-    "Sensitivities",
-    "StandardUncertainties",
-    "input_uncertainties",
-    "load_sensitivities",
-    "sensitivities_text",
-    "write_sensitivities",
-]
-
 FALLBACK_ENGINE = "mujoco"
 """Engine whose sensitivities serve others without their own: to first order they are those of the physics."""
 
@@ -62,11 +52,7 @@ class StandardUncertainties(FileModel):
 
 
 def input_uncertainties() -> StandardUncertainties:
-    """Return the standard uncertainties of inputs.
-
-    Raises:
-        ReferenceFileError: The file is damaged.
-    """
+    """Return the standard uncertainties of inputs."""
     return _uncertainties(scoring_folder("uncertainties.toml"))
 
 
@@ -147,9 +133,6 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
 
     Returns:
         The table, or None if there is none.
-
-    Raises:
-        ReferenceFileError: A table is damaged.
     """
     for engine in dict.fromkeys(filter(None, (backend, FALLBACK_ENGINE))):
         if Path(engine).name != engine:
@@ -192,11 +175,7 @@ def sensitivities_text(table: Sensitivities) -> str:
 
 
 def write_sensitivities(table: Sensitivities) -> Path:
-    """Store a table in the user's data folder, and return its file.
-
-    Raises:
-        DatasetError: The user's data folder cannot be written.
-    """
+    """Store a table in the user's data folder, and return its file."""
     file = user_data_folder() / "sensitivities" / table.backend / f"{table.variant}.json"
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -25,17 +25,6 @@ from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = [
-    "CopiedTrial",
-    "Half",
-    "HungBody",
-    "ShotNuisances",
-    "ShotSidecar",
-    "SingleShot",
-    "SingleShots",
-    "single_shots",
-]
-
 FloatArray = NDArray[np.float64]
 Half = Literal["fit", "judge"]
 
@@ -277,9 +266,6 @@ class SingleShots:
         Args:
             trial: Number of the trial.
             body: Name of the body; None for the one that is recorded by its pose.
-
-        Raises:
-            ParameterError: There is no such trial or body.
         """
         hung = self.sidecar.hung
         if body is not None and body not in self.sidecar.bodies:
@@ -338,9 +324,6 @@ class SingleShots:
         Args:
             trial: Number of the trial.
             frame_count: Number of 30 Hz frames of an episode.
-
-        Raises:
-            ParameterError: There is no such trial.
         """
         bodies, nuisances = self.sidecar.bodies, self.sidecar.nuisances
         shots = [self.shot(trial, body) for body in bodies]
@@ -365,11 +348,7 @@ class SingleShots:
 
 
 def single_shots(variant: str) -> SingleShots | None:
-    """Return the recorded single-shot trials of a variant, or None.
-
-    Raises:
-        ReferenceFileError: A file is damaged.
-    """
+    """Return the recorded single-shot trials of a variant, or None."""
     return _read(scoring_folder("single_shot") / f"{variant}.npz", variant)
 
 

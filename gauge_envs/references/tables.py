@@ -14,9 +14,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
 
-__all__ = ["MOST_TABLE_BYTES", "FileModel", "csv_header", "header_fault", "read_rows", "read_toml", "scoring_folder"]
-
-
 MOST_TABLE_BYTES = 16 * MEGABYTE
 """Largest size of a table."""
 
@@ -36,11 +33,7 @@ def scoring_folder(name: str) -> Path:
 
 
 def read_toml(file: Path, model: type[Model]) -> Model:
-    """Read a TOML file.
-
-    Raises:
-        ReferenceFileError: The file is missing, is not TOML, or does not fit the model.
-    """
+    """Read a TOML file."""
     try:
         return model.model_validate(toml_document(_content(file)))
     except ValidationError as error:
@@ -50,11 +43,7 @@ def read_toml(file: Path, model: type[Model]) -> Model:
 
 
 def csv_header(file: Path) -> list[str]:
-    """Return the names of the columns of a CSV file.
-
-    Raises:
-        ReferenceFileError: The file is missing or is not CSV.
-    """
+    """Return the names of the columns of a CSV file."""
     return next(_csv_rows(file), (1, []))[1]
 
 
@@ -97,9 +86,6 @@ def read_rows(file: Path, columns: Sequence[str], model: type[Model]) -> Iterato
 
     Returns:
         Iterator over the line number and the content of each row.
-
-    Raises:
-        ReferenceFileError: The file is missing, has other columns, or a row does not fit the model.
     """
     header = csv_header(file)
     if header != list(columns):

@@ -21,8 +21,6 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.jitter import jittered
 
-__all__ = ["attempt", "check_requests", "check_writable", "move_aside", "not_run", "planned_results", "run_many"]
-
 Notify = Callable[[str], None]
 
 LEFTOVER_AGE_S = 3600.0
@@ -40,13 +38,6 @@ def check_requests(requests: Sequence[RunRequest], *, isolate: bool | None = Fal
     Args:
         requests: The run, on one or several backends.
         isolate: As for `run_many`. An engine that crashes here fails each of its episodes later.
-
-    Raises:
-        UnknownNameError: No such backend.
-        MissingExtraError: The engine of a backend is not installed.
-        ParameterError: No experiment takes the parameters, or a backend does not take the settings.
-        AssetError: The asset cannot be used.
-        UnsupportedSceneError: The asset is a model file that a backend does not read.
     """
     by_backend: dict[str, list[tuple[RunRequest, Experiment]]] = {request.backend: [] for request in requests}
     refused = None
@@ -106,12 +97,6 @@ def run_many(
 
     Returns:
         Iterator over the results; it runs an episode when its result is asked for.
-
-    Raises:
-        ResultFileError: `out` cannot be written; raised before anything runs.
-        AssetError: An asset or an experiment file cannot be used; raised before anything runs.
-        ParameterError: A request has `imported`, but nothing was imported, or a limit is not positive; raised before
-            anything runs.
     """
     place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
     runs = [_Run(replace(request, jitter=request.scatter)) for request in requests]
@@ -212,9 +197,6 @@ def planned_results(request: RunRequest) -> list[Result]:
 
     Args:
         request: The request, with the jitter that applies.
-
-    Raises:
-        GaugeError: The experiment cannot be loaded, also not with calibrated parameters.
     """
     return _planned(request, request.calibrated_experiment())
 
@@ -273,11 +255,7 @@ def _remove_leftovers(out: Path) -> None:
 
 
 def check_writable(out: Path) -> None:
-    """Create a folder for results if it does not exist, and remove what killed runs left half-written in it.
-
-    Raises:
-        ResultFileError: No file can be written there.
-    """
+    """Create a folder for results if it does not exist, and remove what killed runs left half-written in it."""
     probe = out / f".probe.{os.getpid()}.tmp"
     try:
         out.mkdir(parents=True, exist_ok=True)

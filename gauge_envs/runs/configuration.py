@@ -16,8 +16,6 @@ from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.result import Result
 
-__all__ = ["RunConfiguration", "group_by_configuration"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfiguration:

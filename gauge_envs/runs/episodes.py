@@ -30,16 +30,6 @@ from gauge_envs.runs.scene_record import asset_record
 from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = [
-    "episode_result",
-    "planned_result",
-    "run_episode",
-    "run_repeats",
-    "run_together",
-    "settings_record",
-    "with_measured_uncertainty",
-]
-
 
 class _Clock:
     """Wall and CPU time of this process since its creation [s]."""
@@ -61,12 +51,6 @@ def run_episode(request: RunRequest) -> Result:
 
     Args:
         request: The run; `repeats` and `jitter` apply to `run_repeats` only.
-
-    Raises:
-        UnknownNameError: No such backend.
-        ParameterError: A parameter, a setting or an import does not exist, or a value is out of range.
-        UnsupportedSceneError: The backend cannot build the scene.
-        AssetError: The asset cannot be used.
     """
     env = request.make_env()
     try:
@@ -94,9 +78,6 @@ def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) ->
     Args:
         request: The run.
         results: Its results; those without a score stay as they are.
-
-    Raises:
-        GaugeError: The unchanged experiment cannot run, or the store cannot be written.
     """
     experiment = request.experiment()
     band = request.band(experiment)
@@ -127,9 +108,6 @@ def episode_result(
         info: The `info` of its last step.
         wall_s: Duration of the episode [s].
         cpu_s: CPU time of the process in the episode [s].
-
-    Raises:
-        KeyError: The episode is not over: `info` has no score.
     """
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
@@ -148,11 +126,6 @@ def run_repeats(request: RunRequest) -> list[Result]:
     Returns:
         Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
         against its own single-shot trial.
-
-    Raises:
-        UnknownNameError: No such backend.
-        ParameterError: A parameter or a setting is out of range, or the scene has no start that can be jittered.
-        UnsupportedSceneError: The backend cannot build the scene.
     """
     experiment = request.experiment()
     engine = backend_for(request.backend, experiment.model_file)
@@ -243,11 +216,7 @@ def planned_result(
 
 
 def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings in force in a form that JSON takes.
-
-    Raises:
-        BackendError: One of them has no such form.
-    """
+    """Return the settings in force in a form that JSON takes."""
     record: dict[str, Any] = {}
     for name, value in settings.items():
         record[str(name)] = json_ready(value)

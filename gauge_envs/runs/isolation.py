@@ -25,8 +25,6 @@ from typing import Any, BinaryIO, ParamSpec, Self, TypeVar
 
 from gauge_envs.errors import GaugeError, ParameterError
 
-__all__ = ["TIME_LIMIT_S", "CrashError", "Worker", "serve"]
-
 TIME_LIMIT_S = 3600.0
 """Default time limit of a call [s]."""
 
@@ -59,9 +57,6 @@ class Worker:
             does not count.
         single_thread: Whether libraries compute with one thread, unless the environment states a number. It is for
             processes that share the cores: threads of linear algebra wait for one another in a loop.
-
-    Raises:
-        ParameterError: A limit is not positive, or this system does not report the memory of a process.
     """
 
     def __init__(
@@ -97,10 +92,6 @@ class Worker:
             function: A function of a module, found there by its name.
             *args: Its arguments, which can be pickled, as its result.
             **kwargs: Its keyword arguments.
-
-        Raises:
-            CrashError: The process ended or exceeded the time limit; the message gives the cause.
-            GaugeError: The function raised an error; the message is that error's.
         """
         task = pickle.dumps((self._time_limit_s + GRACE_S, function, args, kwargs))
         process = self._process = self._process or _start(self._environment)

@@ -34,17 +34,6 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
-__all__ = [
-    "VIEWS_PER_FRAME",
-    "Replay",
-    "ReplayError",
-    "default_views_per_frame",
-    "load_or_replay",
-    "replay",
-    "replay_path",
-    "replayed_experiment",
-]
-
 FloatArray = NDArray[np.float64]
 PoseArray = NDArray[np.float32]
 
@@ -82,12 +71,7 @@ class Replay:
 
 
 def replayed_experiment(result: Result) -> Experiment:
-    """Return the experiment of a result with the scene and the start of its episode.
-
-    Raises:
-        ReplayError: The result does not state the scene: it is that of a model file.
-        GaugeError: The package no longer has the variant or its parameters, or the engine cannot build the scene.
-    """
+    """Return the experiment of a result with the scene and the start of its episode."""
     experiment = recorded_experiment(result)
     if result.asset.get("kind") == AssetKind.MODEL:
         raise ReplayError(f"the scene is in the file {result.asset['file']}, which is no part of the result")
@@ -101,11 +85,6 @@ def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
         result: The result.
         views_per_frame: Recorded views in each frame: 1, 2, 3 or 6; None for the default, 2 of rigid bodies and 1 of
             deformable ones.
-
-    Raises:
-        ParameterError: There is no such number of views.
-        ReplayError: The episode did not run, its engine is not installed, or the run differs from the result.
-        GaugeError: See `replayed_experiment`.
     """
     if views_per_frame is not None and views_per_frame not in VIEWS_PER_FRAME:
         raise ParameterError(f"views_per_frame is {views_per_frame!r}: choose 1, 2, 3 or 6")
@@ -149,10 +128,6 @@ def load_or_replay(result: Result, file: Path, *, views_per_frame: int | None = 
         file: The result file.
         views_per_frame: Recorded views in each frame: 1, 2, 3 or 6. A replay with another number than the default
             is run, and neither read nor written.
-
-    Raises:
-        ReplayError: See `replay`.
-        GaugeError: See `replay`.
     """
     try:
         key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
@@ -224,11 +199,7 @@ def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int
 
 
 def _check_same(result: Result, episode: Episode, installed: Mapping[str, str]) -> None:
-    """Raise an error unless the g(t) of the run is that of the result, bit for bit.
-
-    Raises:
-        ReplayError: It differs; the message states by how much, and which versions differ.
-    """
+    """Raise an error unless the g(t) of the run is that of the result, bit for bit."""
     assert result.trajectory is not None
     _, stored = result.trajectory.arrays()
     samples = episode.trajectory().samples

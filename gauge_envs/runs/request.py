@@ -17,8 +17,6 @@ from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = ["RunRequest"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RunRequest(EnvArguments):
@@ -32,10 +30,6 @@ class RunRequest(EnvArguments):
         jitter: Standard deviations of the start; None starts each episode as calibrated.
         uncertainty: Measure the sensitivities of this very run for the score's intervals, by about 20 further runs. By
             default the intervals use stored sensitivities of the engine.
-
-    Raises:
-        UnknownNameError: No such variant.
-        ParameterError: A value is out of range.
 
     Example:
         >>> from gauge_envs.runs.episodes import run_episode
@@ -70,19 +64,11 @@ class RunRequest(EnvArguments):
         return None if has_starts else Jitter()
 
     def calibrated_experiment(self) -> Experiment:
-        """Load the experiment with calibrated parameters, which exists also if the parameters are wrong.
-
-        Raises:
-            GaugeError: See `resolve_experiment`.
-        """
+        """Load the experiment with calibrated parameters, which exists also if the parameters are wrong."""
         return replace(self, parameters="calibrated").experiment()
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
-        """Make the environment of the request, without a warning if it has no reward: its result states the grade.
-
-        Raises:
-            GaugeError: See `GaugeEnv`.
-        """
+        """Make the environment of the request, without a warning if it has no reward: its result states the grade."""
         keywords = {field.name: getattr(self, field.name) for field in fields(EnvArguments)}
         variant = keywords.pop("variant")
         name = variant.id if isinstance(variant, Variant) else f"GAUGE/{ASSET_NAME}"

@@ -17,8 +17,6 @@ from gauge_envs.files import json_ready, versions
 from gauge_envs.references.imported import BUNDLED_DATA
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Outcome", "RecordedTrajectory", "Result"]
-
 BULKY = ("scene", "experiment")
 """Keys of `Result.asset` with long values, which are only needed to build the scene again."""
 

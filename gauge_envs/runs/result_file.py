@@ -23,9 +23,6 @@ from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 
-__all__ = ["load_result", "result_file_name", "write_result"]
-
-
 MOST_RESULT_BYTES = 32 * MEGABYTE
 
 
@@ -57,11 +54,7 @@ def _digest(values: Mapping[str, Any]) -> str:
 
 
 def write_result(result: Result, file: Path) -> None:
-    """Write a result file, whole or not at all.
-
-    Raises:
-        ResultFileError: It cannot be written.
-    """
+    """Write a result file, whole or not at all."""
     text = json.dumps(result.to_dict(), allow_nan=False) + "\n"
     try:
         write_whole(file, text.encode())
@@ -75,9 +68,6 @@ def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:
     Args:
         file: The file.
         needs_trajectory: Whether a result of an episode that did not run is an error.
-
-    Raises:
-        ResultFileError: The file cannot be read, or is not a complete and consistent result file.
     """
     try:
         content = json_document(read_regular(file, MOST_RESULT_BYTES))
@@ -119,13 +109,7 @@ class _AssetRecord(BaseModel):
 
 
 def _check(result: Result, *, needs_trajectory: bool) -> None:
-    """Check what types alone do not state.
-
-    Raises:
-        ValueError: A value is impossible.
-        ValidationError: The asset is damaged.
-        UnknownNameError: The experiment is unknown.
-    """
+    """Check what types alone do not state."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
     if not result.has_experiment_file:

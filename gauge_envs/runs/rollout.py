@@ -21,8 +21,6 @@ from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = ["DeclinedError", "DivergedError", "NotFiniteError", "Rollout", "raised_at", "record", "states_now"]
-
 
 class DeclinedError(GaugeError):
     """The backend cannot build a scene, or refuses the settings for it.
@@ -126,9 +124,6 @@ def record(
         interval_s: Time between samples, and of one call of `advance` [s].
         nodes_of: Deformable bodies whose nodes are kept; all when None.
         speed_limit_m_per_s: Highest plausible speed of a dynamic or deformable body [m/s].
-
-    Raises:
-        DivergedError: A state is not finite, a body exceeds the speed limit, or the engine raises an exception.
     """
     count = round(seconds / interval_s)
     paths = DriverPaths(scene, seconds, interval_s)

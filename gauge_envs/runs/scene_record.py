@@ -16,8 +16,6 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.usd.reader import from_usd
 from gauge_envs.scene.usd.writer import to_usd
 
-__all__ = ["asset_record", "recorded_experiment"]
-
 
 def asset_record(experiment: Experiment) -> dict[str, Any]:
     """Return the record of an experiment's asset for its result; empty without an asset."""
@@ -37,9 +35,6 @@ def recorded_experiment(result: Result) -> Experiment:
     """Return the experiment of a result with the scene that ran; it needs no other file.
 
     If an engine's model file stated the scene, the scene is that of the variant.
-
-    Raises:
-        GaugeError: The package no longer has the variant or its parameters, or the result's asset is damaged.
     """
     record = result.asset
     if not record or "scene" not in record:

@@ -20,8 +20,6 @@ from gauge_envs.runs.result_file import load_result
 from gauge_envs.runs.scene_record import asset_record, recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["score_file"]
-
 
 def score_file(
     file: Path,
@@ -43,11 +41,6 @@ def score_file(
 
     Returns:
         The result, and the number of interpolated frames.
-
-    Raises:
-        TrajectoryFileError: The file cannot be used, or belongs to another experiment than `variant`.
-        UnknownNameError: No such variant.
-        ParameterError: No such parameters.
     """
     origin = stated_origin(file)
     experiment = _experiment_of_file(file, origin, variant, parameters, reference)

@@ -23,8 +23,6 @@ from gauge_envs.scene import Contact, Motion, Scene, Sphere
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.tilt import tilted
 
-__all__ = ["measure_sensitivities"]
-
 FloatArray = NDArray[np.float64]
 
 DISCRETIZATION_FACTOR = 2.0 / math.sqrt(3.0)
@@ -60,10 +58,6 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
 
     Args:
         request: The run; `seed`, `repeats` and `jitter` do not apply.
-
-    Raises:
-        EpisodeError: The unchanged experiment diverges.
-        GaugeError: See `run_episode`.
     """
     experiment = request.experiment()
     engine = backend_for(request.backend, experiment.model_file)

@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
-__all__ = ["Air"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Air:

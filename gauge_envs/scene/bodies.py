@@ -8,23 +8,6 @@ from typing import Literal
 
 from gauge_envs.scene.geometry import Box, Pose, Shape, Vector
 
-__all__ = [
-    "Attachment",
-    "BodyHinge",
-    "Cloth",
-    "Contact",
-    "ContactMode",
-    "Hinge",
-    "Markers",
-    "Motion",
-    "Region",
-    "RigidBody",
-    "Rod",
-    "Rope",
-    "SoftBody",
-    "Tether",
-]
-
 
 class Motion(StrEnum):
     """How a rigid body moves."""

@@ -25,8 +25,6 @@ from gauge_envs.scene.geometry import (
     vector,
 )
 
-__all__ = ["TOUCHING_M", "ContactFaces", "blocked_directions", "face_normal"]
-
 FloatArray = NDArray[np.float64]
 
 TOUCHING_M = 1e-5

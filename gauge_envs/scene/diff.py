@@ -11,8 +11,6 @@ import numpy as np
 from gauge_envs.scene.bodies import Attachment, BodyHinge, Contact
 from gauge_envs.scene.scene import Scene
 
-__all__ = ["scene_changes"]
-
 MOST_NAMES = 4
 """Largest number of names of a group that a line lists."""
 

@@ -14,8 +14,6 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.scene.drivers import Driver, DriverMotion, SampledProfile
 from gauge_envs.scene.geometry import Pose, Vector, pose_distance, vector
 
-__all__ = ["motion_coordinates", "sampled_motions"]
-
 SAME_POSE = 1e-9
 """Largest distance between sampled poses and those of the fitted motions [m, rad]."""
 
@@ -49,9 +47,6 @@ def sampled_motions(
 
     Returns:
         The motions; empty if the body stays at its start.
-
-    Raises:
-        ShapeError: Times and poses do not match, or no three successive rotations describe the rotation.
     """
     if len(times_s) != len(poses) or len(times_s) < 2 or not np.all(np.diff(times_s) > 0.0):
         raise ShapeError("times and poses do not match: give one pose for each of two or more increasing times")

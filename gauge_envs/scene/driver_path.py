@@ -14,8 +14,6 @@ from gauge_envs.scene.geometry import Pose
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = ["DriverPath"]
-
 Interval = tuple[Pose, NDArray[np.float64], NDArray[np.float64]]
 
 

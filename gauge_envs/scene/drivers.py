@@ -14,8 +14,6 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector, vector
 
-__all__ = ["CosineProfile", "Driver", "DriverMotion", "Profile", "SampledProfile", "TrapezoidProfile"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrapezoidProfile:
@@ -28,9 +26,6 @@ class TrapezoidProfile:
         accelerate_s: Duration of the acceleration [s]; 0 for a start at full speed.
         brake_s: Duration of the deceleration [s].
         amount: Signed total change of the coordinate [m or rad].
-
-    Raises:
-        ValueError: Speed-up and braking together are longer than the motion.
     """
 
     kind: Literal["trapezoid"] = field(default="trapezoid", repr=False)
@@ -111,9 +106,6 @@ class SampledProfile:
         kind: Name of the profile in files.
         times_s: Strictly increasing times [s], shape [sample_count].
         values: Coordinate relative to the start pose [m or rad], same shape.
-
-    Raises:
-        ValueError: There are fewer than two times, another number of values, or times that do not increase.
     """
 
     kind: Literal["sampled"] = field(default="sampled", repr=False)
@@ -179,9 +171,6 @@ class DriverMotion:
         point_m: A point of the rotation axis [m]; unused by a translation.
         residual_rate: Rate that an action of 1 adds [m/s or rad/s]; 0 if actions have no effect.
         profiles: Profiles whose sum is the coordinate over time.
-
-    Raises:
-        ValueError: The axis is not a unit vector.
     """
 
     kind: Literal["translate", "rotate"]

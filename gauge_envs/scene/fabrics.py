@@ -16,21 +16,6 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import Cloth
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
-__all__ = [
-    "MAPPINGS",
-    "EngineConstants",
-    "Fabric",
-    "bending_length_m",
-    "genesis_pbd",
-    "isaac_surface",
-    "mujoco_flex",
-    "newton_edge_ke",
-    "newton_vbd",
-    "plate_bending_stiffness",
-    "shear_stiffness",
-    "uniaxial_stiffness",
-]
-
 ISAAC_POISSON_BELOW = 0.30
 """Poisson ratio in Isaac if the measured stiffnesses correspond to a negative one (paper)."""
 ISAAC_POISSON_ABOVE = 0.45
@@ -51,9 +36,6 @@ class Fabric:
         bend_stiffness_n_m_per_rad: K_theta, torque over angle of a discrete bending hinge.
         thickness_m: Thickness.
         areal_density_kg_per_m2: Mass per area.
-
-    Raises:
-        ParameterError: A constant is not a positive number.
     """
 
     stretch_stiffness_n_per_m: float
@@ -280,9 +262,6 @@ def plate_bending_stiffness(*, hinge_stiffness_n_m_per_rad: float, spacing_over_
     Args:
         hinge_stiffness_n_m_per_rad: K_theta, torque over angle of one hinge.
         spacing_over_length: h / l, distance between hinge lines over the length of a hinge.
-
-    Raises:
-        ParameterError: A value is not a positive number.
     """
     _check_positive("hinge_stiffness_n_m_per_rad", hinge_stiffness_n_m_per_rad)
     _check_positive("spacing_over_length", spacing_over_length)
@@ -290,11 +269,7 @@ def plate_bending_stiffness(*, hinge_stiffness_n_m_per_rad: float, spacing_over_
 
 
 def newton_edge_ke(*, bend_stiffness_n_m_per_rad: float, mean_edge_length_m: float) -> float:
-    """Return Newton's `edge_ke` [N/rad], K_theta over the mean rest edge length (paper, equation of Newton's bending).
-
-    Raises:
-        ParameterError: A value is not a positive number.
-    """
+    """Return Newton's `edge_ke` [N/rad], K_theta over the mean rest edge length (paper, Newton's bending)."""
     _check_positive("bend_stiffness_n_m_per_rad", bend_stiffness_n_m_per_rad)
     _check_positive("mean_edge_length_m", mean_edge_length_m)
     return bend_stiffness_n_m_per_rad / mean_edge_length_m

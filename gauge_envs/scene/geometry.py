@@ -12,26 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-__all__ = [
-    "Box",
-    "Capsule",
-    "Compound",
-    "ConvexUnion",
-    "Cylinder",
-    "Ellipsoid",
-    "NonNegative",
-    "Part",
-    "Plane",
-    "Pose",
-    "Positive",
-    "Shape",
-    "Sphere",
-    "Vector",
-    "pose_distance",
-    "vector",
-]
-
-
 Vector = tuple[float, float, float]
 
 # Bounds of numbers, which pydantic checks where it reads a file. A constructor called by code does not check them.

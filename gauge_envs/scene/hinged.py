@@ -12,19 +12,6 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.scene.bodies import BodyHinge, Motion, RigidBody
 from gauge_envs.scene.geometry import Pose, vector
 
-__all__ = [
-    "HingeFrames",
-    "carried",
-    "hinge_angle_rad",
-    "hinge_fault",
-    "hinge_frames",
-    "hinge_trees",
-    "moved_along",
-    "other_end",
-    "parent_hinges",
-    "start_rate_rad_per_s",
-]
-
 UNIT = 1e-6
 """Largest deviation of an axis from unit length."""
 

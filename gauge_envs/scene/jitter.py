@@ -18,8 +18,6 @@ from gauge_envs.scene.geometry import Pose, Sphere, vector
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
-__all__ = ["JITTER_FORMAT", "Jitter", "jittered", "swung"]
-
 JITTER_FORMAT = 2
 """Number of this way to draw a start; another way gets another number, so that a sweep runs its repeats again."""
 
@@ -78,9 +76,6 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         scene: The scene.
         jitter: Standard deviations of the start.
         seed: Seed of the random numbers, 0 or more.
-
-    Raises:
-        ParameterError: No body in the scene can start elsewhere.
     """
     random, random_velocity = np.random.default_rng(seed), np.random.default_rng((seed, 1))
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}

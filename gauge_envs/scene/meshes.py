@@ -9,17 +9,6 @@ from scipy.spatial import ConvexHull
 from gauge_envs.scene.bodies import Region, RigidBody
 from gauge_envs.scene.geometry import Box, Capsule, Compound, ConvexUnion, Cylinder, Ellipsoid, Part, Shape, Sphere
 
-__all__ = [
-    "TOUCHING_M",
-    "body_mass_properties",
-    "grid",
-    "hull_faces",
-    "mass_properties",
-    "nodes_in",
-    "prism",
-    "tetrahedra",
-]
-
 GRID_SPACING_M = 0.02
 """Edge length of exported grids of cloth and soft bodies [m]; no physical constant depends on it."""
 

@@ -38,7 +38,6 @@ from gauge_envs.scene.meshes import body_mass_properties
 if TYPE_CHECKING:
     from gauge_envs.scene.drivers import Driver
 
-__all__ = ["GRAVITY_M_PER_S2", "Scene"]
 
 GRAVITY_M_PER_S2 = 9.80665
 """Standard gravity [m/s^2], the value that the paper uses (its dynamic-error equation)."""

@@ -12,8 +12,6 @@ from gauge_envs.scene.bodies import Hinge, RigidBody
 from gauge_envs.scene.geometry import Pose, Vector, vector
 from gauge_envs.scene.scene import Scene
 
-__all__ = ["tilted"]
-
 
 def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
     """Return a scene that is rotated as a whole about a point.

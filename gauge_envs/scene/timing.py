@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["DRIVE_INTERVAL_S", "FRAME_RATE_HZ", "MOST_FRAMES", "SAMPLES_PER_FRAME", "SAMPLE_INTERVAL_S"]
-
 FRAME_RATE_HZ = 30.0
 """Rate at which trajectories are recorded and scored [Hz] (paper, data acquisition)."""
 

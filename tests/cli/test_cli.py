@@ -89,8 +89,8 @@ def helps(command):
     """Texts of the help of a command and of all below it."""
     yield from (one.help for one in command.params if one.help)
     yield command.help or ""
-    for inner in getattr(command, "commands", {}).values():
-        yield from helps(inner)
+    for name in command.list_commands(None) if hasattr(command, "list_commands") else ():
+        yield from helps(command.get_command(None, name))
 
 
 def test_help_loses_no_text():

@@ -132,7 +132,7 @@ def test_an_engine_that_exits_ends_no_command_without_a_word(tmp_path: Path, mon
         raise SystemExit(0)
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gauge_envs.report.list_rows", exits)
+    monkeypatch.setattr("gauge_envs.tools.catalog.listing.list_rows", exits)
     result = CliRunner().invoke(app, ["list"])
     assert result.exit_code == 1
     assert "an engine or a library ended the command" in result.stderr
@@ -198,11 +198,11 @@ def test_ctrl_c_counts_where_a_library_drops_it(tmp_path: Path) -> None:
     for body in (turned, dropped):
         code = (
             "import os, signal\n"
-            "from gauge_envs import report\n"
+            "from gauge_envs.tools.catalog import listing\n"
             "from gauge_envs.cli.app import main\n"
             "def rows(*_, **__):\n"
             f"{textwrap.indent(body, '    ')}"
-            "report.list_rows = rows\n"
+            "listing.list_rows = rows\n"
             "import sys\n"
             "sys.argv = ['gauge', 'list']\n"
             "main()\n"

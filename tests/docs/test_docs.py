@@ -146,8 +146,8 @@ def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str
     if not hasattr(command, "commands"):
         yield path, command
         return
-    for name, inner in command.commands.items():
-        yield from leaves(inner, (*path, name))
+    for name in command.list_commands(None):
+        yield from leaves(command.get_command(None, name), (*path, name))
 
 
 LEAVES = dict(leaves(typer.main.get_command(app)))

@@ -16,15 +16,9 @@ from gauge_envs.backends.drake.support import unsupported_features
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
-__all__ = ["BackendDrake"]
-
 
 class BackendDrake(Backend):
-    """Drake's discrete multibody plant on the CPU: rigid bodies, hinges, tethers and driven bodies.
-
-    Raises:
-        MissingExtraError: Drake is not installed.
-    """
+    """Drake's discrete multibody plant on the CPU: rigid bodies, hinges, tethers and driven bodies."""
 
     name = "drake"
     configurations = MappingProxyType(

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gauge_envs.backends.drake.impacts import ImpactLaw, impact_constants
-from gauge_envs.backends.drake.settings import SettingsDrake, impact_speed_m_per_s
+from gauge_envs.backends.drake.settings import SettingsDrake
+from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
 from gauge_envs.scene import Contact, ContactMode, Scene
-
-__all__ = ["ContactConstants", "contact_constants"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-__all__ = ["PHASES", "ImpactLaw", "impact_constants", "rebound"]
-
 ImpactLaw = Literal["relaxation", "hunt_crossley"]
 """`relaxation`: linear spring and damper of the SAP approximation. `hunt_crossley`: damping in proportion to depth."""
 

@@ -24,8 +24,6 @@ from gauge_envs.scene import BodyHinge, Contact, Hinge, Motion, Pose, RigidBody,
 from gauge_envs.scene.hinged import other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties
 
-__all__ = ["Model", "build_model", "rigid_transform"]
-
 APPROXIMATIONS = {"tamsi": "kTamsi", "sap": "kSap", "similar": "kSimilar", "lagged": "kLagged"}
 SURFACES = {
     "polygon": HydroelasticContactRepresentation.kPolygon,

@@ -15,8 +15,6 @@ from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
 from gauge_envs.scene import Box, ContactMode, ConvexUnion, Cylinder, Motion, Plane, Scene, Sphere
 
-__all__ = ["PRESETS", "SettingsDrake", "impact_speed_m_per_s", "settings_for"]
-
 
 class SettingsDrake(SteppedSettings):
     """Settings of one Drake simulation.
@@ -110,12 +108,7 @@ LARGE_STACK = 20
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsDrake:
-    """Return the settings of a scene: its preset with a user's changes.
-
-    Raises:
-        UnknownNameError: The preset does not exist.
-        ParameterError: A setting does not exist or has an invalid value.
-    """
+    """Return the settings of a scene: its preset with a user's changes."""
     settings = resolve_settings("Drake", PRESETS, preset=_preset_name(scene), changes=changes)
     if settings.impact_speed_m_per_s is None:
         return settings.model_copy(update={"impact_speed_m_per_s": impact_speed_m_per_s(scene)})

@@ -16,8 +16,6 @@ from gauge_envs.backends.drake.contacts import ContactConstants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Shape, Sphere
 
-__all__ = ["Part", "collision_parts", "corner_parts", "proximity_properties"]
-
 CYLINDER_SIDES = 96
 """Number of sides of the hydroelastic mesh of a cylinder; its radius is exact within 0.06 %."""
 

@@ -18,8 +18,6 @@ from gauge_envs.scene import Hinge, Motion, Pose, Scene, Tether
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
 
-__all__ = ["SimulationDrake"]
-
 
 class SimulationDrake(Simulation):
     """A scene in Drake's discrete multibody plant."""

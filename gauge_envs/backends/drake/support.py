@@ -6,8 +6,6 @@ from collections.abc import Iterator
 
 from gauge_envs.scene import Compound, Scene
 
-__all__ = ["unsupported_features"]
-
 REASONS = {
     "Cloth": "Drake has no cloth",
     "SoftBody": "this backend does not build Drake's volume elements, linear tetrahedra, which lock: a cantilever of "

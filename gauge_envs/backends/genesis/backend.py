@@ -14,8 +14,6 @@ from gauge_envs.backends.genesis.support import check_support, unsupported_featu
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
-__all__ = ["BackendGenesis"]
-
 MODULES = ("genesis", "torch")
 
 
@@ -23,9 +21,6 @@ class BackendGenesis(Backend):
     """Genesis on the CPU.
 
     Rigid bodies move by its constraint solver, a descendant of MuJoCo's with a friction cone of its own.
-
-    Raises:
-        MissingExtraError: Genesis or PyTorch is not installed.
     """
 
     name = "genesis"
@@ -49,11 +44,7 @@ class BackendGenesis(Backend):
         return settings_for(scene, settings).model_dump(mode="json")
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build a scene; settings are the fields of `SettingsGenesis`, or of the class of the preset's solver.
-
-        Raises:
-            UnsupportedSceneError: The preset does not support a feature of the scene.
-        """
+        """Build a scene; settings are the fields of `SettingsGenesis`, or of the class of the preset's solver."""
         chosen = settings_for(scene, settings)
         check_support(scene, chosen)
         from gauge_envs.backends.genesis.simulation import SimulationGenesis
@@ -64,9 +55,6 @@ class BackendGenesis(Backend):
         """Build scenes as environments of one Genesis scene, which advance in the same step.
 
         Scenes with deformable bodies, and scenes that differ in more than start poses, advance one after another.
-
-        Raises:
-            UnsupportedSceneError: The preset does not support a feature of the scenes.
         """
         chosen = settings_for(scenes[0], settings)
         check_support(scenes[0], chosen)

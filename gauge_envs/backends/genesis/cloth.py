@@ -31,8 +31,6 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Motion, Scene
 from gauge_envs.scene.fabrics import Fabric, genesis_pbd
 
-__all__ = ["ClothPart"]
-
 ROOM_M = 20.0
 """Distance from the cloth to the walls of the domain, which every Genesis particle has [m]."""
 
@@ -121,11 +119,7 @@ class _Sheet:
         return self.cloth.areal_density_kg_per_m2 * self.grid.vertex_areas_m2()
 
     def spring_compliances(self) -> NDArray[np.float64]:
-        """Return the compliance of each spring [m/N], shape [spring_count].
-
-        Raises:
-            ParameterError: The time step is too long for a spring.
-        """
+        """Return the compliance of each spring [m/N], shape [spring_count]."""
         springs = np.asarray(self.entity._edges, dtype=np.intp)
         if self._settings.stiffness == "nominal":
             return np.full(len(springs), 1.0 / self.cloth.stretch_stiffness_n_per_m)

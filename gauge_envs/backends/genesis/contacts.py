@@ -17,18 +17,6 @@ from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.impact_speed import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import Contact, ContactMode, Scene
 
-__all__ = [
-    "CONTACT_LIMIT",
-    "MIN_FRICTION",
-    "Constants",
-    "Layer",
-    "damping_ratio",
-    "is_frictionless",
-    "layers_of_bodies",
-    "rebound",
-    "unsupported_contacts",
-]
-
 CONTACT_LIMIT = 30
 """Largest number of contacts of a scene: each needs a bit of Genesis's collision masks."""
 

@@ -14,8 +14,6 @@ from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Scene
 
-__all__ = ["couple_only_marked_geoms", "coupled_geoms", "driven_places", "set_coupling", "touching_bodies"]
-
 
 def touching_bodies(scene: Scene, names: Iterable[str]) -> dict[str, float]:
     """Return the friction of the rigid bodies that may touch some deformable bodies, by name.
@@ -47,9 +45,6 @@ def coupled_geoms(built: Any, scene: Scene, touches: Mapping[str, float]) -> dic
         built: The `gs.Scene`.
         scene: The scene.
         touches: Friction of the bodies that touch particles, by name.
-
-    Raises:
-        BackendError: Genesis has another number of geoms than the document.
     """
     found: dict[str, list[int]] = {}
     geoms = [geom for geom in built.sim.rigid_solver.geoms if geom.conaffinity == COUPLED_BIT]

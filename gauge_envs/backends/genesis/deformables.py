@@ -13,8 +13,6 @@ from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 
-__all__ = ["deformable_parts", "deformable_presets", "unsupported_deformables"]
-
 
 def deformable_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene with deformable bodies, by name; one of them is `default`."""

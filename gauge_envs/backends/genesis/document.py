@@ -16,8 +16,6 @@ from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.meshes import body_mass_properties
 
-__all__ = ["COUPLED_BIT", "body_label", "document"]
-
 COUPLED_BIT = 1 << 30
 """Collision bit that a geom accepts and none offers."""
 

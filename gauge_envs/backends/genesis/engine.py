@@ -17,8 +17,6 @@ from weakref import WeakSet
 
 from gauge_envs.errors import BackendError
 
-__all__ = ["EngineLease", "engine", "patient"]
-
 LOGGER = logging.getLogger("gauge_envs.genesis")
 
 PATIENCE_S = 5.0
@@ -45,9 +43,6 @@ class EngineLease:
 
     Args:
         precision: Bits of floating-point numbers, 32 or 64.
-
-    Raises:
-        BackendError: Another simulation exists that needs the other precision.
     """
 
     def __init__(self, precision: int) -> None:

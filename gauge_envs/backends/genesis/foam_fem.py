@@ -21,8 +21,6 @@ from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.backends.shared.tetrahedra import TetrahedralMesh, lame_constants
 from gauge_envs.scene import Motion, Scene, SoftBody
 
-__all__ = ["FEMPart"]
-
 FLOOR_M = -1e6
 """Height of Genesis's own floor, out of reach [m]."""
 

@@ -6,8 +6,6 @@ from typing import Any
 
 import quadrants as qd
 
-__all__ = ["FEMKernels"]
-
 
 @qd.data_oriented
 class FEMKernels:

@@ -26,8 +26,6 @@ from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.backends.shared.tetrahedra import grid_lines_m, grid_points_m, lame_constants
 from gauge_envs.scene import Motion, Scene, SoftBody
 
-__all__ = ["MPMPart", "fitted_voxel_m"]
-
 GRIP_MASS_RATIO = 1e6
 """Mass of a gripped point over that of a free one."""
 

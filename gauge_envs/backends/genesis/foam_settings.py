@@ -14,18 +14,6 @@ from gauge_envs.backends.shared.tetrahedra import lame_constants
 from gauge_envs.scene import Scene, SoftBody
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-__all__ = [
-    "COURANT_LIMIT",
-    "SOFT_CELL_M",
-    "SOFT_PRESETS",
-    "VOXEL_M",
-    "SettingsFEM",
-    "SettingsMPM",
-    "longest_mpm_timestep_s",
-    "soft_presets",
-    "sound_time_s",
-]
-
 SOFT_CELL_M = 0.0125
 """Largest edge of a cell of five tetrahedra [m]: a quarter of the width of the benchmark's foam."""
 

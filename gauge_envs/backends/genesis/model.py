@@ -19,8 +19,6 @@ from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.scene import Hinge, Motion, Scene
 
-__all__ = ["Model", "Place", "borrow_model", "forget_models", "model_key", "return_model"]
-
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
 

@@ -7,8 +7,6 @@ from typing import Any
 import genesis as gs
 import quadrants as qd
 
-__all__ = ["MPMKernels"]
-
 
 @qd.data_oriented
 class MPMKernels:

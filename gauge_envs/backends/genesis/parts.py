@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 
-__all__ = ["DeformablePart", "Motions"]
-
 Motions = Mapping[str, DrivenMotion]
 """Motion of each driven body in the current interval, by name. A body that was never driven rests at its start."""
 

@@ -10,8 +10,6 @@ import quadrants as qd
 from genesis.utils import sdf
 from numpy.typing import NDArray
 
-__all__ = ["PBDKernels"]
-
 SINE_FLOOR = 1e-8
 """Least squared sine of a hinge's angle, so that a flat hinge has a compliance."""
 

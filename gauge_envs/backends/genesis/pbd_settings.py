@@ -14,8 +14,6 @@ from gauge_envs.backends.shared.cells import CellSize
 from gauge_envs.scene import Cloth, Cylinder, Scene, Sphere
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-__all__ = ["CLOTH_CELL_M", "SettingsPBD", "cloth_cell_m", "pbd_presets"]
-
 CLOTH_CELL_M = 0.025
 """Edge of the cells of a cloth [m]."""
 

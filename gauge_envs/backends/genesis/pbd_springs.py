@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.scene import Cloth
 
-__all__ = ["grid_springs", "grid_stiffnesses", "inverse_masses", "longest_timestep_s", "spring_stiffnesses"]
-
 STIFFNESS_LIMIT = 0.5
 """Largest stiffness of a spring over the one that closes it in a single step."""
 

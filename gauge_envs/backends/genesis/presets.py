@@ -17,8 +17,6 @@ from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import ContactMode, Scene
 
-__all__ = ["presets_for", "settings_for"]
-
 FRICTIONLESS_IMPRATIO = 1e-9
 """Ratio of frictional to normal impedance in scenes without friction. Signorini contacts keep their normal force."""
 
@@ -32,13 +30,7 @@ def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsGenesis:
-    """Return the settings of a scene: its preset with a user's changes.
-
-    Raises:
-        UnknownNameError: The preset does not exist.
-        UnsupportedSceneError: The preset exists for other scenes only.
-        ParameterError: A setting does not exist or has an invalid value.
-    """
+    """Return the settings of a scene: its preset with a user's changes."""
     presets = presets_for(scene)
     if isinstance(changes, Mapping):
         _check_kind(changes.get("preset"), presets)

@@ -8,8 +8,6 @@ from pydantic import Field, model_validator
 
 from gauge_envs.backends.settings import SteppedSettings
 
-__all__ = ["PRESETS", "SettingsGenesis"]
-
 
 class SettingsGenesis(SteppedSettings):
     """Settings of a Genesis scene and of its rigid solver. Solvers of deformable bodies have subclasses.

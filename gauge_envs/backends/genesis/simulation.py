@@ -17,8 +17,6 @@ from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = ["SimulationGenesis"]
-
 
 class SimulationGenesis(Simulation):
     """A scene in Genesis.
@@ -88,11 +86,7 @@ class SimulationGenesis(Simulation):
         return self._origin.state((self._stepper.state(), [part.state() for part in model.parts]))
 
     def restore(self, state: Snapshot) -> None:
-        """Restore a state.
-
-        Raises:
-            BackendError: The state is of another scene, other settings or another version.
-        """
+        """Restore a state."""
         model = self._open()
         rigid, parts = self._origin.values(state)
         self._stepper.restore(rigid)

@@ -17,8 +17,6 @@ from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene, Tether
 
-__all__ = ["Stepper"]
-
 
 class Stepper:
     """Instances of a scene in one Genesis scene, which advance together.
@@ -122,11 +120,7 @@ class Stepper:
                 self._given[world][name] = np.array([*pose.position_m, *pose.quaternion, *velocity])
 
     def _step(self) -> None:
-        """Make one step.
-
-        Raises:
-            BackendError: Genesis found values that are not finite, or more contacts than it holds.
-        """
+        """Make one step."""
         try:
             self._model.scene.sim.step()
         except engine().GenesisException as error:

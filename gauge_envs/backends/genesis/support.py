@@ -11,15 +11,9 @@ from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Hinge, Motion, Scene
 
-__all__ = ["check_support", "unsupported_features"]
-
 
 def check_support(scene: Scene, settings: SettingsGenesis) -> None:
-    """Raise an error if a scene has features that given settings do not support.
-
-    Raises:
-        UnsupportedSceneError: The message names the preset and the features.
-    """
+    """Raise an error if a scene has features that given settings do not support."""
     missing = tuple(unsupported_features(scene, settings))
     if missing:
         raise UnsupportedSceneError(

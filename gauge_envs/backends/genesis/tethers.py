@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene import Tether
 
-__all__ = ["pull"]
-
 
 def pull(
     tether: Tether, state: NDArray[np.float64], mass_kg: float, frequency_per_s: float

@@ -14,8 +14,6 @@ from gauge_envs.backends.genesis.stepper import Stepper
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
 
-__all__ = ["WorldsGenesis", "can_share", "new_worlds"]
-
 
 def can_share(scenes: Sequence[Scene], settings: SettingsGenesis) -> bool:
     """Return whether scenes differ only in where their free bodies start, so that one Genesis scene holds them."""
@@ -66,11 +64,7 @@ class WorldsGenesis(Worlds):
         self.reset(0)
 
     def stepper(self) -> Stepper:
-        """Return what advances the environments.
-
-        Raises:
-            BackendError: The worlds are closed.
-        """
+        """Return what advances the environments."""
         if self._model is None:
             raise BackendError("the Genesis worlds are closed: build them again")
         return self._stepper

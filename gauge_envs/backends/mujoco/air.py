@@ -14,8 +14,6 @@ from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Air, Scene
 
-__all__ = ["AirOnCloth", "check_air_step"]
-
 
 class AirOnCloth:
     """Forces of the air on one cloth, as generalized forces on its free vertices.
@@ -62,9 +60,6 @@ def check_air_step(scene: Scene, parts: list[ClothPartMuJoCo], timestep_s: float
         scene: A scene with air.
         parts: Its cloth.
         timestep_s: Step of the simulation [s].
-
-    Raises:
-        ParameterError: The scene's bound on speeds, and the wind, exceed the speed up to which a step is stable.
     """
     assert scene.air is not None
     fastest = scene.speed_limit_m_per_s + float(np.linalg.norm(scene.air.wind_m_per_s))

@@ -19,8 +19,6 @@ from gauge_envs.backends.mujoco.versions import without_absent, without_deformab
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Scene
 
-__all__ = ["BackendMuJoCo"]
-
 
 class BackendMuJoCo(Backend):
     """MuJoCo on the CPU: rigid bodies, hinges, tethers, driven bodies; with MuJoCo 4, deformable bodies too."""

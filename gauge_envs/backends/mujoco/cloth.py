@@ -25,8 +25,6 @@ from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth
 
-__all__ = ["ClothPartMuJoCo", "add_cloth"]
-
 ELASTIC_BOTH = 3
 """MuJoCo's code for a flex that both stretches and bends."""
 
@@ -114,10 +112,6 @@ def add_cloth(
         contact_radius_m: Half the thickness with which the cloth collides [m]; half the physical thickness by default.
             Layers of cloth pass through each other if this is much less than their displacement in one step (2 mm at
             1/900 s). Bodies rest at this distance from the cloth's mid-plane.
-
-    Raises:
-        ParameterError: The contact thickness is not below the cell size, so neighbouring vertices would touch.
-        UnsupportedSceneError: A region is attached to a dynamic body, or is not an edge of the cloth.
     """
     grid = ClothGrid(cloth, cell_m)
     if contact_radius_m is not None and 2.0 * contact_radius_m >= min(grid.cell_m):

@@ -14,8 +14,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COLUMNS", "ContactPairs", "PairKind", "can_move", "contact_pairs"]
-
 COLUMNS: Mapping[str, slice] = {
     "condim": slice(0, 1),
     "friction": slice(1, 6),

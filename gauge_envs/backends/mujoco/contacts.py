@@ -10,8 +10,6 @@ import mujoco
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.scene import Contact, ContactMode
 
-__all__ = ["IMPEDANCE_SHAPE", "ContactConstants", "contact_constants", "given_constants"]
-
 IMPEDANCE_SHAPE = (0.5, 2.0)
 """Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
 

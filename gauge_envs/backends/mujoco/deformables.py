@@ -19,8 +19,6 @@ from gauge_envs.backends.shared.attachments import attachment_problems, attachme
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import plate_bending_stiffness
 
-__all__ = ["add_deformables", "add_flex_contact", "nodes_of", "unsupported_features"]
-
 
 def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:
     """Add all deformable bodies to an editable model that contains the rigid bodies.

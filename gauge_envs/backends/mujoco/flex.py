@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.scene import Motion
 
-__all__ = ["FlexPart", "Points", "attached_points", "flex_table"]
-
 
 class Points:
     """The points that carry a flex: point bodies with slide joints x, y, z, or points of rigid bodies.

@@ -19,8 +19,6 @@ from gauge_envs.backends.shared.lines import attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 
-__all__ = ["LinePartMuJoCo", "add_rod", "add_rope"]
-
 ROD_SEGMENTS = 15
 """Default number of segments of a rod; a clamped rod with a load at its end then deflects within 0.2 % of theory."""
 
@@ -72,9 +70,6 @@ class LinePartMuJoCo(FlexPart):
 
         Returns:
             Function without arguments that returns the current positions of the points [m], shape [point_count, 3].
-
-        Raises:
-            ShapeError: A point lies beyond an end.
         """
         span = self.rest_m[-1] - self.rest_m[0]
         length, count = float(np.linalg.norm(span)), len(self.rest_m) - 1
@@ -111,9 +106,6 @@ def add_rope(
         rope: The rope. Its Young's modulus is unused, because a rope is inextensible.
         attachments: Attachments of its ends; moving bodies need a free joint.
         cell_m: Desired distance between neighbouring nodes [m].
-
-    Raises:
-        UnsupportedSceneError: An attached region is not an end without depth.
     """
     ends = attached_ends(rope, attachments)
     count = max(2, round(rope.length_m / cell_m))
@@ -142,9 +134,6 @@ def add_rod(
         attachments: Attachments of its ends; moving bodies need a free joint.
         cell_m: Desired length of the segments [m]; None gives `ROD_SEGMENTS` segments.
         damping_s: Viscous part of the bending moment, as the time that multiplies the rate of curvature [s].
-
-    Raises:
-        UnsupportedSceneError: An attached region is not an end.
     """
     ends = attached_ends(rod, attachments)
     low, high = -0.5 * rod.length_m, 0.5 * rod.length_m

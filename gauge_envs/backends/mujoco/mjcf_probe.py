@@ -9,8 +9,6 @@ import sys
 
 import mujoco
 
-__all__: list[str] = []
-
 
 def main(file: str | None) -> None:
     """Compile a model and allocate its state; a file that MuJoCo cannot load is no matter of limits."""

@@ -55,7 +55,6 @@ if TYPE_CHECKING:
 
 AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
-__all__ = ["DRIVER_PREFIX", "driver_rows", "load_model", "read_model"]
 
 DRIVER_PREFIX = "driver/"
 """Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
@@ -79,9 +78,6 @@ def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec,
 
     Returns:
         The numerical settings, the editable model, the compiled model, and the parts of the deformable bodies by name.
-
-    Raises:
-        AssetError: The file cannot be used, or a body starts at another pose in the scene than in the file.
     """
     spec, model = _compiled(path)
     _, _, parts = build_model(scene, settings_for(scene, None))
@@ -212,9 +208,6 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
         path: The file.
         scene: The scene whose bodies the file must contain.
         simulation: The simulation that the backend builds from the scene.
-
-    Raises:
-        AssetError: The file does not load, or lacks a part of the scene.
     """
     _, model = _compiled(path)
     _settings(path, model)

@@ -20,8 +20,6 @@ from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = ["add_stiffness_tables", "exact_xml", "expanded", "replay_note", "start_notes", "without_rest"]
-
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 TABLES = ("flex_stiffness", "flex_bending")

@@ -35,23 +35,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.hinged import other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
-__all__ = [
-    "CONES",
-    "DISABLE_FLAGS",
-    "ENABLE_FLAGS",
-    "INTEGRATORS",
-    "SAME_NAME_OPTIONS",
-    "SOLVERS",
-    "START_KEY",
-    "add_geoms",
-    "build_model",
-    "hinges_by_body",
-    "parents_first",
-    "rotated_back",
-    "start_rates",
-    "start_velocities",
-]
-
 START_KEY = "start"
 """Name of the keyframe whose `qvel` holds the start velocities; a scene at rest has no keyframe."""
 

@@ -9,8 +9,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["model_changes"]
-
 SAME_DOUBLE = 1e-9
 """Relative difference below which double-precision numbers count as equal: machines differ in their last digits."""
 

@@ -13,14 +13,6 @@ from gauge_envs.backends.mujoco.contact_pairs import COLUMNS
 from gauge_envs.backends.mujoco.model import CONES, DISABLE_FLAGS, ENABLE_FLAGS, INTEGRATORS, SAME_NAME_OPTIONS, SOLVERS
 from gauge_envs.backends.mujoco.settings import PRESETS
 
-__all__ = [
-    "contact_settings",
-    "default_contact_settings",
-    "effective_constants",
-    "option_settings",
-    "overrides_contacts",
-]
-
 
 def option_settings(model: mujoco.MjModel) -> dict[str, Any]:
     """Return the settings that reproduce a model's options."""

@@ -16,8 +16,6 @@ from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
-__all__ = ["CLOTH_CELL_M", "PRESETS", "ROPE_CELL_M", "SettingsMuJoCo", "settings_for"]
-
 
 def _in_one_format(solref: tuple[float, float]) -> tuple[float, float]:
     """Raise an error for a mixture of both formats, which MuJoCo replaces by its default with a mere log message."""
@@ -265,13 +263,7 @@ def _preset_name(scene: Scene) -> str:
 
 
 def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> SettingsMuJoCo:
-    """Return the settings of a scene: its preset with the user's overrides.
-
-    Raises:
-        UnknownNameError: The preset does not exist.
-        ParameterError: A setting does not exist or has an invalid value, the installed version of MuJoCo lacks it, or
-            cells of that size do not fit a body.
-    """
+    """Return the settings of a scene: its preset with the user's overrides."""
     settings = resolve_settings("MuJoCo", PRESETS, preset=_preset_name(scene), changes=overrides)
     check_installed(settings.model_dump(), overrides or {})
     if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:

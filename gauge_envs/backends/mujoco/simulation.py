@@ -21,8 +21,6 @@ from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
-__all__ = ["SimulationMuJoCo"]
-
 BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "position",
     mujoco.mjtWarning.mjWARN_BADQVEL: "velocity",
@@ -40,9 +38,6 @@ class SimulationMuJoCo(Simulation):
         spec: The editable model.
         model: The compiled model.
         parts: Parts of its deformable bodies, by name.
-
-    Raises:
-        ParameterError: The step is too long for the air of the scene.
 
     Attributes:
         settings: Numerical settings in force.
@@ -159,11 +154,7 @@ class SimulationMuJoCo(Simulation):
         return self._origin.state(state)
 
     def restore(self, state: Snapshot) -> None:
-        """Restore an integration state.
-
-        Raises:
-            BackendError: The state is of another scene, other settings or another version.
-        """
+        """Restore an integration state."""
         values = self._origin.values(state)
         self._warning_counts[:] = 0
         mujoco.mj_setState(self.model, self.data, values, mujoco.mjtState.mjSTATE_INTEGRATION)

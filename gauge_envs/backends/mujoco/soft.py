@@ -21,8 +21,6 @@ from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import SoftBody
 
-__all__ = ["SoftPartMuJoCo", "add_soft"]
-
 LONE_CELLS = (4, 2)
 """Default cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a
 finer mesh."""
@@ -107,9 +105,6 @@ class SoftPartMuJoCo(FlexPart):
 
         Returns:
             Function without arguments that returns the current positions of the points [m], shape [point_count, 3].
-
-        Raises:
-            ShapeError: A point lies outside the free material.
         """
         weights = self._lattice.weights(self._soft_row.checked(np.asarray(points_m, dtype=np.float64)))
         return lambda: weights @ self.points.positions()
@@ -188,9 +183,6 @@ def add_soft(
         cell_m: Largest edge of a cell [m], used without `cells`.
         cells: Cells along and across each body; without `cell_m`, `LONE_CELLS` or `BONDED_CELLS` by default.
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
-
-    Raises:
-        UnsupportedSceneError: The bodies do not form a soft row (see `SoftRow.of`), or no equal cells fit.
     """
     soft_row = SoftRow.of(bodies, attachments)
     axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
@@ -255,9 +247,6 @@ def _layers_of_blocks(blocks: Sequence[Block], axis: int, most: int) -> tuple[in
         blocks: Blocks of the row.
         axis: Index of the world axis of the row.
         most: Number of layers of the longest block that its desired cells make.
-
-    Raises:
-        UnsupportedSceneError: Equal cells would be so short that there are more than `MOST_LAYERS`.
     """
     lengths = np.array([block.high_m[axis] - block.low_m[axis] for block in blocks])
     if np.ptp(lengths) <= TOLERANCE_M:

@@ -14,8 +14,6 @@ import mujoco
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Scene
 
-__all__ = ["Feature", "absent_settings", "check_installed", "constants_of", "without_absent", "without_deformables"]
-
 DEFORMABLES_SINCE = 4
 """First major version whose deformable bodies have the constants that this backend sets."""
 
@@ -84,9 +82,6 @@ def check_installed(chosen: Mapping[str, Any], changes: Mapping[str, Any]) -> No
     Args:
         chosen: All settings, of the preset and the user.
         changes: Settings that the user states.
-
-    Raises:
-        ParameterError: The user states an absent setting, or the settings have an absent value.
     """
     for feature in FEATURES:
         if feature.is_installed:

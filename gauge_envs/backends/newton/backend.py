@@ -15,8 +15,6 @@ from gauge_envs.backends.newton.support import check_preset, check_support, unsu
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
-__all__ = ["BackendNewton"]
-
 MODULES = ("newton", "warp", "mujoco_warp")
 
 
@@ -24,9 +22,6 @@ class BackendNewton(Backend):
     """NVIDIA Newton on the CPU or a GPU.
 
     Its MuJoCo solver simulates rigid scenes and VBD all others; presets `mpm...` select implicit MPM for foam.
-
-    Raises:
-        MissingExtraError: Newton or one of its dependencies is not installed.
     """
 
     name = "newton"
@@ -53,11 +48,7 @@ class BackendNewton(Backend):
         return settings_for(scene, settings).model_dump(mode="json")
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build a scene; settings are the fields of the settings class of the preset's solver.
-
-        Raises:
-            UnsupportedSceneError: The preset does not support a feature of the scene.
-        """
+        """Build a scene; settings are the fields of the settings class of the preset's solver."""
         resolved = _checked_settings(scene, settings)
         _start_quietly()
         from gauge_envs.backends.newton.simulation import SimulationNewton
@@ -65,11 +56,7 @@ class BackendNewton(Backend):
         return SimulationNewton(scene, resolved)
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
-        """Build scenes as worlds of one model, which advance in the same step.
-
-        Raises:
-            UnsupportedSceneError: The preset does not support a feature of the scenes.
-        """
+        """Build scenes as worlds of one model, which advance in the same step."""
         resolved = _checked_settings(scenes[0], settings)
         _start_quietly()
         from gauge_envs.backends.newton.simulation import WorldsNewton

@@ -15,8 +15,6 @@ from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.scene import Cloth, Motion
 from gauge_envs.scene.fabrics import Fabric, newton_edge_ke, newton_vbd
 
-__all__ = ["ClothPartNewton", "add_cloth"]
-
 
 class ClothPartNewton:
     """A cloth among the particles of a model.
@@ -76,9 +74,6 @@ def add_cloth(
         cell_m: Desired edge length of the cells [m]; the nearest length that divides a side is used.
         stretch_damping_n_s_per_m: Newton's `tri_kd`: viscosity of the membrane per rate of twice Green's strain.
         bend_damping_n_s: Newton's `edge_kd`: torque of a hinge per rate of its angle and per length.
-
-    Raises:
-        UnsupportedSceneError: A region is attached to a dynamic body, or is not an edge of the cloth.
     """
     grid = ClothGrid(cloth, cell_m)
     rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.scene import Contact, ContactMode, Motion, Scene
 
-__all__ = ["FRICTION_AS_NORMAL", "ShapeConstants", "carried_constants", "pair_constants", "unsupported_contacts"]
-
 FRICTION_AS_NORMAL = -1.0
 """Negative friction gain, with which friction has the time constant of the contact. Newton's default gain gives light
 bodies a time constant far below the time step, and they hop."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import warp as wp
 
-__all__ = ["bodies_to_joints", "carry", "hold", "predict", "prescribe", "record_positions", "record_states"]
-
 
 @wp.kernel
 def prescribe(

@@ -29,8 +29,6 @@ from gauge_envs.scene import Cylinder, Pose, Rod, Rope
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
-__all__ = ["LinePartNewton", "add_line"]
-
 ROTATION_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
 """Rotation from z, the axis of Newton's capsules and rod joints, to the axis of a line."""
 
@@ -118,9 +116,6 @@ class LinePartNewton:
 
         Returns:
             Function of a state that returns the positions of the points [m], shape [point_count, 3].
-
-        Raises:
-            ShapeError: A point lies beyond an end.
         """
         points = np.asarray(points_m, dtype=np.float64)
         span = self.rest_m[-1] - self.rest_m[0]
@@ -186,10 +181,6 @@ def add_line(
             length of a segment.
         damping_s: Viscosity of a rod in bending and twist, as the time that multiplies the rate of curvature [s].
         touches_itself: Whether segments collide with those that are not close along the line.
-
-    Raises:
-        UnsupportedSceneError: A region is not an end, an attached region of a rope has a depth, or the attached regions
-            cover the whole line.
     """
     ends = attached_ends(line, attachments)
     low_m, high_m = _free_places_m(line, ends)

@@ -42,8 +42,6 @@ from gauge_envs.backends.shared.attachments import (
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene, Vector
 from gauge_envs.scene.geometry import vector
 
-__all__ = ["Part", "WorldLayout", "build_model"]
-
 
 class Part(Protocol):
     """A deformable body or a soft row in a model."""
@@ -98,9 +96,6 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Step
 
     Returns:
         The stepper at the start, and the layouts in the order of the scenes.
-
-    Raises:
-        ParameterError: The settings are unstable.
     """
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
     add = _scene_adder(builder, scenes[0], settings)

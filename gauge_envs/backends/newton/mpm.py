@@ -24,8 +24,6 @@ from gauge_envs.backends.shared.point_weights import linear_weights
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.scene import Motion, SoftBody
 
-__all__ = ["SoftPartMPM", "StepperMPM", "add_soft_mpm", "fitted_voxel_m"]
-
 GRIPPED_SIZE = 0.3
 """Size of a gripped point relative to its cell; a gripped point has no volume to fill."""
 
@@ -50,9 +48,6 @@ def fitted_voxel_m(
         attachments: Attachments to rigid bodies, by name of the soft body.
         voxel_m: Desired edge of a voxel [m].
         points_per_voxel_edge: Material points along the edge of a voxel.
-
-    Raises:
-        UnsupportedSceneError: The bodies do not form a soft row; see `SoftRow.of`.
     """
     soft_row = SoftRow.of(bodies, attachments)
     low, high = soft_row.low_m[soft_row.axis], soft_row.high_m[soft_row.axis]
@@ -112,9 +107,6 @@ class SoftPartMPM:
 
         Returns:
             Function of a state that returns the positions of the points [m], shape [point_count, 3].
-
-        Raises:
-            ShapeError: A point lies outside the free material.
         """
         points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
         nearest, weights = linear_weights(self._points_m, points)
@@ -147,9 +139,6 @@ def add_soft_mpm(
         indices: Model index of each kinematic body that grips the row, by name.
         spacing_m: Largest distance between neighbouring points [m]; half a voxel gives 8 points per voxel.
         damping_s: Relaxation time of the elastic stress, Newton's `mpm:damping` [s].
-
-    Raises:
-        UnsupportedSceneError: The bodies do not form a soft row; see `SoftRow.of`.
     """
     soft_row = SoftRow.of(bodies, attachments)
     start = builder.particle_count

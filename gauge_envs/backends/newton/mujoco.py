@@ -27,8 +27,6 @@ from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene import Scene
 
-__all__ = ["StepperMuJoCo", "add_contacts", "shape_config"]
-
 CONTACT_POINTS_PER_PAIR = 8
 """Reserved contact points per pair of shapes; Newton reduces two faces in contact to four or five points."""
 

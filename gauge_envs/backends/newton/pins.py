@@ -11,8 +11,6 @@ import warp as wp
 
 from gauge_envs.backends.newton.kernels import carry, hold
 
-__all__ = ["Pin", "PinnedParticles"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Pin:

@@ -10,8 +10,6 @@ from typing import Any
 import newton
 import newton._src.geometry.narrow_phase as narrow_phase
 
-__all__ = ["collision_pipeline"]
-
 _own: dict[str, Callable[..., Any]] = {
     name: factory for name, factory in vars(narrow_phase).items() if name.startswith("create_narrow_phase_")
 }

@@ -12,8 +12,6 @@ from gauge_envs.backends.newton.kernels import record_positions, record_states
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.recording import Recording
 
-__all__ = ["RecordShape", "Recorder"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RecordShape:

@@ -32,8 +32,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
-__all__ = ["RigidIndex", "Solids", "add_bodies", "keep_apart"]
-
 WORLD = -1
 """Newton's body index of the world."""
 

@@ -19,23 +19,6 @@ from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 
-__all__ = [
-    "CLOTH_CELL_M",
-    "PAPER",
-    "PAPER_PRESETS",
-    "PRESETS",
-    "ROD_SEGMENTS",
-    "ROPE_CELL_M",
-    "SOFT_CELL_M",
-    "VOXEL_M",
-    "SettingsLines",
-    "SettingsMPM",
-    "SettingsMuJoCoWarp",
-    "SettingsNewton",
-    "SettingsVBD",
-    "settings_for",
-]
-
 
 class SettingsNewton(SteppedSettings):
     """Settings of every solver.
@@ -355,11 +338,7 @@ def _cloth_preset(scene: Scene) -> str:
 
 
 def _paper_preset(scene: Scene) -> SettingsNewton:
-    """Return the settings of preset `paper` for a scene.
-
-    Raises:
-        UnsupportedSceneError: The paper states no solver for a body of the scene.
-    """
+    """Return the settings of preset `paper` for a scene."""
     lines = [body.name for body in scene.deformables if isinstance(body, Rope | Rod)]
     if lines:
         raise UnsupportedSceneError(
@@ -376,11 +355,6 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
 
     A stiff and light fabric needs a shorter time step than that of its preset for the same iterations. The time step is
     halved until the iterations are enough, unless the changes define it.
-
-    Raises:
-        UnknownNameError: The preset does not exist.
-        UnsupportedSceneError: Preset `paper` has no solver for a body of the scene.
-        ParameterError: A setting does not exist or has an invalid value, or cells of that size do not fit a body.
     """
     is_paper = isinstance(changes, Mapping) and changes.get("preset") == PAPER
     presets = PRESETS | {PAPER: _paper_preset(scene)} if is_paper else PRESETS

@@ -18,8 +18,6 @@ from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
-__all__ = ["SimulationNewton", "WorldsNewton"]
-
 
 class _WorldNewton(World):
     """One world of a Newton model."""
@@ -88,11 +86,7 @@ class SimulationNewton(_WorldNewton, Simulation):
         return self._origin.state(self._stepper.state())
 
     def restore(self, state: Snapshot) -> None:
-        """Restore a state.
-
-        Raises:
-            BackendError: The state is of another scene, other settings or another version.
-        """
+        """Restore a state."""
         self._stepper.restore(self._origin.values(state))
 
     def close(self) -> None:

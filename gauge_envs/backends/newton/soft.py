@@ -28,15 +28,6 @@ from gauge_envs.scene import Box, Motion, SoftBody
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
-__all__ = [
-    "CELL_M",
-    "CONTACT_RADIUS_M",
-    "RIGID_RATIO",
-    "SoftPartNewton",
-    "add_block_shapes",
-    "add_soft",
-]
-
 CELL_M = 0.0125
 """Largest edge of a cell [m]: a quarter of the width of the benchmark's foam."""
 
@@ -113,9 +104,6 @@ class SoftPartNewton:
 
         Returns:
             Function of a state that returns the positions of the points [m], shape [point_count, 3].
-
-        Raises:
-            ShapeError: A point lies outside the free material.
         """
         points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
         inside = [(solid, solid.block.holds(points)) for solid in self._solids]
@@ -159,9 +147,6 @@ def add_soft(
         contact_radius_m: Distance from a node at which contact starts [m].
         rigid_ratio: A block outside grips is rigid if its Young's modulus is at least this many times that of the
             softest block of its row; with infinity all blocks are elastic.
-
-    Raises:
-        UnsupportedSceneError: The bodies do not form a soft row; see `SoftRow.of`.
     """
     soft_row = SoftRow.of(bodies, attachments)
     softest = min(block.body.young_modulus_pa for block in soft_row.blocks)

@@ -8,8 +8,6 @@ from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.scene import Cloth
 from gauge_envs.scene.fabrics import Fabric, newton_vbd
 
-__all__ = ["ITERATIONS_PER_RATIO", "longest_timestep_s"]
-
 ITERATIONS_PER_RATIO = 0.33
 """Smallest number of iterations, over the ratio of elastic to inertial stiffness, to start from the last acceleration.
 

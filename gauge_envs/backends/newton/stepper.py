@@ -20,8 +20,6 @@ from gauge_envs.backends.newton.kernels import prescribe
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
-__all__ = ["Stepper", "warp_transform"]
-
 WARM_UP_STEPS = 2
 """Number of steps before recording, in which solvers allocate their arrays; even, so that both states end in place."""
 
@@ -119,11 +117,7 @@ class Stepper(ABC):
         self._commands[self._rows[body]] = ([*pose.position_m, x, y, z, w], velocity, acceleration)
 
     def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
-        """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`.
-
-        Raises:
-            BackendError: Applied forces are not validated for the solver.
-        """
+        """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`."""
         raise BackendError(
             f"{type(self.solver).__name__} applies no force or torque here: choose a preset with SolverMuJoCo"
         )

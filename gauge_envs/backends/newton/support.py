@@ -25,16 +25,11 @@ from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
 
-__all__ = ["check_preset", "check_support", "unsupported_features"]
-
 
 def check_support(scene: Scene, settings: SettingsNewton) -> None:
     """Raise an error if a scene has features that given settings do not support.
 
     `Backend.supports` answers for the scene's own preset. A user may choose another one.
-
-    Raises:
-        UnsupportedSceneError: The message names the preset and the features.
     """
     missing = tuple(unsupported_features(scene, settings))
     if missing:
@@ -45,11 +40,7 @@ def check_support(scene: Scene, settings: SettingsNewton) -> None:
 
 
 def check_preset(scene: Scene, settings: SettingsNewton) -> None:
-    """Raise an error if the solver of settings does not simulate the kinds of body in a scene.
-
-    Raises:
-        UnsupportedSceneError: The message names the preset and the kinds.
-    """
+    """Raise an error if the solver of settings does not simulate the kinds of body in a scene."""
     has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)
     has_lines = any(isinstance(body, Rope | Rod) for body in scene.deformables)
     fits = {

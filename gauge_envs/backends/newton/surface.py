@@ -10,8 +10,6 @@ import numpy as np
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
-__all__ = ["SurfaceContacts", "surface_contacts", "unsupported_surface_contacts"]
-
 PARTICLES = ""
 """Placeholder name of all bodies made of particles, which share one friction in Newton; no body has this name."""
 
@@ -47,10 +45,6 @@ def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts
         scene: The scene.
         per_body: Whether each body made of particles can collide with other rigid bodies than the rest. This needs
             collisions of vertices only.
-
-    Raises:
-        UnsupportedSceneError: No coefficients give every pair its friction, or a body made of particles would collide
-            with a body that it passes through.
     """
     problems = list(unsupported_surface_contacts(scene, per_body=per_body))
     if problems:

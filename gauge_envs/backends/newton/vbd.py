@@ -26,8 +26,6 @@ from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.surface import SurfaceContacts
 from gauge_envs.errors import ParameterError
 
-__all__ = ["SelfContact", "StepperVBD", "apply_contacts", "passing_pairs", "stiffness_ratio"]
-
 SPEED_HEADROOM = 1.5
 """Assumed largest growth of the fastest particle's speed within an interval, in addition to free fall."""
 
@@ -201,9 +199,6 @@ class StepperVBD(Stepper):
             model then needs an inactive particle, which replaces those of the pairs in the solver's list.
         friction_speed_m_per_s: Sliding speed above which friction is Coulomb's; below, it decreases to zero.
         self_contact: Parameters of contacts between surfaces; None disables them.
-
-    Raises:
-        ParameterError: `predict` is true and the iterations are too few for it.
     """
 
     def __init__(

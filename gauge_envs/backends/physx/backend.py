@@ -15,16 +15,11 @@ from gauge_envs.backends.shared.replay import ReplayedSimulation
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
-__all__ = ["BackendPhysX"]
-
 
 class BackendPhysX(Backend):
     """NVIDIA PhysX 5 on the CPU, in single precision, as SAPIEN ships it: rigid bodies, hinges, strings, driven bodies.
 
     `restore` repeats all calls since the reset, since PhysX keeps contact caches that cannot be saved.
-
-    Raises:
-        MissingExtraError: SAPIEN is not installed.
     """
 
     name = "physx"

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 from gauge_envs.scene import Contact, ContactMode, Scene
 
-__all__ = ["CONTACTS_PER_CONSTANTS", "Constants", "Groups", "constants_of", "groups_of_bodies", "unsupported_contacts"]
-
 CONTACTS_PER_CONSTANTS = 32
 """Largest number of contacts with the same constants: each has a bit of PhysX's collision groups."""
 

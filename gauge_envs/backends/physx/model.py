@@ -35,8 +35,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
-__all__ = ["Model", "Part", "build_model", "physx_pose"]
-
 ROOT_MASS_KG = 1.0
 """Mass of the fixed base of a hinge, which has no effect."""
 
@@ -219,11 +217,7 @@ def _capsule(radius_m: float, half_m: float, material: physx.PhysxMaterial) -> p
 
 
 def _hull(points_m: ArrayLike, material: physx.PhysxMaterial) -> physx.PhysxCollisionShape:
-    """Return a convex mesh.
-
-    Raises:
-        UnsupportedSceneError: PhysX simplified the piece, as it does with too many vertices or faces.
-    """
+    """Return a convex mesh."""
     corners = np.asarray(points_m, dtype=np.float64)
     scale = np.ptp(corners, axis=0) / HULL_SIZE_M
     vertices = (corners / scale).astype(np.float32)

@@ -10,8 +10,6 @@ from pydantic import Field, model_validator
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.scene import Scene
 
-__all__ = ["PRESETS", "SettingsPhysX", "settings_for"]
-
 STACK_BODIES = 20
 """Number of dynamic bodies from which on a scene has the preset `stack`."""
 
@@ -151,11 +149,6 @@ PRESETS: dict[str, SettingsPhysX] = {
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPhysX:
-    """Return the settings of a scene: its preset with a user's changes.
-
-    Raises:
-        UnknownNameError: The preset does not exist.
-        ParameterError: A setting does not exist or has an invalid value.
-    """
+    """Return the settings of a scene: its preset with a user's changes."""
     preset = "stack" if len(scene.dynamic_bodies) >= STACK_BODIES else "default"
     return resolve_settings("PhysX", PRESETS, preset=preset, changes=changes)

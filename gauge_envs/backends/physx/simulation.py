@@ -16,8 +16,6 @@ from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import pose_distance
 
-__all__ = ["SimulationPhysX"]
-
 SAME_POSE = 1e-5
 """Distance [m, rad] within which a driven body already is where its interval starts."""
 

@@ -11,8 +11,6 @@ from scipy.spatial import ConvexHull
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene, Shape, Vector
 
-__all__ = ["unsupported_features"]
-
 HULL_LIMIT = 128
 """Largest number of vertices of a convex piece. PhysX makes 254 triangles at most, and simplifies larger hulls."""
 

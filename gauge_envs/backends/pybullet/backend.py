@@ -16,8 +16,6 @@ from gauge_envs.backends.shared.replay import ReplayedSimulation
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
-__all__ = ["BackendPyBullet"]
-
 LAST_PYTHON_WITH_WHEELS = (3, 11)
 
 
@@ -27,9 +25,6 @@ class BackendPyBullet(Backend):
     A hanging bar of foam is 3 % too soft, and a swinging rope gains 2.5 % of its energy.
 
     Bullet keeps contact forces between steps and cannot save them. A restore therefore repeats the episode.
-
-    Raises:
-        MissingExtraError: PyBullet is not installed.
     """
 
     name = "pybullet"

@@ -16,8 +16,6 @@ from gauge_envs.backends.shared.attachments import rigid_attachments
 from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.scene import Motion, RigidBody, Rope, Scene
 
-__all__ = ["RopeEnds", "add_rope", "rope_ends"]
-
 NO_SHAPE = -1
 """Number of the shape of segments, which touch nothing."""
 

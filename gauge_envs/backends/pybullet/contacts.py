@@ -12,8 +12,6 @@ from scipy.optimize import linprog
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Scene
 
-__all__ = ["Surface", "impact_bodies", "products", "pushing_bodies", "surfaces"]
-
 Pair = tuple[str, str]
 
 SMALLEST_VALUE = 1e-6
@@ -43,9 +41,6 @@ def surfaces(scene: Scene) -> dict[str, list[Surface]]:
 
     A body has one surface if values of bodies have these products. If not, bodies that contacts do not move get several
     surfaces, each towards other bodies. The engine has a copy of the body for each surface.
-
-    Raises:
-        UnsupportedSceneError: The values of pairs of two dynamic bodies are no products.
     """
     pairs = list(_pairs(scene))
     friction = {pair: contact.friction for contact, pair in pairs}
@@ -111,9 +106,6 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     Args:
         pairs: Value of each pair, not negative.
         noun: What the values are, for messages.
-
-    Raises:
-        UnsupportedSceneError: No values have these products. The message names a pair.
     """
     names = list(dict.fromkeys(name for pair in pairs for name in pair))
     positive = {pair: value for pair, value in pairs.items() if value > 0.0}

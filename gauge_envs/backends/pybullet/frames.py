@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["Frame", "Handle"]
-
 
 @dataclass(frozen=True)
 class Handle:

@@ -21,8 +21,6 @@ from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
 
-__all__ = ["WorldPyBullet"]
-
 EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
 

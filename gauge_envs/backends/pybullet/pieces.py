@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene.meshes import hull_faces
 
-__all__ = ["write_convex_pieces"]
-
 
 def write_convex_pieces(path: Path, pieces: Sequence[NDArray[np.float64]]) -> Path:
     """Write an OBJ file with one object for each convex piece, and return its path.

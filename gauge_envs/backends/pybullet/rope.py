@@ -19,8 +19,6 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Rope
 from gauge_envs.scene.meshes import mass_properties
 
-__all__ = ["Chain", "RopePart", "chain_of"]
-
 SEGMENT_M = 0.0125
 """Default length of a segment [m]."""
 
@@ -54,11 +52,7 @@ class RopePart:
         return np.concatenate([centres[:1] - arms[:1], centres + arms]) / scale
 
     def track(self, points_m: NDArray[np.float64], read: Read, scale: float) -> Callable[[], NDArray[np.float64]]:
-        """Return a reader of material points, each of which moves with its segment.
-
-        Raises:
-            ShapeError: A point lies beyond an end.
-        """
+        """Return a reader of material points, each of which moves with its segment."""
         span = self.rest_m[-1] - self.rest_m[0]
         length = float(np.linalg.norm(span))
         along = (points_m - self.rest_m[0]) @ span / length

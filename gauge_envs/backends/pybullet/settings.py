@@ -16,8 +16,6 @@ from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import ContactMode, Scene, SoftBody
 
-__all__ = ["PRESETS", "SEGMENT_LIMIT", "SettingsPyBullet", "settings_for"]
-
 SOFT_CELL_M = 1.0 / 60.0
 """Default edge of the cells of a soft body, of six tetrahedra each [m]."""
 

@@ -19,9 +19,6 @@ from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
-__all__ = ["SimulationPyBullet"]
-
-
 Rows = list[list[float]]
 
 

@@ -16,8 +16,6 @@ from gauge_envs.backends.shared.attachments import rigid_attachments
 from gauge_envs.scene import Motion, Region, SoftBody
 from gauge_envs.scene.meshes import nodes_in, tetrahedra
 
-__all__ = ["SoftPart", "add_soft_body"]
-
 GROUND = -1
 """Number of the body that holds anchors in the world."""
 

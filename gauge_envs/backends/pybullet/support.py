@@ -10,8 +10,6 @@ from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Compound, Motion, Rod, Rope, Scene, SoftBody, Tether
 
-__all__ = ["unsupported_features"]
-
 INCOMPRESSIBLE = 0.45
 """Poisson's ratio from which a soft body is declined."""
 

@@ -18,8 +18,6 @@ from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.meshes import body_mass_properties
 
-__all__ = ["DRIVEN_MASS_KG", "BulletWorld"]
-
 FASTEST_JOINT = 1e9
 """Bullet's limit on the speed of joints in units per second; its default of 100 is 1 m/s at 100 units per metre."""
 

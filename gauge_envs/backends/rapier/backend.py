@@ -14,16 +14,11 @@ from gauge_envs.backends.rapier.support import unsupported_features
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Scene
 
-__all__ = ["BackendRapier"]
-
 
 class BackendRapier(Backend):
     """Rapier on the CPU, in single precision: rigid bodies, hinges and strings.
 
     Trajectories are the same bit for bit in every run on one machine, and after each restored state.
-
-    Raises:
-        MissingExtraError: The package `rapier3d` is not installed.
     """
 
     name = "rapier"

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 from gauge_envs.scene import Contact, ContactMode, Scene
 
-__all__ = ["LARGEST_CONTACT_COUNT", "ColliderLayer", "collider_layers", "colliding_contacts"]
-
 LARGEST_CONTACT_COUNT = 16
 """Number of contacts that 32 groups separate."""
 

@@ -30,8 +30,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.meshes import body_mass_properties
 
-__all__ = ["MASS_UNIT_KG", "BodyLayout", "build_world", "isometry"]
-
 MASS_UNIT_KG = 1e-3
 """Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the
 sum are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""

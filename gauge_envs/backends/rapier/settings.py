@@ -10,8 +10,6 @@ from pydantic import Field
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
 from gauge_envs.scene import Scene
 
-__all__ = ["PRESETS", "SettingsRapier", "settings_for"]
-
 
 class SettingsRapier(SteppedSettings):
     """Settings of Rapier. The default of each one is Rapier's own, unless its text says otherwise.

@@ -19,8 +19,6 @@ from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import ConvexUnion, Motion, Pose, Scene, Shape
 
-__all__ = ["SimulationRapier", "StateRapier", "WorldsRapier"]
-
 LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
 
@@ -189,11 +187,7 @@ class SimulationRapier(_SceneWorld, Simulation):
         return self._origin.state(StateRapier(self._world.snapshot(), dict(self._motions)))
 
     def restore(self, state: Snapshot) -> None:
-        """Restore a state.
-
-        Raises:
-            BackendError: The state is of another scene, other settings or another version.
-        """
+        """Restore a state."""
         self._continue_from(self._origin.values(state))
 
     def _continue_from(self, state: StateRapier) -> None:

@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.scene import Cloth, Compound, Hinge, Rod, Rope, Scene
 
-__all__ = ["unsupported_features"]
-
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of a scene that this backend does not support."""

@@ -8,8 +8,6 @@ from types import UnionType
 
 from gauge_envs.scene import Deformable, Motion, Pose, Region, Scene, SoftBody
 
-__all__ = ["RigidAttachment", "attachment_problems", "attachments_by_body", "bonded_soft_bodies", "rigid_attachments"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RigidAttachment:

@@ -10,8 +10,6 @@ from pydantic import Field
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 
-__all__ = ["CellSize", "check_cells"]
-
 CellSize = Annotated[float, Field(ge=5e-4, le=1.0)] | None
 """Setting `cell_m`: edge of the cells of cloth and soft bodies, and length of the segments of ropes and rods [m]."""
 
@@ -27,9 +25,6 @@ def check_cells(engine: str, scene: Scene, cell_m: float, *, node_limit: int, so
         cell_m: Requested size [m].
         node_limit: Largest number of nodes of one body.
         soft_nodes_per_edge: Nodes of a soft body along the edge of a cell, without the last one.
-
-    Raises:
-        ParameterError: The cell exceeds the longest side of a body, or a body would have too many nodes.
     """
     for body in scene.deformables:
         sides = _sides_m(body)

@@ -11,8 +11,6 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Region
 
-__all__ = ["ClothGrid", "held_vertices"]
-
 
 class ClothGrid:
     """Regular triangulation of a cloth in its own plane; diagonals alternate in direction from one row to the next.
@@ -78,11 +76,7 @@ class ClothGrid:
 
 
 def held_vertices(grid: ClothGrid, cloth: Cloth, attachments: Sequence[RigidAttachment]) -> dict[int, RigidAttachment]:
-    """Return the attachment of each attached vertex, by vertex index; the first attachment of several counts.
-
-    Raises:
-        UnsupportedSceneError: A region is attached to a dynamic body, or is a face and not an edge.
-    """
+    """Return the attachment of each attached vertex, by vertex index; the first attachment of several counts."""
     held: dict[int, RigidAttachment] = {}
     for attachment in reversed(attachments):
         if attachment.motion is Motion.DYNAMIC:

@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import vector
 
-__all__ = ["DrivenMotion"]
-
 
 @dataclass(frozen=True)
 class DrivenMotion:

@@ -6,8 +6,6 @@ import numpy as np
 
 from gauge_envs.scene import RigidBody, Scene
 
-__all__ = ["SLOWEST_IMPACT_M_PER_S", "impact_speed_m_per_s"]
-
 SLOWEST_IMPACT_M_PER_S = 0.01
 """Smallest impact speed that a scene gives."""
 

@@ -11,8 +11,6 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Rod, Rope
 
-__all__ = ["LINE_AXIS", "attached_ends", "points_on_axis"]
-
 LINE_AXIS = {Rope: "x", Rod: "z"}
 """Axis of its frame along which a line lies."""
 
@@ -30,12 +28,7 @@ def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> NDArray[
 
 
 def attached_ends(line: Rope | Rod, attachments: Sequence[RigidAttachment]) -> dict[str, RigidAttachment]:
-    """Return the attachments of the ends of a line, by side: `low` or `high`.
-
-    Raises:
-        UnsupportedSceneError: A region is not an end of the line, an attached region of a rope has a depth, or the
-            attached regions cover the whole line.
-    """
+    """Return the attachments of the ends of a line, by side: `low` or `high`."""
     ends: dict[str, RigidAttachment] = {}
     for attachment in attachments:
         if attachment.region.axis != LINE_AXIS[type(line)] or attachment.region.side in ends:

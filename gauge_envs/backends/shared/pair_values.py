@@ -13,8 +13,6 @@ from scipy.optimize import lsq_linear
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
 
-__all__ = ["Combination", "body_values", "pair_values"]
-
 Pair = tuple[str, str]
 
 RELATIVE_ERROR = 1e-6
@@ -49,9 +47,6 @@ def body_values(pairs: Mapping[Pair, float], rule: Combination | str) -> dict[st
     Args:
         pairs: Value of each pair, not negative.
         rule: The engine's rule.
-
-    Raises:
-        UnsupportedSceneError: No values of bodies give those of the pairs. The message names a pair.
     """
     rule = Combination(rule)
     names = list(dict.fromkeys(name for pair in pairs for name in pair))

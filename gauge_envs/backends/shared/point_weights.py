@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["linear_weights"]
-
 NEIGHBOURS = 24
 """Number of material points from which a tracked point is interpolated."""
 

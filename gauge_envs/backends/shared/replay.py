@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Simulation
 from gauge_envs.scene import Pose
 
-__all__ = ["ReplayedSimulation", "ReplayedState"]
-
 
 @dataclass(frozen=True)
 class ReplayedState:

@@ -10,8 +10,6 @@ from typing import Any
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Scene
 
-__all__ = ["Snapshot", "StateOrigin"]
-
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -48,11 +46,7 @@ class StateOrigin:
         return Snapshot(self._engine, dict(self._settings), self._scene_hash(), values)
 
     def values(self, state: Any) -> Any:
-        """Return the engine's state of a snapshot from the same engine, settings and scene.
-
-        Raises:
-            BackendError: The state has another origin; the message names both.
-        """
+        """Return the engine's state of a snapshot from the same engine, settings and scene."""
         if not isinstance(state, Snapshot):
             raise BackendError(f"restore got a {type(state).__name__}: give it what state() returned")
         if state.engine != self._engine:

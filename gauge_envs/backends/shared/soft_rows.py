@@ -13,8 +13,6 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, SoftBody
 
-__all__ = ["TOLERANCE_M", "Block", "SoftRow"]
-
 TOLERANCE_M = 1e-5
 """Distance below which faces touch and points lie inside [m]."""
 
@@ -70,10 +68,6 @@ class SoftRow:
         Args:
             bodies: One body, or all bodies of a row in any order.
             attachments: Attachments to rigid bodies, by name of the soft body.
-
-        Raises:
-            UnsupportedSceneError: A body is not rotated by right angles, the bodies do not form a row, a region other
-                than a free end is attached, or an end is attached to a dynamic body.
         """
         boxes = [_box(body) for body in bodies]
         grips = [(box, attachment) for box in boxes for attachment in attachments.get(box.body.name, ())]
@@ -130,11 +124,7 @@ class SoftRow:
                 yield attachment, np.flatnonzero(along > self.high_m[self.axis] - TOLERANCE_M)
 
     def checked(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the points [m], shape [point_count, 3], unchanged if all of them lie in the free material.
-
-        Raises:
-            ShapeError: A point lies outside the free material.
-        """
+        """Return the points [m], shape [point_count, 3], unchanged if all of them lie in the free material."""
         outside = np.maximum(self.low_m - points_m, points_m - self.high_m).max(axis=1)
         if not np.all(outside < TOLERANCE_M):
             worst = int(np.argmax(outside))

@@ -6,8 +6,6 @@ import math
 
 from scipy.optimize import brentq
 
-__all__ = ["LARGEST_DAMPING_RATIO", "damping_ratio_of", "spring_damper_restitution"]
-
 LARGEST_DAMPING_RATIO = 1e3
 """Damping ratio that stands for no rebound; the spring and damper then gives a restitution of 2.5e-7."""
 

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from gauge_envs.backends.shared.soft_rows import Block, SoftRow
 from gauge_envs.scene import SoftBody
 
-__all__ = ["TetrahedralMesh", "grid_lines_m", "grid_points_m", "lame_constants"]
-
 FIVE_TETRAHEDRA = np.array(
     [
         [(0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1)],

@@ -12,8 +12,6 @@ from gauge_envs.envs.control.least_time import X_AXIS, Y_AXIS, LeastTimeLimit
 from gauge_envs.envs.control.stage import acceleration_to_rest, stage_driver
 from gauge_envs.scene import Cylinder, Scene
 
-__all__ = ["CarryLimit"]
-
 
 class CarryLimit(LeastTimeLimit):
     """Carry a cube that stands on a plate over half a metre, in the scene of Turntable-1.

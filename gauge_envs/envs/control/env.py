@@ -26,8 +26,6 @@ from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = ["ControlEnv", "Frame", "Step"]
-
 FloatArray = NDArray[np.float64]
 
 Frame = Generator[None, None, tuple[float, Ending | None]]
@@ -67,11 +65,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
         world: The simulation, or the world of it.
-
-    Raises:
-        UnknownNameError: No such variant or backend.
-        ParameterError: A parameter or setting does not exist or is out of range.
-        UnsupportedSceneError: The backend cannot build the scene.
     """
 
     REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "world")
@@ -192,12 +185,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
-        """Start a new episode. There are no options; the bodies always start alike, and the seed sets a goal, if any.
-
-        Raises:
-            EpisodeError: The environment is closed.
-            ParameterError: An option was given.
-        """
+        """Start a new episode. There are no options; bodies always start alike, and the seed sets a goal, if any."""
         self._check_open("reset")
         if options:
             raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
@@ -214,12 +202,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         return observation, self._info()
 
     def step(self, action: Any) -> Step:
-        """Simulate one frame, 1/30 s.
-
-        Raises:
-            ActionError: The action has the wrong shape, is out of range or is not a number.
-            EpisodeError: The environment was not reset, or the episode is over.
-        """
+        """Simulate one frame, 1/30 s."""
         frame = self.frame(action)
         while True:
             try:
@@ -234,10 +217,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
         It yields where the world must advance by 1/180 s: up to six times, less often if the episode ends within the
         frame.
-
-        Raises:
-            ActionError: The action has the wrong shape, is out of range or is not a number.
-            EpisodeError: The environment was not reset, or the episode is over.
         """
         self._check_running(started=self._frame is not None, is_over=self._ending is not None)
         reward, ending = yield from self._advance(self._checked(action))
@@ -258,11 +237,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         return np.array(self._observations)
 
     def report(self) -> LimitReport:
-        """Return what the policy reached in the episode and what the law allows.
-
-        Raises:
-            EpisodeError: The episode is not over.
-        """
+        """Return what the policy reached in the episode and what the law allows."""
         if self._ending is None:
             raise EpisodeError(f"{self._label}: an episode is reported when it is over")
         reached = 0.0 if self._ending is Ending.DIVERGED else self._reached()
@@ -294,12 +269,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     # --- pictures ---
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`.
-
-        Raises:
-            RenderError: The machine has no OpenGL library.
-            EpisodeError: The environment was not reset.
-        """
+        """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._frame is not None)

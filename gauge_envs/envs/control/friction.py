@@ -17,8 +17,6 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["HOLD_S", "SLIP_SPEED_M_PER_S", "FrictionLimit"]
-
 CUBE = "cube"
 
 HOLD_S = 1.0

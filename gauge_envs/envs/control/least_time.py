@@ -17,8 +17,6 @@ from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["CUBE", "REST_M_PER_S", "TOLERANCE_M", "TOLERANCE_RAD", "LeastTimeLimit"]
-
 FloatArray = NDArray[np.float64]
 
 CUBE = "cube"

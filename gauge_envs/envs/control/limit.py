@@ -13,8 +13,6 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.scene import Scene
 
-__all__ = ["Ending", "Limit", "LimitReport", "friction_uncertainty", "pair_friction"]
-
 
 class Ending(StrEnum):
     """How an episode of a control task ended."""

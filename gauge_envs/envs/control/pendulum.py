@@ -18,8 +18,6 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
-__all__ = ["PendulumLimit"]
-
 BALL = "ball"
 
 TARGET_RAD = math.radians(60.0)

@@ -11,8 +11,6 @@ from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.limit import Ending, LimitReport
 from gauge_envs.errors import ParameterError
 
-__all__ = ["Policy", "engine_limit", "play"]
-
 Policy = Callable[[NDArray[np.float64]], NDArray[np.floating]]
 """Function that returns an action, shape [1], for an observation."""
 
@@ -42,9 +40,6 @@ def engine_limit(env: ControlEnv, *, bounds: tuple[float, float] = (0.2, 1.5), r
         env: The task, without wrappers.
         bounds: A share of the limit with which the policy succeeds, and one with which it fails.
         resolution: Largest width of the last interval; the result is its middle.
-
-    Raises:
-        ParameterError: The policy fails at the lower bound, or succeeds at the upper one.
     """
     low, high = bounds
 

@@ -12,8 +12,6 @@ from gauge_envs.envs.control.least_time import CUBE, X_AXIS, Y_AXIS, LeastTimeLi
 from gauge_envs.envs.control.stage import FRAME_S, stage_driver
 from gauge_envs.scene import Box, Contact, ContactMode, Motion, Pose, RigidBody, Scene
 
-__all__ = ["PushLimit"]
-
 PUSHER = "pusher"
 PUSHER_SIZE_M = (0.02, 0.12, 0.03)
 """Edges of the pusher [m]: wider than the cube, at the height of its middle."""

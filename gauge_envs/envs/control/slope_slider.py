@@ -6,8 +6,6 @@ import math
 
 from gauge_envs.envs.control.friction import FrictionLimit
 
-__all__ = ["SlopeSliderLimit"]
-
 
 class SlopeSliderLimit(FrictionLimit):
     """Tilt as far as possible without a slip of the cube, in the scene of SlopeSlider-3.

@@ -13,8 +13,6 @@ from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-__all__ = ["FRAME_S", "Stage", "acceleration_to_rest", "stage_driver"]
-
 FloatArray = NDArray[np.float64]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ

@@ -8,8 +8,6 @@ from gymnasium.envs.registration import register, registry
 
 from gauge_envs.errors import UnknownNameError
 
-__all__ = ["ControlTask", "control_tasks", "find_control_task", "register_control_tasks"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ControlTask:
@@ -51,11 +49,7 @@ def control_tasks() -> tuple[ControlTask, ...]:
 
 
 def find_control_task(name: str) -> ControlTask:
-    """Return a control task by its name or Gymnasium id.
-
-    Raises:
-        UnknownNameError: No such task; the message names the nearest.
-    """
+    """Return a control task by its name or Gymnasium id."""
     by_name = {task.name: task for task in control_tasks()}
     try:
         return by_name[name.removeprefix("GAUGE/")]

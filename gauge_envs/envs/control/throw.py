@@ -19,8 +19,6 @@ from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
-__all__ = ["ThrowLimit", "highest_m"]
-
 BALL, PLATE = "ball", "plate"
 
 PLATE_SIZE_M = (0.2, 0.2, 0.02)

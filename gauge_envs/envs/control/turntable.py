@@ -7,8 +7,6 @@ import math
 from gauge_envs.envs.control.friction import FrictionLimit
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["TurntableLimit"]
-
 
 class TurntableLimit(FrictionLimit):
     """Turn as fast as possible without a slip of the cube, in the scene of Turntable-1.

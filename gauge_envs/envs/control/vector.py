@@ -16,8 +16,6 @@ from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
 
-__all__ = ["ControlVectorEnv"]
-
 FloatArray = NDArray[np.float64]
 
 WORLD_LIMIT = 100_000
@@ -45,10 +43,6 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
 
     Attributes:
         worlds: The worlds.
-
-    Raises:
-        ParameterError: `num_envs` is no whole number from 1 to 100 000, or `world_parameters` has another length.
-        GaugeError: See `ControlEnv`.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -109,10 +103,6 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
             seed: Seed of the first world; each next world has one more. Or the seed of each world. None continues the
                 random numbers of each world.
             options: There are none.
-
-        Raises:
-            EpisodeError: The environment is closed.
-            ParameterError: An option was given, or the number of seeds is wrong.
         """
         self._check_open("reset")
         if options:
@@ -146,10 +136,6 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
 
         Args:
             actions: One action for each world, shape [num_envs, action_size].
-
-        Raises:
-            ActionError: An action has the wrong shape, is out of range or is not a number, or their number is wrong.
-            EpisodeError: The environment was not reset.
         """
         self._check_started("step", started=self._is_reset)
         try:
@@ -172,12 +158,7 @@ class ControlVectorEnv(EngineEnvironment, VectorEnv[FloatArray, Any, NDArray[Any
         return self._observations.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`.
-
-        Raises:
-            RenderError: The machine has no OpenGL library.
-            EpisodeError: The environment was not reset.
-        """
+        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._is_reset)

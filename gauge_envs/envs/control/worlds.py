@@ -18,8 +18,6 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.scene import Pose
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = ["ControlWorlds"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -38,10 +36,6 @@ class ControlWorlds:
 
     Attributes:
         envs: The environment of each world; their `reset` and `step` are not for use.
-
-    Raises:
-        UnknownNameError: No such task.
-        GaugeError: See `ControlEnv`.
     """
 
     def __init__(
@@ -97,10 +91,6 @@ class ControlWorlds:
 
         Args:
             actions: Action for the number of each world whose episode is running.
-
-        Raises:
-            ActionError: An action has the wrong shape, is out of range or is not a number.
-            EpisodeError: A world has not begun an episode, or it is over.
         """
         frames = {number: self.envs[number].frame(action) for number, action in actions.items()}
         steps: dict[int, Step] = {}

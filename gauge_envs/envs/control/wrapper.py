@@ -10,8 +10,6 @@ from gymnasium.envs.registration import load_env_creator
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.tasks import find_control_task
 
-__all__ = ["ReportLimit", "control_env"]
-
 
 class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
     """Report what the policy reached and what the law allows when an episode ends.
@@ -54,9 +52,6 @@ def control_env(task: str, **arguments: Any) -> ReportLimit:
     Args:
         task: Name of the task, as `Carry-Limit-wood`.
         **arguments: Keywords of `ControlEnv`.
-
-    Raises:
-        GaugeError: See `ControlEnv`.
     """
     found = find_control_task(task)
     env = load_env_creator(found.entry_point)(material=found.material, **arguments)

@@ -16,8 +16,6 @@ from gauge_envs.envs.rendering.expected import Expected, expected_motion
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.scene import Plane, Scene, SoftBody
 
-__all__ = ["FIELD_OF_VIEW_DEG", "View", "scene_view"]
-
 FloatArray = NDArray[np.float64]
 
 FIELD_OF_VIEW_DEG = 30.0

@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color, Overlay
 from gauge_envs.errors import UnknownNameError
 
-__all__ = ["add_ball", "add_overlay", "add_tube", "overlay_geom_count"]
-
 FloatArray = NDArray[np.float64]
 
 MARKER_PX = 4.0
@@ -51,11 +49,7 @@ def add_ball(drawing: mujoco.MjvScene, centre: FloatArray, *, radius_m: float, c
 
 
 def overlay_geom_count(model: mujoco.MjModel, overlay: Overlay) -> int:
-    """Return the number of shapes of an overlay.
-
-    Raises:
-        UnknownNameError: It has a ghost of an unknown body.
-    """
+    """Return the number of shapes of an overlay."""
     return overlay.geom_count + sum(int(model.body(_known(model, name)).geomnum[0]) for name in overlay.ghosts)
 
 

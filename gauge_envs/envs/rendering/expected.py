@@ -18,8 +18,6 @@ from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.scene import Hinge, Motion, Plane, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.geometry import vector
 
-__all__ = ["Expected", "expected_motion"]
-
 FloatArray = NDArray[np.float64]
 
 STILL_RAD = 1e-3

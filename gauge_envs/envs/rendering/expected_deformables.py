@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.scene import Box, Cloth, Deformable, Pose, Rope, Scene, SoftBody
 
-__all__ = ["deformable_way", "outline_m"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -17,8 +17,6 @@ from gauge_envs.envs.rendering.overlay import Color
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.scene import Hinge, Motion, Plane, Scene
 
-__all__ = ["FlatView", "flat_model", "light_camera"]
-
 FIELD_OF_VIEW_DEG = 40.0
 """Field of view of the camera that the projection replaces [deg]."""
 LIGHT_ELEVATION_DEG = -18.0

@@ -9,8 +9,6 @@ from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["ghost_trajectory", "reference_text", "reference_words"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -27,9 +25,6 @@ def ghost_trajectory(band: Band, g: FloatArray) -> FloatArray:
     Returns:
         Trajectory in the coordinates and the unit of g(t), shape [frame_count, coordinate_count]; NaN where the mean is
         not known.
-
-    Raises:
-        ShapeError: The width of `g` is not that of the band's trajectories.
     """
     count = min(len(g), len(band.mean))
     missing = band.mean[:count] - band.project(g[:count])

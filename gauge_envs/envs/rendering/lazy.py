@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from gauge_envs.envs.rendering.overlay import Overlay
     from gauge_envs.envs.rendering.renderer import SceneRenderer
 
-__all__ = ["RENDER_MODES", "Pictures"]
 
 RENDER_MODES = ("rgb_array",)
 """Render modes of the environments, apart from None."""
@@ -38,9 +37,6 @@ class Pictures:
     Attributes:
         render_mode: None or `rgb_array`.
         has_overlay: Whether the environment puts an overlay on its pictures.
-
-    Raises:
-        ParameterError: There is no such mode, or width, height or overlay is impossible.
     """
 
     def __init__(self, render_mode: str | None, *, width: int, height: int, has_overlay: bool = False) -> None:
@@ -77,10 +73,6 @@ class Pictures:
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
             overlay: What is drawn on top of the scene, or None.
-
-        Raises:
-            RenderError: The machine has no OpenGL library.
-            UnknownNameError: The overlay has a ghost of a body that the scene does not have.
         """
         if self._renderer is None:
             from gauge_envs.envs.rendering.camera import scene_view

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from gauge_envs.envs.rendering.overlay import Color
 from gauge_envs.scene import Deformable, Motion, RigidBody, Rod, SoftBody
 
-__all__ = ["LOOKS", "STRING", "USUAL", "Look", "look_of"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Look:

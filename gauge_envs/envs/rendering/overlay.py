@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError, ShapeError
 
-__all__ = ["RECORDED_COLOR", "SIMULATED_COLOR", "Color", "Overlay", "OverlayPath"]
-
 FloatArray = NDArray[np.float64]
 
 Color = tuple[float, float, float, float]
@@ -33,10 +31,6 @@ class OverlayPath:
     Attributes:
         points_m: Points in order [m], shape [point_count, 3]; the tube has a gap at a point that is not finite.
         color: Red, green, blue and opacity from 0 to 1.
-
-    Raises:
-        ShapeError: The points are no array of that shape.
-        ParameterError: The colour is not four numbers from 0 to 1.
     """
 
     points_m: FloatArray
@@ -59,10 +53,6 @@ class Overlay:
         ghosts: Bodies that are drawn once more, translucent and with their own shape: position [m] and quaternion
             w x y z by name of the body, shape [7]. Deformable bodies have no pose; draw their points as `recorded_m`.
         ghost_color: Colour of the ghosts.
-
-    Raises:
-        ShapeError: An array has another shape.
-        ParameterError: The colour is not four numbers from 0 to 1.
 
     Example:
         >>> import numpy as np

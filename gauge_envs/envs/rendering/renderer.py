@@ -22,8 +22,6 @@ from gauge_envs.envs.rendering.studio import Studio
 from gauge_envs.errors import RenderError
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
-__all__ = ["DEBIAN_PACKAGES", "STRING_RADIUS_M", "SceneRenderer"]
-
 STRING_RADIUS_M = 0.0015
 """Radius of a string in pictures [m]."""
 STRING_PX = 1.1
@@ -71,9 +69,6 @@ class SceneRenderer:
 
     Attributes:
         camera: The perspective camera; None for a parallel projection.
-
-    Raises:
-        RenderError: The machine has no OpenGL library; the message names the packages.
     """
 
     def __init__(
@@ -137,9 +132,6 @@ class SceneRenderer:
 
         Returns:
             Picture, shape [height, width, 3], top row first.
-
-        Raises:
-            UnknownNameError: The overlay has a ghost of a body that the scene does not have.
         """
         for name, pose in poses.items():
             index = self._mocap_ids[name]

@@ -15,8 +15,6 @@ from scipy.spatial import Delaunay, QhullError
 from gauge_envs.envs.rendering.materials import Look
 from gauge_envs.scene import Cloth, SoftBody
 
-__all__ = ["Skin"]
-
 FloatArray = NDArray[np.float64]
 
 ON_SIDE = 1e-4

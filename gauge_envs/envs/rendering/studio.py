@@ -15,8 +15,6 @@ from gauge_envs.envs.rendering.materials import Look, look_of
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.scene import Attachment, Box, Cylinder, Motion, Plane, RigidBody, Scene, SoftBody
 
-__all__ = ["GRID_PITCHES_M", "Studio", "grid_pitch_m"]
-
 FloatArray = NDArray[np.float64]
 
 GRID_PITCHES_M = (0.025, 0.1)

@@ -16,8 +16,6 @@ from gauge_envs.experiments.single_shot import shots_of
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["episode_picture", "reference_ghosts", "tracked_overlay"]
-
 FloatArray = NDArray[np.float64]
 
 MOST_PATHS = 12
@@ -33,9 +31,6 @@ def episode_picture(pictures: Pictures, episode: Episode, *, drawn_as: Episode) 
         pictures: Renderer.
         episode: An episode that has begun.
         drawn_as: Episode whose scene states camera and shapes, the same in each call until the renderer is closed.
-
-    Raises:
-        RenderError: The machine has no OpenGL library.
     """
     return pictures.draw(
         drawn_as.experiment,

@@ -17,17 +17,6 @@ from scipy.optimize import minimize_scalar
 
 from gauge_envs.errors import ShapeError
 
-__all__ = [
-    "SwingTimes",
-    "dropped_rests",
-    "energy_loss",
-    "longest_stationary_duration",
-    "momentum_transfer_efficiency",
-    "oscillation_period",
-    "spectral_peak_period",
-    "swing_times",
-]
-
 FloatArray = NDArray[np.float64]
 
 # Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
@@ -63,9 +52,6 @@ def longest_stationary_duration(
 
     Returns:
         Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
-
-    Raises:
-        ShapeError: The heights are not one row of finite numbers, or the path is not one row for each of them.
     """
     heights = _samples("height_mm", height_mm, least=2)
     path = heights[:, None] if path_mm is None else _path(path_mm, len(heights))
@@ -94,9 +80,6 @@ def dropped_rests(
     Returns:
         Durations of both, s; 0 where the trajectory does not start or end with a rest. A ball that never moves has one
         rest, which is both.
-
-    Raises:
-        ShapeError: The heights are not one row of finite numbers.
     """
     heights = _samples("height_mm", height_mm, least=2)
     speeds = _speeds(heights[:, None], frame_rate_hz, central=False)
@@ -135,9 +118,6 @@ def swing_times(
         height_mm: Height of the last ball, shape [sample_count], mm. The first sample is at rest.
         rest_height_mm: Height of the last ball at rest, mm.
         leave_height_mm: Rise above rest that separates a swing from a rest, mm.
-
-    Raises:
-        ShapeError: The heights are not one row of finite numbers, or the times are not one for each.
     """
     heights = _samples("height_mm", height_mm, least=2) - (rest_height_mm + leave_height_mm)
     times = _samples("times_s", times_s, least=2)
@@ -168,9 +148,6 @@ def momentum_transfer_efficiency(
     Returns:
         sqrt(rise / drop) as a ratio; the paper's Table 5 prints percent. The rise is that of the first maximum after
         the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
-
-    Raises:
-        ShapeError: The heights are not one row of finite numbers, or the drop is not positive.
     """
     height_mm_out = _samples("height_mm_out", height_mm_out, least=2)
     if not drop_height_mm > 0:
@@ -196,9 +173,6 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
 
     Returns:
         Period, s; NaN for a constant signal.
-
-    Raises:
-        ShapeError: The signal is not one row of at least four finite numbers.
     """
     signal = _samples("signal", signal, least=4)
     if np.ptp(signal) <= 1e-12 * np.abs(signal).max():
@@ -229,9 +203,6 @@ def spectral_peak_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> f
 
     Returns:
         Period, s; NaN for a constant signal.
-
-    Raises:
-        ShapeError: The signal is not one row of at least four finite numbers.
     """
     signal = _samples("signal", signal, least=4)
     if np.ptp(signal) <= 1e-12 * np.abs(signal).max():
@@ -253,10 +224,6 @@ def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
 
     Returns:
         (E_start - E_end) / E_start; NaN for fewer than two turning points.
-
-    Raises:
-        ShapeError: The heights are not one row of at least three finite numbers, or the first turning point is not
-            above rest.
     """
     height_mm = _samples("height_mm", height_mm, least=3)
     turning_points = _turning_points(height_mm)

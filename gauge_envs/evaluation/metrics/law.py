@@ -15,8 +15,6 @@ from scipy.optimize import minimize
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.events import oscillation_period
 
-__all__ = ["coefficient_of_determination", "dynamic_error", "fitted_acceleration", "quadratic_form_improvement"]
-
 FloatArray = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, the value the paper takes for the friction limit
@@ -31,9 +29,6 @@ def fitted_acceleration(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
 
     Returns:
         The acceleration a, m/s^2.
-
-    Raises:
-        ShapeError: There is not one finite displacement for each of at least two different times.
     """
     times_s, displacement_m = _series(times_s, displacement_m, least=2)
     (_, slope), _ = _fit(np.vander(times_s**2, 2, increasing=True), displacement_m)
@@ -52,9 +47,6 @@ def quadratic_form_improvement(times_s: ArrayLike, displacement_m: ArrayLike) ->
 
     Returns:
         QFI, dimensionless; 0 if s = b + k t^2 fits to rounding.
-
-    Raises:
-        ShapeError: There is not one finite displacement for each of at least four different times.
     """
     times_s, displacement_m = _series(times_s, displacement_m, least=4)
     terms = np.vander((times_s / np.abs(times_s).max()) ** 2, 3, increasing=True)
@@ -80,9 +72,6 @@ def coefficient_of_determination(times_s: ArrayLike, angle_rad: ArrayLike) -> fl
 
     Returns:
         R^2, at most 1; NaN for a constant angle, which has no variance.
-
-    Raises:
-        ShapeError: There is not one finite angle for each of at least six ascending, evenly spaced times.
     """
     times_s, angle_rad = _series(times_s, angle_rad, least=6)
     steps = np.diff(times_s)
@@ -127,9 +116,6 @@ def dynamic_error(
 
     Returns:
         Mean of max(0, m |a| - mu m g) over the inner samples, N. Accelerations are from three neighbouring samples.
-
-    Raises:
-        ShapeError: There is not one finite position for each of at least three ascending times.
     """
     times_s, positions_m = _series(times_s, positions_m, least=3, dimension=2)
     steps = np.diff(times_s)

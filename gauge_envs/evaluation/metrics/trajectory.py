@@ -16,18 +16,6 @@ from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
 
-__all__ = [
-    "MAX_RELEASE_OFFSET_S",
-    "band_coverage",
-    "dtw_path",
-    "mean_abs_z",
-    "release_offset",
-    "signed_error",
-    "trajectory_dtw",
-    "trajectory_rmse",
-    "z_scores",
-]
-
 FloatArray = NDArray[np.float64]
 
 MAX_RELEASE_OFFSET_S = 10 / 30
@@ -51,9 +39,6 @@ def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing
 
     Returns:
         RMSE in the observable's unit.
-
-    Raises:
-        ShapeError: The two differ in shape, share no measured entry, or hold a forbidden value that is not finite.
     """
     return _rms_of_frames(_difference(simulated, real_mean, allow_missing=allow_missing))
 
@@ -68,9 +53,6 @@ def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing:
 
     Returns:
         Sum of the Euclidean distances on the path over its number of cells, in the observable's unit.
-
-    Raises:
-        ShapeError: See `dtw_path`.
     """
     cost, path = dtw_path(simulated, real_mean, allow_missing=allow_missing)
     return cost / len(path)
@@ -91,10 +73,6 @@ def dtw_path(
     Returns:
         The summed Euclidean distance along the path, in the observable's unit, and the path: frame indices (simulated,
         real) from first to last cell, shape [cell_count, 2].
-
-    Raises:
-        ShapeError: The two differ in coordinates or hold a forbidden value that is not finite, or no path joins frames
-            that share a measured coordinate.
     """
     simulated = _trajectory("simulated", simulated, allow_missing=allow_missing)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
@@ -138,10 +116,6 @@ def release_offset(
     Returns:
         The offset in s, positive if the real object is released later than the simulated one; and the RMSE after the
         shift in the observable's unit. Of equally good shifts the smallest is chosen, so an object at rest has 0.
-
-    Raises:
-        ShapeError: There are fewer than two samples or times that do not ascend, the arrays do not agree, a simulated
-            value is not finite, or nothing was measured.
     """
     simulated = _trajectory("simulated", simulated)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
@@ -197,9 +171,6 @@ def z_scores(simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike) -> Fl
     Returns:
         (simulated - real_mean) / sigma, shape [frame_count, coordinate_count]; NaN where nothing was measured, or
         where sigma is 0 or NaN.
-
-    Raises:
-        ShapeError: Shapes do not agree, a simulated value is not finite, or a sigma is negative.
     """
     difference = _difference(simulated, real_mean)
     sigma = np.asarray(sigma, dtype=np.float64)
@@ -248,9 +219,6 @@ def signed_error(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
 
     Returns:
         Signed errors, shape [coordinate_count], in the observable's unit; NaN for a coordinate never measured.
-
-    Raises:
-        ShapeError: The two differ in shape, or a simulated value is not finite.
     """
     difference = _difference(simulated, real_mean)
     frame_count = np.isfinite(difference).sum(axis=0)

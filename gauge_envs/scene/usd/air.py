@@ -12,8 +12,6 @@ from gauge_envs.scene.air import Air
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.usd.source import Source
 
-__all__ = ["read_air", "write_air"]
-
 PREFIX = "gauge:air:"
 
 WIND = "wind_m_per_s"
@@ -30,11 +28,7 @@ def write_air(prim: Usd.Prim, air: Air) -> None:
 
 
 def read_air(source: Source, prim: Usd.Prim) -> Air | None:
-    """Return the air of a PhysicsScene prim; None without such attributes.
-
-    Raises:
-        AssetError: An attribute is unknown, or not a finite number in its range, or a required one is missing.
-    """
+    """Return the air of a PhysicsScene prim; None without such attributes."""
     names = [field.name for field in fields(Air)]
     values: dict[str, Any] = {}
     for attribute in prim.GetAuthoredAttributes():

@@ -13,8 +13,6 @@ from gauge_envs.scene.geometry import Box, vector
 from gauge_envs.scene.usd.layer import KINDS, FloatArray
 from gauge_envs.scene.usd.source import Source, single
 
-__all__ = ["is_deformable", "read_attachments", "read_deformable", "read_markers", "world_points"]
-
 FABRIC = (
     "areal_density_kg_per_m2",
     "stretch_stiffness_n_per_m",
@@ -38,11 +36,7 @@ def is_deformable(prim: Usd.Prim) -> bool:
 
 
 def read_deformable(source: Source, prim: Usd.Prim, name: str) -> Deformable:
-    """Read a deformable body.
-
-    Raises:
-        AssetError: This package did not write it, or it is disabled, scaled or lacks a constant.
-    """
+    """Read a deformable body."""
     if not source.flag(prim.GetAttribute("omniphysics:deformableBodyEnabled"), default=True):
         raise source.fault(prim, "its deformable body is disabled: enable it or remove the prim")
     kind = source.text(prim.GetAttribute("gauge:kind"), tuple(KINDS.values()))
@@ -110,11 +104,7 @@ def _size(source: Source, prim: Usd.Prim, count: int) -> list[float]:
 
 
 def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:
-    """Yield the enabled attachments in the stage's order.
-
-    Raises:
-        AssetError: An attachment lacks its region, or refers to a prim that is not a body.
-    """
+    """Yield the enabled attachments in the stage's order."""
     for prim in source.prims():
         if not prim.HasAttribute("gauge:region_axis"):
             continue
@@ -133,11 +123,7 @@ def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:
 
 
 def read_markers(source: Source, names: Names) -> Markers | None:
-    """Read the markers; return None if the stage has none.
-
-    Raises:
-        AssetError: The stage has two sets of markers, or they refer to bodies or markers that do not exist.
-    """
+    """Read the markers; return None if the stage has none."""
     prims = [prim for prim in source.prims() if prim.IsA(UsdGeom.Points) and prim.HasRelationship("gauge:bodies")]
     if not prims:
         return None
@@ -157,11 +143,7 @@ def read_markers(source: Source, names: Names) -> Markers | None:
 
 
 def world_points(source: Source, prim: Usd.Prim) -> FloatArray:
-    """Return the world positions of the points of a Points or Mesh prim at the start [m], shape [point_count, 3].
-
-    Raises:
-        AssetError: The prim has another type or no points.
-    """
+    """Return the world positions of the points of a Points or Mesh prim at the start [m], shape [point_count, 3]."""
     if prim.GetTypeName() not in POINT_TYPES:
         found = prim.GetTypeName() or "a prim without a type"
         raise source.fault(prim, f"is {found}: {' or '.join(POINT_TYPES)} is expected")

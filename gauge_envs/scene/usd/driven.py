@@ -18,8 +18,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import TEXT, WRITTEN, motions_digest, motions_from_json, samples_digest
 from gauge_envs.scene.usd.source import Source
 
-__all__ = ["driven_body"]
-
 AGREES = 1e-6
 """Largest difference between time samples and `gauge:driver` [m, rad] if both were edited."""
 
@@ -49,10 +47,6 @@ def driven_body(
     Returns:
         The pose before anything moves; the driver, or None if the body does not move; and the index of the driver in
         the scene, or None if the file does not define it.
-
-    Raises:
-        AssetError: Samples and `gauge:driver` were both edited and disagree, only the default pose was edited, or the
-            samples last longer than an hour.
     """
     start = Usd.TimeCode(source.start)
     samples = {code: pose_at(Usd.TimeCode(code)) for code in source.sample_codes(prim)}

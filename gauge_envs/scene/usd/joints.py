@@ -12,8 +12,6 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
 from gauge_envs.scene.usd.source import Source, StoredValue
 
-__all__ = ["is_welded", "joins_bodies", "joint_prims", "read_body_hinge", "read_joint"]
-
 GAP_M = 1e-4
 """Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""
 
@@ -50,9 +48,6 @@ def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, Ri
         source: The stage.
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
-
-    Raises:
-        AssetError: A scene does not support the joint.
     """
     kind = str(prim.GetTypeName())
     if kind != "PhysicsRevoluteJoint":
@@ -91,9 +86,6 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
         source: The stage.
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
-
-    Raises:
-        AssetError: A scene does not support the joint.
     """
     body_prim, side = _moving_end(source, prim)
     kind = str(prim.GetTypeName())

@@ -15,25 +15,6 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.scene.bodies import Cloth, Deformable, Rod, Rope, SoftBody
 from gauge_envs.scene.drivers import DriverMotion
 
-__all__ = [
-    "FOLLOWS",
-    "KINDS",
-    "TEXT",
-    "WRITTEN",
-    "FloatArray",
-    "digest",
-    "hinge_axis",
-    "hinge_frame",
-    "motions_digest",
-    "motions_from_json",
-    "motions_to_json",
-    "names_digest",
-    "record_follower",
-    "record_written",
-    "samples_digest",
-    "wxyz",
-]
-
 FloatArray = NDArray[np.float64]
 
 WRITTEN = "written"
@@ -150,10 +131,6 @@ def motions_to_json(motions: tuple[DriverMotion, ...], index: int) -> str:
 
 
 def motions_from_json(text: str) -> tuple[tuple[DriverMotion, ...], int]:
-    """Return the motions of a driver and its index in the scene.
-
-    Raises:
-        ValueError: The text is not JSON, or not the format of `motions_to_json` (pydantic's ValidationError).
-    """
+    """Return the motions of a driver and its index in the scene."""
     record = _DriverRecord.model_validate(json.loads(text))
     return record.motions, record.index

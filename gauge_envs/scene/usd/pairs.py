@@ -13,8 +13,6 @@ from gauge_envs.scene.bodies import Contact, ContactMode
 from gauge_envs.scene.usd.layer import names_digest
 from gauge_envs.scene.usd.source import Source, StoredValue
 
-__all__ = ["PairOptions", "Party", "contacts_of"]
-
 Pair = frozenset[str]
 
 COMBINATIONS = ("average", "min", "multiply", "max")
@@ -69,9 +67,6 @@ def contacts_of(source: Source, parties: Sequence[Party], options: PairOptions) 
 
     `gauge:first` and `gauge:second` define the pairs. If the pairs of UsdPhysics were edited, the edits add or remove
     pairs. A file without `gauge:first` has the pairs of UsdPhysics: all enabled colliders except filtered pairs.
-
-    Raises:
-        AssetError: Materials are missing or contradict each other, or both records of the pairs were edited and differ.
     """
     prims = [prim for prim in source.prims() if prim.HasRelationship("gauge:first")]
     own = [_gauge_contact(source, prim, parties) for prim in prims]

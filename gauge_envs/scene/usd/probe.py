@@ -11,8 +11,6 @@ from pathlib import Path
 
 from pxr import Ar, Sdf, Tf, Usd
 
-__all__: list[str] = []
-
 REFUSED = 3
 """Exit code after a printed reason, as in `files.child_refusal`."""
 

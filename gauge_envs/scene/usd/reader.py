@@ -37,8 +37,6 @@ from gauge_envs.scene.usd.solids import inertia_kg_m2, mass_kg, solid_of
 from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
 from gauge_envs.scene.usd.velocities import read_velocities
 
-__all__ = ["UsdScene", "from_usd", "read_points", "read_usd"]
-
 MOST_BODIES = 1000
 """Largest number of bodies; the number of pairs that may collide grows with the square."""
 
@@ -101,9 +99,6 @@ def from_usd(
         friction: The coefficient that counts if static and dynamic friction of a material differ.
         mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
         contacts: Contacts that replace those of the file for their pairs.
-
-    Raises:
-        AssetError: The file cannot be read, is incomplete, or has a feature that scenes do not support.
     """
     return read_usd(path, duration_s=duration_s, friction=friction, mode=mode, contacts=contacts).scene
 
@@ -114,9 +109,6 @@ def read_points(path: Path, place: str) -> FloatArray:
     Args:
         path: The USD file.
         place: Path of a Points or Mesh prim, such as `/Shelf/Markers`.
-
-    Raises:
-        AssetError: The file cannot be read, the prim does not exist, has another type, or has no points.
     """
     with _opened(path) as source:
         prim = next((prim for prim in source.prims() if str(prim.GetPath()) == place), None)

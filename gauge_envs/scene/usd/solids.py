@@ -18,8 +18,6 @@ from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.usd.layer import FloatArray
 from gauge_envs.scene.usd.source import Frame, Source, StoredValue, single
 
-__all__ = ["Solid", "inertia_kg_m2", "mass_kg", "solid_of"]
-
 OFF_CENTRE_M = 1e-9
 """Largest distance of a collider's centre from its body's origin if it counts as centred [m]."""
 
@@ -80,9 +78,6 @@ def solid_of(source: Source, body: Usd.Prim, frame: Frame, colliders: Sequence[U
         frame: Frame of the body at the start.
         colliders: Prims of its geometry.
         motion: Motion of the body.
-
-    Raises:
-        AssetError: A scene does not support the geometry.
     """
     solid = _solid(source, body, frame, colliders, motion)
     spans = np.ptp(solid.shape.corners_m, axis=0)
@@ -234,12 +229,7 @@ def _check_apart(source: Source, prims: Sequence[Usd.Prim], pieces: Sequence[Flo
 def mass_kg(
     source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim], solid: Solid, frame: Frame, motion: Motion
 ) -> float:
-    """Return the given mass of a body, or density times volume [kg]; 0 for fixed and driven bodies without both.
-
-    Raises:
-        AssetError: A dynamic body has neither mass nor density, or its inertia is neither that of `gauge:inertia_kg_m2`
-            nor that of uniform density.
-    """
+    """Return the given mass of a body, or density times volume [kg]; 0 for fixed and driven bodies without both."""
     api = UsdPhysics.MassAPI(body)
     given = _authored(source, api.GetMassAttr(), source.kilograms)
     value = source.counted(body.GetAttribute("gauge:mass_kg"), [given])
@@ -293,11 +283,7 @@ def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim],
 
 
 def inertia_kg_m2(source: Source, body: Usd.Prim) -> float | None:
-    """Return the moment of inertia that a body states in `gauge:inertia_kg_m2` [kg m^2], or None.
-
-    Raises:
-        AssetError: It is not positive.
-    """
+    """Return the moment of inertia that a body states in `gauge:inertia_kg_m2` [kg m^2], or None."""
     attribute = body.GetAttribute("gauge:inertia_kg_m2")
     value = source.number(attribute) if attribute else None
     if value is not None and not value > 0.0:

@@ -21,8 +21,6 @@ from gauge_envs.files import MEGABYTE, child_refusal, file_folders, outside_reas
 from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
 
-__all__ = ["LARGEST", "Frame", "Source", "StoredValue", "single", "usd_reason"]
-
 SINGLE_RELATIVE = 3e-7
 """Largest difference, relative to the largest number, at which numbers agree in single precision."""
 
@@ -122,10 +120,6 @@ class Source:
 
     Args:
         path: File to open, of any kind that USD reads.
-
-    Raises:
-        AssetError: The file or a file that it refers to cannot be read, the file is open in this process with unsaved
-            edits, or it does not define its units and its up axis.
     """
 
     def __init__(self, path: Path) -> None:
@@ -227,9 +221,6 @@ class Source:
             attribute: The attribute; it need not exist.
             shape: Expected shape; -1 stands for any length.
             time: Time code; the default value by default, then the value at the start.
-
-        Raises:
-            AssetError: The value has another type or shape, or is not finite.
         """
         value = attribute.Get(Usd.TimeCode.Default() if time is None else time) if attribute else None
         if value is None and attribute and time is None:
@@ -255,11 +246,7 @@ class Source:
         return None if array is None else float(array)
 
     def text(self, attribute: Usd.Attribute, known: Sequence[str] = ()) -> str | None:
-        """Return the string or token of an attribute, or None if it has no value.
-
-        Raises:
-            AssetError: The value has another type, or is not one of `known`.
-        """
+        """Return the string or token of an attribute, or None if it has no value."""
         value = attribute.Get() if attribute else None
         if value is None:
             return None
@@ -269,11 +256,7 @@ class Source:
         return value
 
     def flag(self, attribute: Usd.Attribute, *, default: bool) -> bool:
-        """Return the boolean of an attribute, or the default if it has no value.
-
-        Raises:
-            AssetError: The value has another type.
-        """
+        """Return the boolean of an attribute, or the default if it has no value."""
         value = attribute.Get() if attribute else None
         if value is None:
             return default
@@ -324,9 +307,6 @@ class Source:
 
         Returns:
             The value, or None if neither exists.
-
-        Raises:
-            AssetError: Both were edited and disagree.
         """
         own, present = self.numbers(gauge, shape), [reading for reading in readings if reading is not None]
         if own is None or not present:
@@ -365,11 +345,7 @@ class Source:
         return first
 
     def check_followers(self, prim: Usd.Prim) -> None:
-        """Check that no derived attribute of a prim was edited.
-
-        Raises:
-            AssetError: A derived attribute was edited; the message names the attributes to edit instead.
-        """
+        """Check that no derived attribute of a prim was edited."""
         for attribute in prim.GetAuthoredAttributes():
             follows = attribute.GetCustomDataByKey(FOLLOWS)
             if follows is not None:
@@ -411,11 +387,7 @@ class Source:
         return sorted(codes)
 
     def frame(self, prim: Usd.Prim, time: Usd.TimeCode) -> Frame:
-        """Return the frame of a prim in the world at a time.
-
-        Raises:
-            AssetError: The transform is sheared, has a zero scale, or is not finite.
-        """
+        """Return the frame of a prim in the world at a time."""
         chain = self._chain(prim)
         ops = UsdGeom.Xformable(chain[-1]).GetOrderedXformOps() if chain and chain[-1] == prim else []
         kinds = [UsdGeom.XformOp.TypeTranslate, UsdGeom.XformOp.TypeOrient]
@@ -444,11 +416,7 @@ class Source:
         return self.metres * points @ self.up.T
 
     def below(self, body: Usd.Prim, prim: Usd.Prim) -> FloatArray:
-        """Return the transform from a prim's space to its body's space in the stage's units, shape [4, 4].
-
-        Raises:
-            AssetError: The prim moves relative to the body, or resets its transform.
-        """
+        """Return the transform from a prim's space to its body's space in the stage's units, shape [4, 4]."""
         chain = [one for one in self._chain(prim) if one.GetPath().HasPrefix(body.GetPath()) and one != body]
         depth = prim.GetPath().pathElementCount - body.GetPath().pathElementCount
         for one in chain:
@@ -459,11 +427,7 @@ class Source:
         return self._product(chain, Usd.TimeCode(self.start))
 
     def decomposed(self, prim: Usd.Prim, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the rotation [3, 3] and the scale [3] of a linear map that scales along the axes and then rotates.
-
-        Raises:
-            AssetError: The map is sheared, or a scale is zero or not finite.
-        """
+        """Return the rotation [3, 3] and the scale [3] of a linear map that scales along the axes and then rotates."""
         scale = np.sqrt(np.square(matrix).sum(axis=0))
         if not np.isfinite(matrix).all() or not (scale > 0.0).all():
             raise self.fault(prim, f"its transform scales by {_shown(scale)}: positive numbers are expected")

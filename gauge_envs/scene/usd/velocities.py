@@ -17,8 +17,6 @@ from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, digest, record_written
 from gauge_envs.scene.usd.source import Frame, Source, single
 
-__all__ = ["read_velocities", "write_velocities"]
-
 NAMES = ("linear_velocity_m_per_s", "angular_velocity_rad_per_s")
 """Fields of `RigidBody`, and names of the doubles."""
 
@@ -53,9 +51,6 @@ def read_velocities(source: Source, prim: Usd.Prim, frame: Frame, pose: Pose, sh
 
     Returns:
         Velocity of the body origin [m/s] and angular velocity [rad/s] in the world frame, shape [2, 3].
-
-    Raises:
-        AssetError: A value is not three finite numbers, or both forms were edited and disagree.
     """
     api = UsdPhysics.RigidBodyAPI(prim)
     readings = [

@@ -61,8 +61,6 @@ from gauge_envs.scene.usd.layer import (
 )
 from gauge_envs.scene.usd.velocities import write_velocities
 
-__all__ = ["export_stage", "scene_stage", "to_usd"]
-
 SUFFIXES = (".usda", ".usdc", ".usd")
 
 GROUPS = ("PhysicsScene", "Contacts", "Materials", "Joints", "Attachments", "Markers")
@@ -98,10 +96,6 @@ def to_usd(scene: Scene, path: str | Path) -> None:
     Args:
         scene: A scene with unique body names and at most one driver per body.
         path: File to write; its suffix determines the format, text (`.usda`) or binary (`.usdc`, `.usd`).
-
-    Raises:
-        ParameterError: The suffix is not one of USD, two bodies have the same name, or a body has two drivers.
-        ResultFileError: The file cannot be written.
     """
     export_stage(scene_stage(scene), Path(path))
 
@@ -123,9 +117,6 @@ def scene_stage(scene: Scene, *, samples_per_frame: int = 1, later_frames: int =
         scene: A scene with unique body names and at most one driver per body.
         samples_per_frame: Time samples of driven bodies per 30 Hz frame.
         later_frames: Frames after the last one for which driven bodies have time samples.
-
-    Raises:
-        ParameterError: Two bodies have the same name, or a body has two drivers.
     """
     stage = Usd.Stage.CreateInMemory("scene.usda")
     _Writer(stage, scene, samples_per_frame, later_frames).write()

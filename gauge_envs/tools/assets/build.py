@@ -27,8 +27,6 @@ from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.tools.assets.mjcf import mjcf_text
 from gauge_envs.tools.assets.usd_layer import usd_layer_text
 
-__all__ = ["asset_rows", "asset_texts", "assets_folder", "build_assets", "shape_to_obj", "solid_shapes", "stale_asset"]
-
 FOLDERS = ("mjcf", "obj", "usd")
 
 CYLINDER_SIDES = 96
@@ -67,9 +65,6 @@ def build_assets(folder: Path) -> list[Path]:
 
     Returns:
         Paths of the written files.
-
-    Raises:
-        ResultFileError: The folder cannot be written.
     """
     written = []
     try:
@@ -183,9 +178,6 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     """Return a solid as Wavefront OBJ, in metres, in the body frame, with one watertight group per convex piece.
 
     Spheres and cylinders become polyhedra of the exact volume: faces are inside the true surface, vertices outside.
-
-    Raises:
-        ParameterError: The shape is a plane, which is not a solid, or a compound.
     """
     pieces, note = _pieces(shape)
     lines = [f"# {name}: volume {shape.volume_m3!r} m^3{note}", f"o {name}"]

@@ -18,9 +18,6 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.experiments.patterns import matching_variants
 
-__all__ = ["assets_app", "assets_build", "assets_isaac_sim", "assets_list"]
-
-
 assets_app = typer.Typer(help="Scenes as USD, MJCF and OBJ for other tools.", no_args_is_help=True)
 
 

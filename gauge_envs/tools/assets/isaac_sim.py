@@ -24,8 +24,6 @@ from gauge_envs.scene.usd.layer import record_follower
 from gauge_envs.scene.usd.writer import export_stage
 from gauge_envs.tools.assets.usd_layer import experiment_stage
 
-__all__ = ["isaac_sim_stage", "steps_per_second", "unsupported_reason", "write_isaac_sim_layer"]
-
 RIGID_AND_CLOTH_HZ = 180
 """Steps per second of rigid bodies and cloth (paper, section on physics engines)."""
 
@@ -61,11 +59,6 @@ def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
     Args:
         experiment: Variant with its parameters.
         path: File to write; the suffix selects text (`.usda`) or binary (`.usdc`, `.usd`). Its folder is created.
-
-    Raises:
-        ParameterError: Isaac Sim cannot simulate the scene, or the suffix is not one of USD.
-        UnsupportedSceneError: No constants of bodies have the constants of the pairs as their averages.
-        ResultFileError: The file or its folder cannot be written.
     """
     stage = isaac_sim_stage(experiment)
     try:
@@ -76,12 +69,7 @@ def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
 
 
 def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
-    """Return a variant as a stage for Isaac Sim, in memory.
-
-    Raises:
-        ParameterError: Isaac Sim cannot simulate the scene.
-        UnsupportedSceneError: No constants of bodies have the constants of the pairs as their averages.
-    """
+    """Return a variant as a stage for Isaac Sim, in memory."""
     scene = experiment.scene
     if (reason := unsupported_reason(scene)) is not None:
         raise ParameterError(

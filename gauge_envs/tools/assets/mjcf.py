@@ -21,18 +21,12 @@ from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.assets.usd_layer import SOURCE
 
-__all__ = ["mjcf_text", "write_mjcf"]
-
 
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file in full precision.
 
     Custom numbers `driver/<body>` hold the motion of driven bodies. Custom numbers `<table>/<body>/...` hold the
     compiled tables of deformable bodies that MuJoCo cannot derive from XML. A comment at the top explains their use.
-
-    Raises:
-        ResultFileError: The file cannot be written.
-        UnsupportedSceneError: The scene has air, which MJCF cannot express.
     """
     text = mjcf_text(experiment)
     try:
@@ -42,11 +36,7 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
 
 
 def mjcf_text(experiment: TaskExperiment) -> str:
-    """Return the text that `write_mjcf` writes.
-
-    Raises:
-        UnsupportedSceneError: The scene has air.
-    """
+    """Return the text that `write_mjcf` writes."""
     scene = experiment.scene
     if scene.air is not None:
         raise UnsupportedSceneError(

@@ -19,8 +19,6 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.tools.assets.build import shape_to_obj
 
-__all__ = ["BodyFile", "body_files"]
-
 ROOT_LINK = "anchor"
 """Root link of a hinged body, which is fixed in the world."""
 
@@ -52,12 +50,7 @@ class BodyFile:
 
 
 def body_files(scene: Scene) -> dict[str, BodyFile]:
-    """Return the URDF file of each rigid body of a scene, by its name.
-
-    Raises:
-        UnsupportedSceneError: The scene has deformable bodies, tethers, or hinges between bodies, or a shape that is
-            not written.
-    """
+    """Return the URDF file of each rigid body of a scene, by its name."""
     if scene.deformables:
         raise UnsupportedSceneError("URDF has no deformable bodies: export the scene as MJCF or USD")
     if scene.body_hinges:

@@ -19,8 +19,6 @@ from gauge_envs.cli.output import (
 from gauge_envs.experiments.patterns import matching_variants
 from gauge_envs.references.imported import DataSource
 
-__all__ = ["list_", "show"]
-
 
 def list_(
     pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",

@@ -17,8 +17,6 @@ from gauge_envs.files import json_ready
 from gauge_envs.pages.table import Facts
 from gauge_envs.pages.text import heading, shortened
 
-__all__ = ["control_description", "control_summary", "control_view"]
-
 
 def control_summary() -> str:
     """Return the control tasks in a line."""

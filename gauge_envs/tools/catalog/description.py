@@ -39,8 +39,6 @@ from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.drivers import Driver, Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import unsupported_features_of
 
-__all__ = ["description", "description_view"]
-
 
 def description(experiment: Experiment) -> dict[str, Any]:
     """Return all that defines one experiment, JSON-ready, with the source of each number."""

@@ -17,9 +17,6 @@ from gauge_envs.pages.text import pairs_text, short_id, shortened
 from gauge_envs.references.imported import has_import
 from gauge_envs.runs.isolation import Worker
 
-__all__ = ["backend_rows", "backend_table", "list_rows", "list_table", "unsupported_features_of"]
-
-
 QUERY_LIMIT_S = 60.0
 """Time for which an engine outside this package may answer [s]."""
 

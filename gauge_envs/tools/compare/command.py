@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-__all__ = ["compare", "plot"]
-
-
 def plot(
     sources: Annotated[
         list[Path] | None,

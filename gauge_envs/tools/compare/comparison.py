@@ -23,8 +23,6 @@ from gauge_envs.tools.compare.draws import ScoreDraws, score_draws
 from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, compare_grade
 from gauge_envs.tools.compare.scores import COMPARED_METRICS, ComparedMetric, ScoreSpread, repeats_interval
 
-__all__ = ["Cell", "Comparison", "ExperimentComparison", "Summary", "compare"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:

@@ -15,8 +15,6 @@ from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.scores import ScoreSpread
 
-__all__ = ["MOTION_SHARE", "Distance", "distances_over_time", "trajectory_distance"]
-
 MOTION_SHARE = 0.05
 """Threshold of a distance, as a share of the motion, for experiments without a published scatter of real trials."""
 

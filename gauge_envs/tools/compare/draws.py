@@ -23,8 +23,6 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = ["ScoreDraws", "paired_scores", "score_draws"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -68,9 +66,6 @@ def score_draws(
 
     Returns:
         The draws; None if a repeat has no score, because a mean without failures would be too good.
-
-    Raises:
-        ShapeError: A trajectory does not fit the band: it has other coordinates, or a frame is missing.
     """
     baseline = band_baseline(experiment, band)
     if baseline is None or any(result.outcome is not Outcome.FINISHED for result in results):

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_experiment", "save_figures"]
 
 MOST_LEGEND_ENTRIES = 12
 LEAST_RANGE = 0.02
@@ -80,10 +79,6 @@ def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
 
     Yields:
         Path of each picture, as soon as it is written.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ResultFileError: The folder cannot be written.
     """
     groups: dict[str, list[Result]] = {}
     for result in results:
@@ -101,10 +96,6 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
     Args:
         results: Results of one experiment that ran, one or more; their parameters, backends and seeds may differ.
         among: All results that are shown together, which decide labels and colours; these alone where it is empty.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ShapeError: There is no result, or they are of different experiments.
     """
     ids = {result.id for result in results}
     if len(ids) != 1:

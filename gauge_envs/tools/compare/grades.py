@@ -31,19 +31,6 @@ from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
 
-__all__ = [
-    "ExperimentDifference",
-    "GradeComparison",
-    "GradeScore",
-    "GradedExperiment",
-    "Mean",
-    "PairComparison",
-    "compare_grade",
-    "compare_pair",
-    "geometric_mean",
-    "interquartile_mean",
-]
-
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["draw_overview", "save_comparison"]
-
 OVERVIEW = "overview"
 """Name of the picture of all experiments."""
 
@@ -50,10 +48,6 @@ def save_comparison(results: Sequence[Result], folder: Path, *, metric: str | No
 
     Yields:
         Path of each picture, as soon as it is written.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ResultFileError: The folder cannot be written.
     """
     yield from save_figures(results, folder)
     overview = draw_overview(compare(results), metric=metric)
@@ -74,9 +68,6 @@ def draw_overview(comparison: Comparison, *, metric: str | None = None) -> Figur
 
     Returns:
         The picture; None if no experiment has such a score.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
     """
     names: list[str | None] = [metric] if metric is not None else [None, "rmse"]
     panels = [_panel(comparison, name) for name in names]

@@ -13,8 +13,6 @@ from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.metrics import METRICS
 
-__all__ = ["COMPARED_METRICS", "ComparedMetric", "ScoreSpread", "check_metrics", "repeats_interval"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedMetric:
@@ -67,11 +65,7 @@ COMPARED_METRICS: Mapping[str, ComparedMetric] = _compared_metrics()
 
 
 def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of metrics without repetition, or all metrics if none is given.
-
-    Raises:
-        UnknownNameError: A name is not that of a metric.
-    """
+    """Return names of metrics without repetition, or all metrics if none is given."""
     chosen = tuple(dict.fromkeys(names))
     for name in chosen:
         if name not in COMPARED_METRICS:

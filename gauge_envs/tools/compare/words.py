@@ -33,8 +33,6 @@ from gauge_envs.tools.compare.distance import MOTION_SHARE
 from gauge_envs.tools.compare.grades import GradeComparison, GradeScore, Mean, PairComparison
 from gauge_envs.tools.compare.scores import COMPARED_METRICS, ComparedMetric
 
-__all__ = ["comparison_json", "comparison_markdown", "comparison_rows", "comparison_view"]
-
 Interval = tuple[float, float]
 
 

@@ -27,8 +27,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import FRAME, clamped, sheet
 
-__all__: list[str] = []
-
 G = GRAVITY_M_PER_S2
 
 SIDE_M, AREAL_DENSITY, DENSITY, COEFFICIENT = 0.15, 0.1, 1.2, 1.5

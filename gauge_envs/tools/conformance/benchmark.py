@@ -18,8 +18,6 @@ from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Measurement
 from gauge_envs.tools.conformance.registry import check
 
-__all__: list[str] = []
-
 RIGID = {
     "SlopeContact-wood": 0.15,
     "NonsmoothContact-1-wood": 0.15,

@@ -49,8 +49,6 @@ from gauge_envs.tools.conformance.scene_parts import (
     vector,
 )
 
-__all__: list[str] = []
-
 G = GRAVITY_M_PER_S2
 
 

@@ -21,19 +21,6 @@ from gauge_envs.tools.conformance.measurements import stiffness
 from gauge_envs.tools.conformance.model import Measurement
 from gauge_envs.tools.conformance.scene_parts import STRETCH_OVER_SHEAR, clamped
 
-__all__ = [
-    "BENT_FABRIC",
-    "BENT_FREE_M",
-    "HUNG_FABRIC",
-    "bending_stiffness",
-    "cantilever_strip",
-    "equilibrium",
-    "hanging_strip",
-    "local_nodes",
-    "node_shares",
-    "stretch_stiffness",
-]
-
 G = GRAVITY_M_PER_S2
 
 HANG_M, HANG_WIDTH_M = 0.3, 0.075

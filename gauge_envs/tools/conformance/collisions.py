@@ -9,8 +9,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import ball, body, driver, ramp
 
-__all__: list[str] = []
-
 G = GRAVITY_M_PER_S2
 
 # The contract has no start velocities, so a driven plate accelerates the first ball, then brakes and loses contact.

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from gauge_envs.tools.conformance import CheckResult
 
-__all__ = ["backend_app", "backend_check", "backend_list"]
 
 backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=True)
 

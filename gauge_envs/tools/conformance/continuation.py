@@ -19,8 +19,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import ball, body, box, fixed_box, ground, strip_on_rod
 
-__all__ = ["CONTINUATION_DIAGNOSIS", "EXACT", "continuation_differences", "continuation_measurement"]
-
 EXACT = Tolerance(absolute=0.0, rationale="the contract requires equality bit for bit")
 CONTINUATION_DIAGNOSIS = (
     "state() must hold copies of velocities, warm starts, contact caches, applied wrenches and all else that the next "

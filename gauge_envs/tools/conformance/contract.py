@@ -23,8 +23,6 @@ from gauge_envs.tools.conformance.scene_parts import (
     strip_on_rod,
 )
 
-__all__ = ["bounces"]
-
 EXACT = Tolerance(absolute=0.0, rationale="the contract requires equality bit for bit")
 RANDOM_DIAGNOSIS = "unseeded random numbers, or sums in a changing order, such as atomic additions on a GPU"
 

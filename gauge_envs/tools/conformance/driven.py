@@ -17,8 +17,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import body, box, driver, ramp
 
-__all__: list[str] = []
-
 PLATE_M = (0.6, 0.4, 0.02)
 CUBE_M = 0.05
 CARRY_S = 1.5

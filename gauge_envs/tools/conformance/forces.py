@@ -21,8 +21,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import body, vector
 
-__all__: list[str] = []
-
 G = GRAVITY_M_PER_S2
 
 

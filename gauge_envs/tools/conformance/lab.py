@@ -13,8 +13,6 @@ from gauge_envs.runs.episodes import settings_record
 from gauge_envs.runs.rollout import DeclinedError, Rollout, raised_at, record
 from gauge_envs.scene import Scene
 
-__all__ = ["BuildError", "Lab", "RefusedSettingsError"]
-
 T = TypeVar("T")
 
 

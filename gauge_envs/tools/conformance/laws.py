@@ -10,17 +10,6 @@ from scipy.special import ellipk
 
 from gauge_envs.scene import Box
 
-__all__ = [
-    "PLACE_TOLERANCE_M",
-    "box_inertia_kg_m2",
-    "cantilever_load_over_stiffness",
-    "hann_mean",
-    "pendulum_period_s",
-    "spin_from_orientations",
-    "torque_free_orientation",
-    "world_inertia_kg_m2",
-]
-
 PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""
 

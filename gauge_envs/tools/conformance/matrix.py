@@ -18,8 +18,6 @@ from gauge_envs.tools.conformance.model import CheckResult
 from gauge_envs.tools.conformance.registry import checks
 from gauge_envs.tools.conformance.run import run_checks
 
-__all__ = ["CANONICAL", "MatrixColumn", "matrix_columns", "run_column"]
-
 CANONICAL = (
     "determinism",
     "free-fall",
@@ -153,9 +151,6 @@ def matrix_columns(
 
     Returns:
         The columns. An engine that cannot be imported has one column, with the reason.
-
-    Raises:
-        UnknownNameError: An engine that was named is not known, or no engine has a configuration of such a name.
     """
     known = backend_names()
     for name in names:

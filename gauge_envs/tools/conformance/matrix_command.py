@@ -18,8 +18,6 @@ from gauge_envs.errors import ParameterError, ResultFileError
 if TYPE_CHECKING:
     from gauge_envs.tools.conformance.matrix import MatrixColumn
 
-__all__ = ["MatrixOutput", "check_matrix"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class MatrixOutput:
@@ -38,11 +36,7 @@ class MatrixOutput:
     markdown: bool
 
     def check(self) -> None:
-        """Check that a matrix goes somewhere, and that stdout has one format.
-
-        Raises:
-            ParameterError: It does not.
-        """
+        """Check that a matrix goes somewhere, and that stdout has one format."""
         if self.json_lines and self.markdown:
             raise ParameterError("--json and --markdown both write to stdout: choose one of them")
         if not (self.report or self.file or self.json_lines or self.markdown):
@@ -51,11 +45,7 @@ class MatrixOutput:
             )
 
     def check_places(self) -> None:
-        """Check that the files can be written, before checks run that may take hours.
-
-        Raises:
-            ResultFileError: One cannot be written.
-        """
+        """Check that the files can be written, before checks run that may take hours."""
         from gauge_envs.files import check_replaceable
         from gauge_envs.runs.batch import check_writable
 

@@ -17,8 +17,6 @@ from gauge_envs.tools.conformance.matrix import MatrixColumn
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 from gauge_envs.tools.conformance.registry import checks
 
-__all__ = ["read_columns", "with_columns", "write_columns"]
-
 KIND = "gauge-envs conformance matrix"
 
 MOST_BYTES = 32 * MEGABYTE
@@ -67,11 +65,7 @@ class _Document(_Strict):
 
 
 def write_columns(columns: Sequence[MatrixColumn], path: Path) -> Path:
-    """Write columns as JSON and return the path; `read_columns` reads them back.
-
-    Raises:
-        ResultFileError: The file cannot be written.
-    """
+    """Write columns as JSON and return the path; `read_columns` reads them back."""
     rows = [_record(column) for column in columns]
     text = ",\n".join(json.dumps(row, ensure_ascii=False, allow_nan=False) for row in rows)
     try:
@@ -110,9 +104,6 @@ def read_columns(path: Path) -> list[MatrixColumn]:
     """Return the columns of a file.
 
     A result whose check has another definition now, or is not known, is kept; `MatrixColumn.outdated` names it.
-
-    Raises:
-        ResultFileError: The file cannot be read, or was not written by `write_columns`.
     """
     try:
         found = _Document.model_validate(json_document(read_regular(path, MOST_BYTES)))
@@ -159,12 +150,7 @@ def _column(one: _Column, known: Mapping[str, Check]) -> MatrixColumn:
 
 
 def with_columns(columns: Sequence[MatrixColumn], files: Sequence[Path]) -> list[MatrixColumn]:
-    """Return columns together with those of files, grouped by engine in the order of the first appearance.
-
-    Raises:
-        ResultFileError: A file cannot be read.
-        ParameterError: A column exists twice.
-    """
+    """Return columns together with those of files, grouped by engine in the order of the first appearance."""
     found = {(column.backend, column.name): column for column in columns}
     places = dict.fromkeys(found, "this run")
     for file in files:

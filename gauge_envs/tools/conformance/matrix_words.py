@@ -9,8 +9,6 @@ from gauge_envs.pages.text import markdown_text, pairs_text
 from gauge_envs.tools.conformance.matrix import MatrixColumn
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 
-__all__ = ["cost_text", "error_text", "expected_text", "matrix_markdown", "measured_text", "tally"]
-
 LEAST_PERCENT = 1e-4
 """Relative errors below this are not written out [%]."""
 

@@ -12,19 +12,6 @@ from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
 from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M
 from gauge_envs.tools.conformance.model import Measurement
 
-__all__ = [
-    "SLIDE_SLOPE_DEG",
-    "acceleration_m_per_s2",
-    "attachment_error",
-    "driver_error",
-    "driver_poses",
-    "fall_m",
-    "mean_period_s",
-    "passive_energy_gain",
-    "slide_acceleration",
-    "stiffness",
-]
-
 SLIDE_SLOPE_DEG = 30.0
 """Slope of every slide [deg]."""
 

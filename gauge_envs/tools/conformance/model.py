@@ -12,8 +12,6 @@ from typing import Any
 from gauge_envs.files import json_ready
 from gauge_envs.tools.conformance.lab import Lab
 
-__all__ = ["Check", "CheckResult", "Measurement", "Status", "Tolerance"]
-
 
 class Status(StrEnum):
     """Outcome of a check."""

@@ -20,8 +20,6 @@ from gauge_envs.tools.conformance.spin import (
     when_spinning,
 )
 
-__all__: list[str] = []
-
 
 @check(
     "spin-momentum",

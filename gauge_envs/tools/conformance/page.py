@@ -9,13 +9,11 @@ from pathlib import Path
 
 from gauge_envs.errors import ResultFileError
 from gauge_envs.files import versions, write_whole
+from gauge_envs.pages.html import STYLE
 from gauge_envs.pages.text import pairs_text
 from gauge_envs.tools.conformance.matrix import MatrixColumn
 from gauge_envs.tools.conformance.matrix_words import cost_text, error_text, expected_text, measured_text, tally
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
-from gauge_envs.tools.sanity.page import STYLE
-
-__all__ = ["conformance_page", "save_conformance_page"]
 
 CLASSES = {Status.PASS: "inside", Status.FAIL: "wrong", Status.DECLINED: "declined", Status.ERROR: "wrong"}
 """Classes of the sanity page's style: blue, orange and grey, which colour-blind readers distinguish."""
@@ -50,9 +48,6 @@ def save_conformance_page(
         checks: The checks, one row each.
         path: The file.
         command: Command that wrote it.
-
-    Raises:
-        ResultFileError: The file cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,8 +10,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import ball, ground
 
-__all__: list[str] = []
-
 G = GRAVITY_M_PER_S2
 
 

@@ -9,8 +9,6 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
 
-__all__ = ["check", "checks"]
-
 _CHECKS: dict[str, Check] = {}
 
 

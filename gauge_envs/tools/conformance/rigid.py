@@ -14,8 +14,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import ball, body, box
 
-__all__: list[str] = []
-
 G = GRAVITY_M_PER_S2
 
 # --- free fall -------------------------------------------------------------------------------------------------------

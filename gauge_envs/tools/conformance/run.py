@@ -20,8 +20,6 @@ from gauge_envs.tools.conformance.lab import Lab, RefusedSettingsError
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 from gauge_envs.tools.conformance.registry import checks
 
-__all__ = ["CHECK_LIMIT_S", "run_checks"]
-
 FINITE = "finite"
 """Id of the check that reports states that are not finite."""
 

@@ -24,22 +24,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
 
-__all__ = [
-    "FRAME",
-    "STRETCH_OVER_SHEAR",
-    "ball",
-    "body",
-    "box",
-    "clamped",
-    "driver",
-    "fixed_box",
-    "ground",
-    "ramp",
-    "sheet",
-    "strip_on_rod",
-    "vector",
-]
-
 STRETCH_OVER_SHEAR = 2.7
 """K_s / K_sh of every sheet; an isotropic membrane can have any ratio between 2 and 4 (scene/fabrics.py)."""
 

@@ -18,8 +18,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import body, clamped, driver, ramp
 
-__all__: list[str] = []
-
 EDGE_M, LENGTH_M = 0.04, 0.2
 DENSITY_KG_PER_M3, YOUNG_PA, POISSON = 100.0, 1e4, 0.3
 LOAD_N_PER_M3 = DENSITY_KG_PER_M3 * GRAVITY_M_PER_S2

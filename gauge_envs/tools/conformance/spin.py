@@ -18,17 +18,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import body, box, driver, ramp, vector
 
-__all__ = [
-    "BRICK_KG",
-    "BRICK_M",
-    "HIT_S",
-    "SOLID_ORIGIN_M",
-    "SPIN_END_S",
-    "spinning_brick",
-    "spinning_solid",
-    "when_spinning",
-]
-
 G = GRAVITY_M_PER_S2
 
 # The contract has no start velocities, so a driven ball hits a floating brick off its centre and withdraws.

@@ -15,8 +15,6 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance
 from gauge_envs.tools.conformance.registry import check
 from gauge_envs.tools.conformance.scene_parts import vector
 
-__all__: list[str] = []
-
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)
 ANGULAR_RAD_PER_S = (2.0, 5.0, -3.0)

@@ -12,8 +12,6 @@ from gauge_envs.pages.table import Column, Place, Table, as_markdown, as_rich
 from gauge_envs.pages.text import pairs_text
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 
-__all__ = ["checks_table", "findings_markdown", "findings_view"]
-
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim", Status.ERROR: "bold red"}
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
 

@@ -21,8 +21,6 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.result import Result
 
-__all__ = ["INPUT_KINDS", "ErrorMeasure"]
-
 FloatArray = NDArray[np.float64]
 
 EVENTS = ("pd", "mte", "lsd")

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_pareto", "save_pareto"]
 
 COLOURS = {
     "mujoco": OURS[0],
@@ -44,12 +43,7 @@ ROW_IN = 2.3
 
 
 def save_pareto(tradeoff: Tradeoff, path: Path) -> Path:
-    """Write the picture as PNG and return its path.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ResultFileError: The file cannot be written.
-    """
+    """Write the picture as PNG and return its path."""
     return save_png(draw_pareto(tradeoff), path)
 
 
@@ -58,9 +52,6 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
 
     Each row is a phenomenon: on the left the numerical error with the parametric floor, on the right the error against
     reality with the real scatter, or the distance to the exact motion where there are no trials.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
     """
     count = len(tradeoff.phenomena)
     figure = new_figure(10.0, ROW_IN * count + 1.3)

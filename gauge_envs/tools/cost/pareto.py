@@ -31,15 +31,12 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.cost.pareto_runs import (
-    EFFORT,
     ExperimentFamily,
     SettingRun,
     experiment_families,
     is_usable,
     other_settings,
 )
-
-__all__ = ["EFFORT", "Family", "Phenomenon", "Point", "Tradeoff", "tradeoff"]
 
 ERRORS = ("numerical", "to_closed_form", "to_reality")
 """Errors of a point, each of which has a front."""
@@ -199,9 +196,6 @@ def tradeoff(results: Iterable[Result]) -> Tradeoff:
 
     Repeats of one setting differ in their seed alone. Results with a jittered start, and those that did not run, are
     left out with a note.
-
-    Raises:
-        ShapeError: No result can be used.
     """
     notes: list[str] = []
     usable = [one for one in results if is_usable(one, notes)]

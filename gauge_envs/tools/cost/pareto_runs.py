@@ -18,8 +18,6 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.tools.cost.error_measure import ErrorMeasure
 
-__all__ = ["EFFORT", "STEP", "ExperimentFamily", "SettingRun", "experiment_families", "is_usable", "other_settings"]
-
 FloatArray = NDArray[np.float64]
 
 STEP = "timestep_s"

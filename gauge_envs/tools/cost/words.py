@@ -11,8 +11,6 @@ from gauge_envs.pages.table import Column, Table, as_markdown
 from gauge_envs.tools.cost.pareto import Family, Phenomenon, Point, Tradeoff
 from gauge_envs.tools.cost.pareto_runs import STEP
 
-__all__ = ["pareto_json", "pareto_markdown", "pareto_statements", "setting_words"]
-
 SCATTER = 1.0
 """Error that equals the real scatter, in units of it."""
 

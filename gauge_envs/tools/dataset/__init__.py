@@ -10,5 +10,3 @@
 
 `gauge_envs.references.imported` stores and reads the imported bands and drivers.
 """
-
-__all__: list[str] = []

@@ -22,14 +22,6 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.experiments.patterns import matching_variants
 
-__all__ = [
-    "data_app",
-    "data_download",
-    "data_import",
-    "data_status",
-]
-
-
 data_app = typer.Typer(help="The dataset of real trials: bands and drivers from motion capture.", no_args_is_help=True)
 
 

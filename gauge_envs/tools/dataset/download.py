@@ -11,8 +11,6 @@ from gauge_envs.errors import DatasetError, MissingExtraError
 from gauge_envs.references.imported import user_data_folder
 from gauge_envs.tools.dataset.layout import write_revision
 
-__all__ = ["DATASET", "PINNED_REVISION", "TRIAL_FILES", "download_dataset", "resolved_revision"]
-
 DATASET = "InternRobotics/GAUGE-Dataset"
 """The dataset on Hugging Face (MIT licence)."""
 
@@ -38,10 +36,6 @@ def download_dataset(
 
     Returns:
         The folder, in which a file states the revision for the import; and the full hash of the revision.
-
-    Raises:
-        MissingExtraError: The client library is not installed.
-        DatasetError: The host cannot be reached, has no such revision, or the folder cannot be written.
     """
     hub = _hub()
     commit = resolved_revision(revision)
@@ -67,10 +61,6 @@ def resolved_revision(revision: str) -> str:
 
     The host resolves branches, tags and full hashes. A short hash is looked up among the commits of the main branch.
     Full hashes are resolved too, since without the host the client takes an unfinished folder for a whole download.
-
-    Raises:
-        MissingExtraError: The client library is not installed.
-        DatasetError: The host cannot be reached, or has no such revision.
     """
     api = _hub().HfApi()
     try:

@@ -43,8 +43,6 @@ from gauge_envs.tools.dataset.observation import (
 from gauge_envs.tools.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
 from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
 
-__all__ = ["BaselineRow", "ImportedTrials", "import_trials"]
-
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between own and published baselines above which they are flagged."""
 
@@ -150,9 +148,6 @@ def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = No
 
     Returns:
         Iterator that imports one variant per step. Damaged trials are left out and listed in the findings.
-
-    Raises:
-        DatasetError: The user's data folder cannot be written.
     """
     remove_leftovers()
     seen: dict[str, str] = {}

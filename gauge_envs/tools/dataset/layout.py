@@ -31,8 +31,6 @@ from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.files import MEGABYTE, json_document, printable, read_regular
 from gauge_envs.tools.dataset.trial import ImportFinding
 
-__all__ = ["REVISION_FILE", "Layout", "find_trials", "write_revision"]
-
 REVISION_FILE = "gauge-dataset.json"
 """File at the top of a downloaded dataset that states its revision."""
 
@@ -81,10 +79,6 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     Args:
         root: Folder of the dataset, which contains `data`; or the folder `data` itself.
         only: Patterns of variants to find, as `SlopeSlider-*`, with or without `GAUGE/`.
-
-    Raises:
-        DatasetError: The folder cannot be read, or contains no trial of these variants.
-        UnknownNameError: A pattern matches no variant.
     """
     wanted = _wanted(only)
     found: dict[Variant, list[Path]] = {}

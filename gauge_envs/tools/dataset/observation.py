@@ -22,8 +22,6 @@ from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, TrialError
 
-__all__ = ["DriverTrack", "driver_tracks", "start_quaternions", "trial_markers_m", "trial_trajectory"]
-
 FloatArray = NDArray[np.float64]
 
 START_RANGE_MM = 300.0
@@ -64,9 +62,6 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
     Returns:
         g(t) in the observable's unit, shape [frame_count, coordinate_count]; NaN where a sample is missing. A trial may
         end early if no frame count was published for the variant; its later frames are NaN.
-
-    Raises:
-        TrialError: The trial is too short, lacks an asset or marker, or belongs to another experiment.
     """
     if experiment.score.observable is Observable.POSITION:
         names = experiment.recorded
@@ -104,11 +99,7 @@ def start_quaternions(trial: Trial, experiment: Experiment) -> FloatArray:
 
 
 def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ...]:
-    """Return the recorded motion of the driven bodies, in the order of the scene's drivers.
-
-    Raises:
-        TrialError: A driven body is missing, or its motion does not determine a driver's coordinates.
-    """
+    """Return the recorded motion of the driven bodies, in the order of the scene's drivers."""
     return tuple(
         _driver_track(
             driver, _pose(trial, driver.body), experiment.scene.body(driver.body).pose, experiment.frame_count
@@ -168,9 +159,6 @@ def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
 
     Returns:
         Positions [m], shape [recorded_frame_count, marker_count, 3]; NaN where a marker is missing.
-
-    Raises:
-        TrialError: A marker is missing, the order is another one, or the experiment has no markers.
     """
     markers = experiment.scene.markers
     if markers is None:

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
 
-__all__ = ["CoordinateMean", "TrialSpool", "TrialSpread", "TrialStatistics"]
-
 FloatArray = NDArray[np.float64]
 
 
@@ -115,11 +113,7 @@ class TrialSpool:
         self._file.close()
 
     def add(self, trajectory: FloatArray) -> None:
-        """Add g(t) of one trial, shape [frame_count, coordinate_count]; NaN is a missing sample.
-
-        Raises:
-            ShapeError: The trial has another shape.
-        """
+        """Add g(t) of one trial, shape [frame_count, coordinate_count]; NaN is a missing sample."""
         if trajectory.shape != self._shape:
             raise ShapeError(f"trial has shape {trajectory.shape}; {self._shape} is needed")
         self._mean.add(trajectory)
@@ -135,11 +129,7 @@ class TrialSpool:
             yield np.frombuffer(self._file.read(size)).reshape(self._shape)
 
     def statistics(self) -> TrialStatistics:
-        """Return the statistics of the trials that were added.
-
-        Raises:
-            ShapeError: No trial was added.
-        """
+        """Return the statistics of the trials that were added."""
         if not self.trial_count:
             raise ShapeError("no trial was added")
         mean, counts = self._mean.mean, self._mean.counts

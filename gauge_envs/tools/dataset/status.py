@@ -14,8 +14,6 @@ from gauge_envs.references.bands import bundled_sidecar
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import published_baselines
 
-__all__ = ["status_rows"]
-
 
 def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
     """Return one JSON-ready row per variant.
@@ -23,9 +21,6 @@ def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
     Keys: `id`, `grade`, `imported`, `trials`, `revision`, `is_current` (whether the task file is unchanged since the
     import; None without an import), `drivers` (body, provenance, and the record of an imported driver) and `baselines`
     (metric, own and published mean and standard deviation).
-
-    Raises:
-        ReferenceFileError: A stored or bundled band is damaged.
     """
     return [_row(variant) for variant in variants]
 

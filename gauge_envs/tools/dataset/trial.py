@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from gauge_envs.files import MEGABYTE, check_json_size, printable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["MOST_TRIAL_BYTES", "ImportFinding", "PoseTrack", "Trial", "TrialError", "parse_trial"]
-
 FloatArray = NDArray[np.float64]
 
 POSITION_KEYS = ("x", "y", "z")
@@ -108,9 +106,6 @@ def parse_trial(content: bytes) -> Trial:
 
     Args:
         content: The file's bytes.
-
-    Raises:
-        TrialError: The file is not a trial.
     """
     values = _json_object(content)
     _check_header(values)

@@ -12,8 +12,6 @@ from gauge_envs.pages.table import Column, Place, Table, as_rich
 from gauge_envs.pages.text import METRIC_TITLES, short_id
 from gauge_envs.tools.dataset.importer import FLAGGED_DIFFERENCE, BaselineRow, ImportedTrials
 
-__all__ = ["import_view", "status_table"]
-
 
 def import_view(imports: Sequence[ImportedTrials]) -> Group:
     """Return the own baselines beside the paper's, one row per metric, and the imported drivers."""

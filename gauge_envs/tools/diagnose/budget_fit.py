@@ -16,8 +16,6 @@ from gauge_envs.evaluation.metrics import release_offset
 from gauge_envs.evaluation.motion_kinds import RecognizedMotion
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["MAX_SHIFT_S", "BudgetStage", "NestedFits", "StageFit"]
-
 FloatArray = NDArray[np.float64]
 
 MAX_SHIFT_S = 10.0 / 30.0

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.diagnose.diagnosis import Diagnosis
 
 
-__all__ = ["diagnose"]
-
-
 def diagnose(
     sources: Annotated[
         list[Path] | None,

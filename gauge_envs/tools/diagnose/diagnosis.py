@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from gauge_envs.evaluation.motion_kinds import Change, MotionKind
 from gauge_envs.tools.diagnose.budget_fit import BudgetStage
 
-__all__ = ["MARKERS", "SEVERAL_BODIES", "Diagnosis", "PublishedScore", "Remainder", "StagePart"]
-
 MARKERS, SEVERAL_BODIES = "the markers", "the bodies"
 """Subjects of a diagnosis that are not a single body."""
 

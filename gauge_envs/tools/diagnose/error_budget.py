@@ -37,9 +37,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.diagnose.budget_fit import MAX_SHIFT_S, BudgetStage, NestedFits, StageFit
 from gauge_envs.tools.diagnose.diagnosis import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, Remainder, StagePart
 
-__all__ = ["DEFAULT_ORDER", "DiagnosisError", "diagnose", "diagnose_trajectory", "stage_order"]
-
-
 FloatArray = NDArray[np.float64]
 
 DEFAULT_ORDER = (BudgetStage.RELEASE, BudgetStage.OFFSET, BudgetStage.RATE)
@@ -76,10 +73,6 @@ def diagnose(
         order: The three stages in the order in which they are added.
         measured_only: Leave out the frames that the band extrapolates; the whole is then not the score's RMSE.
         use_withheld: Take also a band that is withheld by default; `gauge show` gives the reason.
-
-    Raises:
-        DiagnosisError: The episode did not run to its end, or there is no band.
-        ParameterError: The order does not hold each of the three stages once.
     """
     if result.outcome is not Outcome.FINISHED or result.trajectory is None:
         reason = result.error or result.diverged_reason or "it holds no trajectory"
@@ -130,11 +123,6 @@ def diagnose_trajectory(
         values: g(t) at those times, shape [sample_count, coordinate_count].
         order: The three stages in the order in which they are added.
         measured_only: Leave out the frames that the band extrapolates.
-
-    Raises:
-        DiagnosisError: There is no band, or it has no frame.
-        ParameterError: The order does not hold each of the three stages once.
-        ShapeError: Times or values do not fit the experiment, or are not finite.
     """
     stages = stage_order(order)
     if band is None:
@@ -151,11 +139,7 @@ def diagnose_trajectory(
 
 
 def stage_order(names: Iterable[str]) -> tuple[BudgetStage, ...]:
-    """Return stages by name.
-
-    Raises:
-        ParameterError: The names are not those of the three stages, each once.
-    """
+    """Return stages by name."""
     given = list(names)
     known = [stage.value for stage in DEFAULT_ORDER]
     if sorted(given) != sorted(known):

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["draw_diagnoses", "save_diagnoses"]
-
 DIAGNOSIS = "diagnosis"
 """Name of the picture of error budgets."""
 
@@ -28,12 +26,7 @@ STAGE_COLORS = {BudgetStage.RELEASE: OURS[5], BudgetStage.OFFSET: OURS[2], Budge
 
 
 def save_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]], folder: Path) -> Path:
-    """Write the picture of `draw_diagnoses`, `diagnosis.png`, and return its path.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ResultFileError: The folder cannot be written.
-    """
+    """Write the picture of `draw_diagnoses`, `diagnosis.png`, and return its path."""
     return save_png(draw_diagnoses(pairs), folder / f"{DIAGNOSIS}.png")
 
 
@@ -42,10 +35,6 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
 
     Args:
         pairs: Results with their budgets, one or more, all with the parts in the same order.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ShapeError: There is no result.
     """
     if not pairs:
         raise ShapeError("error budgets of one result or more are needed, got none")

@@ -20,8 +20,6 @@ from gauge_envs.runs.result import Result
 from gauge_envs.tools.diagnose.budget_fit import BudgetStage
 from gauge_envs.tools.diagnose.diagnosis import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, StagePart
 
-__all__ = ["diagnosis_rows", "diagnosis_values", "diagnosis_view", "findings"]
-
 MOST_AXES = 6
 
 DIAGNOSIS_LEGEND = (

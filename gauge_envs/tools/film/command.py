@@ -12,8 +12,6 @@ from gauge_envs.cli.output import EXIT_FAILED, echo, plain_text, progress_bar, s
 from gauge_envs.cli.results import loaded_files
 from gauge_envs.errors import ParameterError
 
-__all__ = ["film"]
-
 
 def film(
     sources: Annotated[

@@ -24,8 +24,6 @@ from gauge_envs.tools.film.panel import Panel, SimulatedPanel, Take, take_of
 from gauge_envs.tools.film.recording import RecordedPanel
 from gauge_envs.tools.film.writer import STRIP_SUFFIXES, check_film_format, check_suffix, film_writer, save_still
 
-__all__ = ["FilmOptions", "LeftOut", "Recording", "film_times", "results_of_one_experiment", "save_film", "save_strip"]
-
 MOST_PANELS = 12
 """Largest number of panels of a film."""
 
@@ -82,9 +80,6 @@ class FilmOptions:
         hold_s: Time for which the last frame of a film stays [s].
         use_withheld: Whether to draw also a reference of low quality.
         recording: A real recording as the first panel, or None.
-
-    Raises:
-        ParameterError: A value is out of range.
     """
 
     width: int = 480
@@ -128,9 +123,6 @@ def results_of_one_experiment(results: Mapping[Path, Result], name: str | None =
     Args:
         results: Results by file.
         name: Id of the experiment, with or without `GAUGE/`; None if all are of one.
-
-    Raises:
-        ResultFileError: There is none, or without a name they are of several experiments.
     """
     ids = sorted({short_id(result.id) for result in results.values()})
     if name is None:
@@ -151,9 +143,6 @@ def film_times(options: FilmOptions, last_s: float) -> NDArray[np.float64]:
     Args:
         options: The options.
         last_s: End of the longest episode [s].
-
-    Raises:
-        ParameterError: The film starts after that end, or has too many frames.
     """
     end_s = last_s if options.to_s is None else options.to_s
     if options.from_s > last_s:
@@ -174,13 +163,6 @@ def save_film(
         out: The film: `*.mp4`, `*.webp` or `*.gif`.
         options: How it shows them.
         progress: Receiver of what is done.
-
-    Raises:
-        ParameterError: The format or an option is wrong, or there are too many panels.
-        ResultFileError: No result can be run again, or the film cannot be written.
-        RenderError: The machine has no OpenGL library.
-        MissingExtraError: The extra `video` is needed and not installed.
-        VideoError: The recording cannot be read, or ffmpeg fails.
     """
     check_film_format(out)
     with ExitStack() as stack:
@@ -220,9 +202,6 @@ def save_strip(
         options: How it shows them; speed and frame rate do not matter.
         count: Number of pictures in a row, the first and the last one included.
         progress: Receiver of what is done.
-
-    Raises:
-        GaugeError: See `save_film`.
     """
     check_suffix(out, STRIP_SUFFIXES)
     if not 1 <= count <= MOST_PANELS:
@@ -249,12 +228,7 @@ def save_strip(
 def _panels(
     results: Mapping[Path, Result], options: FilmOptions, stack: ExitStack
 ) -> tuple[list[Panel], list[Take], list[LeftOut]]:
-    """Return the panels, which the stack closes, the episodes that they show, and the results that have none.
-
-    Raises:
-        ParameterError: There are too many.
-        ReplayError: No episode can be drawn.
-    """
+    """Return the panels, which the stack closes, the episodes that they show, and the results that have none."""
     recording = options.recording
     count = len(results) + (recording is not None)
     if count > MOST_PANELS:
@@ -284,11 +258,7 @@ def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
 
 
 def _takes(results: Mapping[Path, Result], options: FilmOptions) -> tuple[list[Take], list[LeftOut]]:
-    """Return the episodes that can be drawn, and why others cannot.
-
-    Raises:
-        ReplayError: None can be drawn.
-    """
+    """Return the episodes that can be drawn, and why others cannot."""
     takes: list[Take] = []
     left_out: list[LeftOut] = []
     views, use_withheld = options.views_per_frame, options.use_withheld

@@ -12,8 +12,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color
 
-__all__ = ["Caption", "FilmLayout", "PanelText", "strip_picture"]
-
 GROUND = (255, 255, 255)
 INK = (28, 32, 38)
 QUIET = (104, 110, 120)

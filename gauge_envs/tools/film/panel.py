@@ -23,8 +23,6 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.scores import COMPARED_METRICS
 
-__all__ = ["Panel", "SimulatedPanel", "Take", "score_line", "take_of"]
-
 FloatArray = NDArray[np.float64]
 
 PATH_STEP = 3
@@ -95,10 +93,6 @@ def take_of(result: Result, file: Path, *, views_per_frame: int = 1, use_withhel
         file: The result file.
         views_per_frame: Least number of views of rigid bodies in each frame: 1, 2, 3 or 6; deformable bodies have one.
         use_withheld: Whether to use also a band of low quality.
-
-    Raises:
-        ReplayError: See `gauge_envs.runs.replay.replay`.
-        GaugeError: See `gauge_envs.runs.replay.replayed_experiment`.
     """
     experiment = replayed_experiment(result)
     # The default is stored beside the result, so that it is run once.
@@ -129,11 +123,7 @@ class SimulatedPanel:
         self._canvas = Pictures("rgb_array", width=width, height=height)
 
     def picture(self, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture at a time [s], shape [height, width, 3]; after its last view the episode stands still.
-
-        Raises:
-            RenderError: The machine has no OpenGL library.
-        """
+        """Return the picture at a time [s], shape [height, width, 3]; after its last view the episode stands still."""
         replay = self._take.replay
         at = min(time_s, self.last_s) * replay.rate_hz
         poses = dict(zip(replay.bodies, _poses_at(replay.poses, at), strict=True))

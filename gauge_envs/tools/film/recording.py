@@ -12,8 +12,6 @@ from PIL import Image
 from gauge_envs.errors import VideoError
 from gauge_envs.tools.video.frames import FileFrames
 
-__all__ = ["RecordedPanel"]
-
 
 class RecordedPanel:
     """Pictures of a video file; each is shown from its time to that of the next one.
@@ -24,10 +22,6 @@ class RecordedPanel:
         rate_hz: Pictures that the camera took in a second of the experiment; None for the times in the file.
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
-
-    Raises:
-        MissingExtraError: OpenCV is not installed.
-        VideoError: The file is missing or no video, or it ends before the experiment starts.
     """
 
     def __init__(self, file: Path, *, start_s: float, rate_hz: float | None, width: int, height: int) -> None:

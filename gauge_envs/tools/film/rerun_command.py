@@ -10,8 +10,6 @@ import typer
 from gauge_envs.cli.arguments import WithheldOption
 from gauge_envs.cli.output import echo
 
-__all__ = ["export_app", "export_rerun"]
-
 export_app = typer.Typer(help="Results in formats of other tools.", no_args_is_help=True)
 
 

@@ -25,8 +25,6 @@ from gauge_envs.scene import Box, Cloth, ConvexUnion, Cylinder, Motion, Plane, P
 from gauge_envs.scene.geometry import Capsule, Compound, Ellipsoid
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
-__all__ = ["write_rerun"]
-
 FloatArray = NDArray[np.float64]
 
 TIMELINE = "time"
@@ -52,11 +50,6 @@ def write_rerun(result: Result, file: Path, *, use_withheld: bool = False) -> Pa
         result: A result of an installed engine.
         file: The recording, `*.rrd`; its folder is created.
         use_withheld: Show also a reference that is withheld by default.
-
-    Raises:
-        MissingExtraError: The extra `rerun` is not installed.
-        ReplayError: The episode cannot be run again, or its g(t) differs from that of the result.
-        ResultFileError: The recording cannot be written.
     """
     try:
         import rerun

@@ -14,16 +14,6 @@ from PIL import Image
 from gauge_envs.errors import MissingExtraError, ParameterError, ResultFileError, VideoError
 from gauge_envs.files import MEGABYTE, replaced_whole
 
-__all__ = [
-    "FILM_SUFFIXES",
-    "STRIP_SUFFIXES",
-    "FilmWriter",
-    "check_film_format",
-    "check_suffix",
-    "film_writer",
-    "save_still",
-]
-
 FILM_SUFFIXES = (".mp4", ".webp", ".gif")
 """Formats of films: MP4 needs the extra `video`."""
 
@@ -58,12 +48,6 @@ def film_writer(file: Path, *, size: tuple[int, int], fps: float) -> Iterator[Fi
         file: The film; its suffix states the format. Its folder is created.
         size: Width and height [pixels]; an MP4 needs even numbers.
         fps: Frames a second.
-
-    Raises:
-        ParameterError: The format is unknown, or a WebP or GIF would take too much memory.
-        MissingExtraError: An MP4 is wanted, and imageio-ffmpeg is not installed.
-        VideoError: ffmpeg is missing or fails.
-        ResultFileError: The film cannot be written.
     """
     check_film_format(file)
     with _written(file) as part:
@@ -77,12 +61,7 @@ def film_writer(file: Path, *, size: tuple[int, int], fps: float) -> Iterator[Fi
 
 
 def save_still(picture: NDArray[np.uint8], file: Path) -> Path:
-    """Write a picture, shape [height, width, 3], whole or not at all, and return its path.
-
-    Raises:
-        ParameterError: The format is unknown.
-        ResultFileError: The picture cannot be written.
-    """
+    """Write a picture, shape [height, width, 3], whole or not at all, and return its path."""
     check_suffix(file, STRIP_SUFFIXES)
     with _written(file) as part:
         image = Image.fromarray(picture)
@@ -94,13 +73,7 @@ def save_still(picture: NDArray[np.uint8], file: Path) -> Path:
 
 
 def check_film_format(file: Path) -> None:
-    """Check that films of the format of a file can be written here.
-
-    Raises:
-        ParameterError: The suffix names no known format.
-        MissingExtraError: An MP4 is wanted, and imageio-ffmpeg is not installed.
-        VideoError: An MP4 is wanted, and there is no ffmpeg.
-    """
+    """Check that films of the format of a file can be written here."""
     check_suffix(file, FILM_SUFFIXES)
     if file.suffix.lower() != ".mp4":
         return
@@ -115,11 +88,7 @@ def check_film_format(file: Path) -> None:
 
 
 def check_suffix(file: Path, known: tuple[str, ...]) -> None:
-    """Check that the suffix of a file names a known format.
-
-    Raises:
-        ParameterError: It does not.
-    """
+    """Check that the suffix of a file names a known format."""
     if file.suffix.lower() not in known:
         raise ParameterError(f"{file}: the suffix states the format: choose {', '.join(known[:-1])} or {known[-1]}")
 

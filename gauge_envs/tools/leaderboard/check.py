@@ -23,8 +23,6 @@ from gauge_envs.tools.leaderboard.scores import differing_scores, rescored
 from gauge_envs.tools.leaderboard.statement import STATEMENT_FILE, Statement, read_statement
 from gauge_envs.tools.leaderboard.trajectory import trajectory_faults
 
-__all__ = ["LeaderboardCheck", "SubmissionCheck", "check_leaderboard"]
-
 Found = Iterator[tuple[str, str]]
 
 

@@ -22,7 +22,6 @@ from gauge_envs.cli.output import (
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
 
-__all__ = ["leaderboard_app", "leaderboard_check", "leaderboard_table"]
 
 FolderArgument = Annotated[
     Path, typer.Argument(metavar="[DIR]", help="Folder of the leaderboard, or of one submission.")

@@ -16,8 +16,6 @@ from gauge_envs.runs.result_file import MOST_RESULT_BYTES
 from gauge_envs.tools.leaderboard.faults import Fault
 from gauge_envs.tools.leaderboard.statement import NAME_PATTERN, STATEMENT_FILE
 
-__all__ = ["GENERATED", "RESULTS_FOLDER", "SubmissionFiles", "find_submissions", "relative_name", "submission_files"]
-
 RESULTS_FOLDER = "results"
 README = "README.md"
 
@@ -48,11 +46,7 @@ class SubmissionFiles:
     faults: list[Fault] = field(default_factory=list)
 
     def sha256(self, folder: Path) -> str:
-        """Return a hash over names and contents of all files, which changes with any of them.
-
-        Raises:
-            OSError: A file cannot be read.
-        """
+        """Return a hash over names and contents of all files, which changes with any of them."""
         digest = hashlib.sha256()
         for file in filter(None, (self.statement, *self.results)):
             content = hashlib.sha256(read_regular(file, MOST_RESULT_BYTES)).hexdigest()
@@ -61,11 +55,7 @@ class SubmissionFiles:
 
 
 def _entries(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """Yield the sorted entries of a folder with their own status, that of a link included.
-
-    Raises:
-        ResultFileError: The folder cannot be listed, or has too many entries.
-    """
+    """Yield the sorted entries of a folder with their own status, that of a link included."""
     try:
         names = []
         with os.scandir(folder) as found:
@@ -91,9 +81,6 @@ def find_submissions(root: Path) -> tuple[list[Path], list[Fault]]:
 
     Args:
         root: Folder of the leaderboard, or of one submission.
-
-    Raises:
-        ResultFileError: The folder cannot be listed.
     """
     if os.path.lexists(root / STATEMENT_FILE):
         return [root], []
@@ -123,9 +110,6 @@ def submission_files(folder: Path, root: Path) -> SubmissionFiles:
     Args:
         folder: Folder of the submission.
         root: Folder that is checked.
-
-    Raises:
-        ResultFileError: A folder cannot be listed.
     """
     files = SubmissionFiles()
     total = 0

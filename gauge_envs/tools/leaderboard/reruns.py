@@ -17,8 +17,6 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
-__all__ = ["RERUN_SHARE", "Rerun", "RerunStatus", "rerun", "rerun_sample"]
-
 RERUN_SHARE = 0.01
 """Largest distance of a repeated trajectory, as a share of the distance of real trials from their mean: it moves a
 normalized score by at most 0.01. Without a published baseline, the share of the motion."""

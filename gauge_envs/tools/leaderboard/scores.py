@@ -14,8 +14,6 @@ from gauge_envs.files import json_ready
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = ["SCORE_TOLERANCE", "differing_scores", "rescored"]
-
 SCORE_TOLERANCE = 1e-6
 """Largest difference of a stated score, relative and absolute. Last digits depend on the processor, and the fit of the
 release time ends within 1e-7 s. No table shows so many digits."""

@@ -11,8 +11,6 @@ from gauge_envs.errors import first_fault
 from gauge_envs.files import MOST_TOML_BYTES, read_regular, toml_document
 from gauge_envs.tools.leaderboard.faults import Fault
 
-__all__ = ["NAME_PATTERN", "STATEMENT_FILE", "Statement", "read_statement"]
-
 STATEMENT_FILE = "submission.toml"
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,63}$"

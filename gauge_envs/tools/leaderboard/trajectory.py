@@ -18,8 +18,6 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-__all__ = ["START_TOLERANCE", "copied_reference", "start_values", "trajectory_faults"]
-
 FloatArray = NDArray[np.float64]
 Found = tuple[str, str]
 

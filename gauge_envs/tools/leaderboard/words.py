@@ -17,9 +17,6 @@ from gauge_envs.tools.compare.comparison import Comparison, compare
 from gauge_envs.tools.compare.words import comparison_json, comparison_tables
 from gauge_envs.tools.leaderboard import LeaderboardCheck, SubmissionCheck
 
-__all__ = ["check_records", "check_view", "leaderboard_markdown", "leaderboard_records", "leaderboard_view"]
-
-
 # --- check -----------------------------------------------------------------------------------------------------------
 
 

@@ -10,15 +10,6 @@ from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
-__all__ = [
-    "FREE_FRICTION",
-    "FRICTION_RANGE",
-    "MASS_RANGE_KG",
-    "PENETRATION_RANGE_M",
-    "TIMESTEP_RANGE_S",
-    "Aim",
-]
-
 FRICTION_RANGE = (0.01, 2.0)
 """Coefficients of friction that the scenes measure: the plate tips at 4, and on less it slides on a level slope."""
 

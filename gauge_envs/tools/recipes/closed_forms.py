@@ -9,13 +9,6 @@ from scipy.optimize import brentq
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
-__all__ = [
-    "ContactForm",
-    "MuJoCoContact",
-    "friction_of_slide",
-    "mujoco_impedance",
-]
-
 G = GRAVITY_M_PER_S2
 
 DEEPEST_M = 1e3

@@ -14,7 +14,6 @@ from gauge_envs.errors import ParameterError
 if TYPE_CHECKING:
     from gauge_envs.scene.fabrics import Fabric
 
-__all__ = ["recipe"]
 
 T = TypeVar("T")
 

@@ -17,8 +17,6 @@ from gauge_envs.tools.recipes.closed_forms import ContactForm
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.measure import Measured, measured, scatter_texts
 
-__all__ = ["Meaning", "explain", "parsed_contact"]
-
 MEASURED_IN = (
     "Drops from 0.2 m onto one contact; a plate of 0.12 m rests on four, creeps on a slope of half the friction, and "
     "slides 10 degrees beyond the friction angle."
@@ -105,9 +103,6 @@ def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) 
         engine: Class of the engine's settings.
         text: Names and values; values are separated by blanks or commas, and may stand in quotes.
         timestep_s: Time step [s].
-
-    Raises:
-        ParameterError: The text names no setting, an unknown one, or a wrong value.
     """
     found: dict[str, Any] = {}
     for name, quoted, single, bare in ASSIGNMENT.findall(text.strip()):
@@ -150,11 +145,6 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
     Args:
         settings: The settings.
         mass_kg: Mass of the body [kg].
-
-    Raises:
-        MissingExtraError: The engine is not installed.
-        ParameterError: Mass, time step or friction is out of the range that can be measured, or a setting is so
-            large or small that the closed form overflows.
     """
     ranges = (
         ("mass", mass_kg, MASS_RANGE_KG, " kg"),

@@ -8,8 +8,6 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 
-__all__ = ["materials"]
-
 
 def materials(json_lines: Json = False, wide: Wide = False) -> None:
     """Show the six fabrics in every engine's constants, the stiffness that these give, and what is lost."""

@@ -12,8 +12,6 @@ from gauge_envs.pages.table import Column, Place, Table, as_rich
 from gauge_envs.pages.text import heading
 from gauge_envs.scene.fabrics import MAPPINGS, Fabric, bending_length_m, shear_stiffness, uniaxial_stiffness
 
-__all__ = ["material_values", "material_view"]
-
 
 def material_values(fabrics: Mapping[str, Fabric]) -> dict[str, dict[str, dict[str, float]]]:
     """Return the constants of every fabric in every engine's terms: fabric, engine, constant."""

@@ -31,16 +31,6 @@ from gauge_envs.tools.conformance.cloth_strips import (
     stretch_stiffness,
 )
 
-__all__ = [
-    "FABRIC_ENGINES",
-    "NOTHING_LOST",
-    "NOT_SIMULATED",
-    "FabricRecipe",
-    "fabric_engine",
-    "fabric_recipe",
-    "fabric_snippet",
-]
-
 FABRIC_ENGINES = tuple(MAPPINGS)
 """Engines whose constants are known, simulated or not."""
 
@@ -174,11 +164,7 @@ class FabricRecipe:
 
 
 def fabric_engine(name: str) -> str:
-    """Return the key of an engine in `gauge_envs.scene.fabrics.MAPPINGS`.
-
-    Raises:
-        ParameterError: The engine has no mapping of cloth.
-    """
+    """Return the key of an engine in `gauge_envs.scene.fabrics.MAPPINGS`."""
     key = "isaac" if name == "isaac_sim" else name
     if key not in MAPPINGS:
         raise ParameterError(f"engine {name!r} has no mapping of fabrics: choose one of {', '.join(MAPPINGS)}")
@@ -193,10 +179,6 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
         fabric: Its measured constants.
         engine: Name of the engine.
         timestep_s: Time step [s]; None for the default of the engine's backend, which depends on the fabric.
-
-    Raises:
-        MissingExtraError: The engine is not installed.
-        ParameterError: The engine has no mapping of cloth, or takes no such time step.
     """
     key = fabric_engine(engine)
     mapped = MAPPINGS[key](fabric)

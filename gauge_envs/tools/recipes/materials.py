@@ -12,8 +12,6 @@ from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.references.sensitivities import input_uncertainties
 
-__all__ = ["MaterialPair", "find_material", "material_pairs"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialPair:
@@ -122,9 +120,6 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     Args:
         name: Name of the pair.
         also: Further names that a message about an unknown one offers.
-
-    Raises:
-        UnknownNameError: No such pair was measured.
     """
     if name not in PLACES:
         raise UnknownNameError("material", name, [*PLACES, *also])

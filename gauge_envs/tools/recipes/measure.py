@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.probes import Probe, Rebound, Rest, Slide
 
-__all__ = ["Measured", "measured", "probe_of", "scatter_texts"]
-
 SCATTER = 0.02
 """Range of restitutions between phases that is worth a sentence: twice the error that counts as none."""
 

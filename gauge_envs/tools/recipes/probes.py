@@ -23,24 +23,6 @@ from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, ContactMode, Motion
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.recipes.closed_forms import friction_of_slide
 
-__all__ = [
-    "BALL_COUNT",
-    "BALL_RADIUS_M",
-    "CREEP_SHARE",
-    "DROP_M",
-    "PLATE_CONTACTS",
-    "PLATE_M",
-    "SLIDE_BEYOND_DEG",
-    "Build",
-    "Probe",
-    "Rebound",
-    "Rest",
-    "Slide",
-    "creep_slope_rad",
-    "first_rebound",
-    "slide_slope_rad",
-]
-
 G = GRAVITY_M_PER_S2
 
 PLATE_M = (0.12, 0.12, 0.03)

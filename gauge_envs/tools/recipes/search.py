@@ -15,8 +15,6 @@ from gauge_envs.tools.recipes.aim import TIMESTEP_RANGE_S, Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.measure import Measured, measured, probe_of, scatter_texts
 
-__all__ = ["DEPTH_SHARE", "FRICTION_SHARE", "RESTITUTION_TOLERANCE", "Recipe", "find_recipe", "misses"]
-
 RESTITUTION_TOLERANCE = 0.01
 """Error of a restitution that counts as none, as in the conformance checks of rebounds."""
 

@@ -12,8 +12,6 @@ from gauge_envs.tools.recipes.explain import Meaning
 from gauge_envs.tools.recipes.fabrics import FabricRecipe
 from gauge_envs.tools.recipes.materials import MaterialPair
 
-__all__ = ["fabric_table", "fabric_view", "material_table", "meaning_view", "recipe_view"]
-
 TITLES = {
     "penetration_m": "penetration [m]",
     "creep_m_s": "creep [m/s]",

@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-__all__ = ["run", "score"]
-
-
 def run(
     ids: Annotated[
         list[str] | None,

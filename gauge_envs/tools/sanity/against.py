@@ -30,8 +30,6 @@ from gauge_envs.tools.sanity.phenomena import Phenomenon, phenomena
 from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.subject import subject_of, worst_of
 
-__all__ = ["Change", "ChangeRow", "Comparison", "compare"]
-
 SLOPE_DEG = 30.0
 """Slope of the boards on which cubes slide [degrees]."""
 
@@ -135,11 +133,6 @@ def compare(
         only: Ids of phenomena or patterns such as `creep-*`; all when empty.
         include_deformables: Whether to measure phenomena of deformable bodies.
         time_limit_s: Time after which no simulation starts any more [s]; None for no limit.
-
-    Raises:
-        UnknownNameError: There is no such backend, or a pattern matches no phenomenon.
-        MissingExtraError: The backend's engine is not installed.
-        TargetError: A target cannot be read.
     """
     from gauge_envs.tools.sanity.target import configuration
 

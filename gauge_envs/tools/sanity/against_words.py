@@ -12,8 +12,6 @@ from gauge_envs.pages.text import heading, markdown_text
 from gauge_envs.tools.sanity.against import Change, ChangeRow, Comparison
 from gauge_envs.tools.sanity.words import measured_text
 
-__all__ = ["against_line", "against_markdown", "against_rows", "against_view"]
-
 STYLES = {Change.NONE: "green", Change.VISIBLE: "yellow", Change.LARGE: "bold red", Change.UNKNOWN: "dim"}
 
 MOST_NAMED = 2

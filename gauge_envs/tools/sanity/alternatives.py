@@ -10,8 +10,6 @@ from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["Alternative", "alternatives", "preset_label"]
-
 DOCUMENTED_PRESET = "out_of_box"
 """Preset of every backend that holds the engine's documented defaults."""
 
@@ -78,9 +76,6 @@ def alternatives(
         measurements: Measurements on the backend.
         scenario: Scenario whose preset counts.
         settings: The configuration's settings.
-
-    Raises:
-        DeclinedError: The backend cannot build the scene, or refuses the settings for it.
     """
     configured = measurements.in_force(scenario, settings)
     preset = measurements.in_force(scenario, {})

@@ -9,8 +9,6 @@ from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, Verdict
 
-__all__ = ["read_baseline", "regressions"]
-
 MOST_BASELINE_BYTES = 16 * MEGABYTE
 """Largest size of a file with an earlier run."""
 
@@ -23,9 +21,6 @@ def read_baseline(path: Path) -> dict[str, Verdict]:
 
     Args:
         path: File with the output of `gauge sanity TARGET --json`.
-
-    Raises:
-        TargetError: The file cannot be read, or is no such output.
     """
     try:
         content = read_regular(path, MOST_BASELINE_BYTES)

@@ -9,8 +9,6 @@ from gauge_envs.tools.sanity.contact_capacity import ContactCapacity
 from gauge_envs.tools.sanity.languages import Language
 from gauge_envs.tools.sanity.model import Cause, PhenomenonResult, Reality, TrainingConfiguration, Verdict
 
-__all__ = ["CAPACITY_ID", "CAPACITY_REALITY", "CAPACITY_TITLE", "capacity_changes", "capacity_row"]
-
 CAPACITY_ID = "contact-capacity"
 CAPACITY_TITLE = "contact capacity: constraint rows and contacts that find no place in the engine's memory"
 

@@ -15,8 +15,6 @@ from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, Verdict
 from gauge_envs.tools.sanity.phenomena import Phenomenon
 
-__all__ = ["find_cause"]
-
 LARGEST_GROUP = 3
 """Largest number of settings that are responsible together; beyond it, the whole configuration is."""
 
@@ -54,9 +52,6 @@ def find_cause(
 
     Returns:
         The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
-
-    Raises:
-        TimeLimitError: The time of the check is used up.
     """
     nothing_to_explain = configured.verdict in (Verdict.INSIDE, Verdict.DECLINED) or configured.engine_died
     if nothing_to_explain or default.verdict is Verdict.DECLINED:

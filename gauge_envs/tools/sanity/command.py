@@ -27,15 +27,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity import PhenomenonResult, Report, Verdict
 
 
-__all__ = [
-    "FailOn",
-    "OtherEngine",
-    "has_failed",
-    "print_report",
-    "sanity",
-]
-
-
 class OtherEngine(StrEnum):
     """Engine on which flagged rows are run again."""
 

@@ -13,8 +13,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CapacityLimits", "ContactCapacity", "ContactNeed", "contact_capacity", "contact_need", "most_needed_data"]
-
 DROP_COUNT = 12
 """Number of motions in which contacts are counted."""
 

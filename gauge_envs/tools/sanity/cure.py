@@ -15,8 +15,6 @@ from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import Cure, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.subject import Subject, worst_of
 
-__all__ = ["RECOMMENDED_MUJOCO", "find_cure"]
-
 RECOMMENDED_MUJOCO: Mapping[str, Any] = {
     "timestep_s": 0.002,
     "integrator": "implicitfast",
@@ -78,9 +76,6 @@ def find_cure(
         others: Other subjects that count.
         language: Language of the target.
         named: Settings that are responsible for rows; of changes that mend as much, theirs come first.
-
-    Raises:
-        TimeLimitError: The time of the check is used up.
     """
     if not flagged:
         return None

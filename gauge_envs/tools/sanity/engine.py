@@ -13,8 +13,6 @@ from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.rollout import DeclinedError, DivergedError, Rollout
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
-__all__ = ["SIMULATION_LIMIT_S", "Engine", "EngineDiedError", "simulation_limit_s"]
-
 SIMULATION_LIMIT_S = 600.0
 """Default time limit of a simulation in another process [s]."""
 
@@ -41,11 +39,6 @@ class Engine:
     Args:
         engine: The backend, or the name of an installed one.
         time_limit_s: Time limit of a simulation in another process [s].
-
-    Raises:
-        UnknownNameError: There is no such backend.
-        MissingExtraError: The backend's engine is not installed.
-        GaugeError: The backend cannot be imported.
     """
 
     _backend: Backend | None
@@ -69,24 +62,14 @@ class Engine:
         self._worker.close()
 
     def settings_in_force(self, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Return every numerical setting that a scenario would run with.
-
-        Raises:
-            DeclinedError: The backend cannot build the scene, refuses the settings for it, or died.
-        """
+        """Return every numerical setting that a scenario would run with."""
         try:
             return self._call(settings_in_force, scenario, settings)
         except EngineDiedError as error:
             raise DeclinedError((str(error),)) from None
 
     def run(self, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout:
-        """Run a scenario and return its rollout.
-
-        Raises:
-            DeclinedError: The backend cannot build the scene, or refuses the settings for it.
-            DivergedError: The simulation failed.
-            EngineDiedError: The process of the engine died, or exceeded its time limit.
-        """
+        """Run a scenario and return its rollout."""
         return self._call(run_scenario, scenario, settings)
 
     def _call(self, function: _Run[Value], scenario: Scenario, settings: Mapping[str, Any]) -> Value:

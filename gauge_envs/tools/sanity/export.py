@@ -32,8 +32,6 @@ from gauge_envs.tools.assets.usd_layer import SOURCE
 from gauge_envs.tools.sanity import export_loop
 from gauge_envs.tools.sanity.export_manifest import DRIVERS, FORMAT, MANIFEST, ExportedScene, manifest, scenes
 
-__all__ = ["MOST_MANIFEST_BYTES", "export"]
-
 MOST_MANIFEST_BYTES = 4 * MEGABYTE
 """Largest size of a manifest."""
 
@@ -59,11 +57,6 @@ def export(folder: Path, *, only: Sequence[str] = ()) -> list[Path]:
 
     Returns:
         The written files.
-
-    Raises:
-        UnknownNameError: A pattern matches no phenomenon.
-        ParameterError: The phenomena have no scene of their own, such as gravity or rows on a target's foot.
-        ResultFileError: The folder holds other files, or cannot be written.
     """
     chosen = scenes(only)
     if not chosen:

@@ -11,8 +11,6 @@ from gauge_envs.cli.arguments import Json, Wide, check_one_format
 from gauge_envs.cli.output import EXIT_FAILED, counted, plain_text, print_json_lines, stderr_console, stdout_console
 from gauge_envs.tools.sanity.command import FailOn, has_failed, print_report
 
-__all__ = ["sanity_export", "sanity_judge"]
-
 Only = Annotated[
     list[str] | None,
     typer.Option("--only", help="Ids or patterns of phenomena, as 'creep-*,gravity'; repeatable."),

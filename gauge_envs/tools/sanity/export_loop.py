@@ -16,8 +16,6 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-__all__ = ["numbers_at", "read_drivers", "run"]
-
 
 def run(folder: str | Path, make_world: Callable[[Path, dict[str, Any]], Any], only: Collection[str] = ()) -> None:
     """Run the scenes of a folder and write `motion.csv` of each.

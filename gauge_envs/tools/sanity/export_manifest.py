@@ -17,8 +17,6 @@ from gauge_envs.tools.sanity.phenomena import Phenomenon, phenomena
 from gauge_envs.tools.sanity.scenario import Scenario
 from gauge_envs.tools.sanity.selection import selection
 
-__all__ = ["COLUMNS", "FORMAT", "MANIFEST", "MOTION", "VERSION", "ExportedScene", "manifest", "scenes"]
-
 FORMAT, VERSION = "gauge-sanity-export", 1
 
 MANIFEST = "manifest.json"
@@ -110,9 +108,6 @@ def scenes(only: Sequence[str] = ()) -> tuple[ExportedScene, ...]:
 
     Args:
         only: Ids of phenomena or patterns; scenes without one of them are left out. All when empty.
-
-    Raises:
-        UnknownNameError: A pattern matches no phenomenon.
     """
     chosen = selection(only)
     return tuple(scene for scene in _all_scenes() if any(one.id in chosen for one in scene.phenomena))

@@ -16,8 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Compound, Part, Pose, Sphere, mass_properties
 
-__all__ = ["COPIES", "REFERENCE_FOOT", "FootGeometry"]
-
 COPIES = 4
 """Number of feet of the rigid body."""
 

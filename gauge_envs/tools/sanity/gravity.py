@@ -17,8 +17,6 @@ from gauge_envs.tools.sanity.model import (
     Verdict,
 )
 
-__all__ = ["GRAVITY_ID", "GRAVITY_REALITY", "GRAVITY_TITLE", "gravity_row", "upright_gravity"]
-
 GRAVITY_ID = "gravity"
 GRAVITY_TITLE = "gravity: size and direction"
 

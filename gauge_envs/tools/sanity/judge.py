@@ -33,8 +33,6 @@ from gauge_envs.tools.sanity.phenomena.impact import CLEAR_MM
 from gauge_envs.tools.sanity.run import curve_of
 from gauge_envs.tools.sanity.selection import selection
 
-__all__ = ["judge"]
-
 UNKNOWN_ENGINE = "recorded motion"
 """Name of an engine that the user does not state."""
 
@@ -60,11 +58,6 @@ def judge(folder: Path, *, only: Sequence[str] = (), engine: str = "") -> Report
 
     Returns:
         The report, with a row for each phenomenon in a fixed order, and neither causes nor values of a preset.
-
-    Raises:
-        TargetError: The folder is no export, or that of another version.
-        TrajectoryFileError: A motion file is damaged, too short, or not of its scene.
-        UnknownNameError: A pattern matches no phenomenon.
     """
     started = time.perf_counter()
     exported = _exported(folder)

@@ -20,8 +20,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity.export_manifest import COLUMNS, ExportedScene
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray
 
-__all__ = ["driver_misses", "read_motion"]
-
 MOST_BYTES = 128 * MEGABYTE
 """Largest size of a motion file: the wall at a step of 0.1 ms has 60 MB."""
 
@@ -62,10 +60,6 @@ def read_motion(file: Path, scene: ExportedScene) -> Rollout:
     Args:
         file: The file, with the columns of `COLUMNS` in any order.
         scene: The scene.
-
-    Raises:
-        TrajectoryFileError: The file cannot be read, or is not the motion of this scene. The message says where.
-        DivergedError: A number is NaN or infinite, or a body is faster than the scene allows.
     """
     times, states = _table(file, scene)
     interval_s = _interval_s(file, times, scene)

@@ -18,8 +18,6 @@ from gauge_envs.tools.sanity.model import INSIDE_WITHIN, VISIBLE_WITHIN, Reality
 from gauge_envs.tools.sanity.phenomena import Phenomenon, PhenomenonValue
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["Measured", "Measurements", "TimeLimitError", "judged"]
-
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
 
@@ -64,11 +62,7 @@ class Measurements:
         self._rollouts: dict[tuple[str, str], Rollout | DeclinedError | DivergedError] = {}
 
     def in_force(self, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Return every numerical setting that a scenario runs with.
-
-        Raises:
-            DeclinedError: The backend cannot build the scene, or refuses the settings for it.
-        """
+        """Return every numerical setting that a scenario runs with."""
         key = _key(scenario, settings)
         if key not in self._in_force:
             try:
@@ -81,11 +75,7 @@ class Measurements:
         return known
 
     def measure(self, phenomenon: Phenomenon, settings: Mapping[str, Any]) -> Measured:
-        """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges.
-
-        Raises:
-            TimeLimitError: The time of the check is used up, and the rollout is not known yet.
-        """
+        """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
         rollout = self._rollout(phenomenon.scenario, settings)
         if isinstance(rollout, DeclinedError):
             return Measured(value=None, deviation=math.inf, verdict=Verdict.DECLINED, remark=str(rollout))

@@ -14,25 +14,6 @@ from gauge_envs.tools.sanity.contact_capacity import ContactCapacity
 from gauge_envs.tools.sanity.foot import FootGeometry
 from gauge_envs.tools.sanity.foot_contact import FootContact
 
-__all__ = [
-    "COVERAGE",
-    "INSIDE_WITHIN",
-    "VISIBLE_WITHIN",
-    "Cause",
-    "ContactGroup",
-    "Cure",
-    "Curve",
-    "GroupOutcome",
-    "Need",
-    "PhenomenonResult",
-    "Reality",
-    "RealityKind",
-    "Report",
-    "SettingTrial",
-    "TrainingConfiguration",
-    "Verdict",
-]
-
 INSIDE_WITHIN = 1.0
 """Largest deviation of the verdict `inside`, in half-widths of the interval of reality."""
 

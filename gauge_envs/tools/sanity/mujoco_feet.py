@@ -18,8 +18,6 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.foot import COPIES, FootGeometry
 from gauge_envs.tools.sanity.model import ContactGroup
 
-__all__ = ["NoFootError", "read_foot"]
-
 STANDING_KEYFRAMES = ("home", "stand", "standing")
 """Names of keyframes in which robots stand; MuJoCo Menagerie uses `home`."""
 
@@ -92,9 +90,6 @@ def read_foot(
         pairs: All pairs of geoms that can collide.
         groups: Contact constants, those that are judged marked as used.
         up: Unit vector away from the ground, shape [3].
-
-    Raises:
-        NoFootError: Nothing stands on the ground, or the foot is of a kind of geom that no scene can have.
     """
     touching = _touching(model, pairs)
     if not touching:

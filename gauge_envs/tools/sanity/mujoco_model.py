@@ -27,8 +27,6 @@ from gauge_envs.tools.sanity.foot import FootGeometry
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.mujoco_feet import NoFootError, read_foot
 
-__all__ = ["mujoco_configuration"]
-
 GRAVITY_TOLERANCE = 0.01
 """A gravity that differs from the standard one by less than this ratio gets no note."""
 
@@ -62,9 +60,6 @@ def mujoco_configuration(
         source: Description of where the model is from.
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
-
-    Raises:
-        TargetError: The model has no such geom, or the two cannot collide.
     """
     options = option_settings(model)
     pairs = contact_pairs(model)

@@ -29,8 +29,6 @@ from gauge_envs.tools.sanity.model import PhenomenonResult, Report, TrainingConf
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.subject import subject_of
 
-__all__ = ["BackendMuJoCoWarp", "SimulationMuJoCoWarp", "overflow_effect", "with_mujoco_warp"]
-
 MOST_ROWS, MOST_CONTACTS = 1024, 256
 """Memory of a target's own model for constraint rows and for contacts, where it is not limited."""
 
@@ -51,11 +49,7 @@ EFFECT_S = 0.5
 
 
 class BackendMuJoCoWarp(BackendMuJoCo):
-    """mujoco_warp on the CPU, for rigid scenes; settings are those of the MuJoCo backend.
-
-    Raises:
-        MissingExtraError: mujoco_warp is not installed.
-    """
+    """mujoco_warp on the CPU, for rigid scenes; settings are those of the MuJoCo backend."""
 
     name = "mujoco_warp"
     applies_air = False
@@ -110,11 +104,7 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
         self._is_changed = True
 
     def advance(self, seconds: float) -> None:
-        """Step the model on mujoco_warp.
-
-        Raises:
-            BackendError: The memory for contacts is too small.
-        """
+        """Step the model on mujoco_warp."""
         self._step(round(seconds / self._timestep_s))
 
     def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
@@ -126,11 +116,7 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
         return positions
 
     def restore(self, state: Snapshot) -> None:
-        """Restore a state, without the accelerations with which the solver starts.
-
-        Raises:
-            BackendError: The state is of another scene, other settings or another version.
-        """
+        """Restore a state, without the accelerations with which the solver starts."""
         super().restore(state)
         self._is_changed = True
 
@@ -167,9 +153,6 @@ def with_mujoco_warp(report: Report, *, model: mujoco.MjModel | None = None) -> 
     Args:
         report: A report on MuJoCo's C engine.
         model: The target's own model, for the row on the memory for contacts; None when there is none.
-
-    Raises:
-        MissingExtraError: mujoco_warp is not installed.
     """
     backend = BackendMuJoCoWarp()
     engine = f"mujoco_warp {backend.versions()['mujoco-warp']}"
@@ -277,11 +260,7 @@ def _remarked(row: PhenomenonResult, text: str) -> PhenomenonResult:
 
 
 def _started() -> tuple[Any, Any]:
-    """Return mujoco_warp and its device, without its messages.
-
-    Raises:
-        MissingExtraError: mujoco_warp is not installed.
-    """
+    """Return mujoco_warp and its device, without its messages."""
     try:
         import mujoco_warp
         import warp

@@ -33,8 +33,6 @@ from gauge_envs.tools.sanity.words import (
     verdict_text,
 )
 
-__all__ = ["check_can_draw", "sanity_page", "save_sanity_page"]
-
 REALITY_COLOR, DEFAULT_COLOR, CONFIGURED_COLOR = "#303030", "#0072b2", "#d55e00"
 """Grey and two of Okabe and Ito's colours, which colour-blind readers distinguish; line styles differ too."""
 
@@ -49,11 +47,7 @@ FONT_PT = 10.5
 
 
 def check_can_draw() -> None:
-    """Check that a page can be drawn, before a long run.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Check that a page can be drawn, before a long run."""
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
@@ -61,12 +55,7 @@ def check_can_draw() -> None:
 
 
 def save_sanity_page(report: Report, path: Path) -> Path:
-    """Write the page of a sanity check.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ResultFileError: The file cannot be written.
-    """
+    """Write the page of a sanity check."""
     text = sanity_page(report)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,11 +66,7 @@ def save_sanity_page(report: Report, path: Path) -> Path:
 
 
 def sanity_page(report: Report) -> str:
-    """Return the self-contained page of a sanity check.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Return the self-contained page of a sanity check."""
     checked = report.configuration
     title = f"Sanity check of {checked.name}"
     parts = [

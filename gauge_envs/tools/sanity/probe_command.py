@@ -10,8 +10,6 @@ import typer
 from gauge_envs.cli.output import echo, plain_text, stderr_console
 from gauge_envs.errors import ParameterError
 
-__all__ = ["sanity_probe"]
-
 
 def sanity_probe(
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write, as gauge_probe.py.")] = None,

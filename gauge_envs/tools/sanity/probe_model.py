@@ -17,8 +17,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from gauge_envs.errors import TargetError
 
-__all__ = ["ModelData", "build_saved_model"]
-
 MOST_OBJECTS = 2000
 """Most geoms, bodies or joints; pairs of geoms are counted by their square."""
 
@@ -104,9 +102,6 @@ def build_saved_model(data: ModelData, name: str) -> tuple[mujoco.MjModel, list[
     Args:
         data: Data of the file.
         name: Name of the file, for messages.
-
-    Raises:
-        TargetError: An array is absent, has the wrong size or impossible values, or MuJoCo cannot compile the model.
     """
     try:
         tables = _tables(data)

@@ -34,8 +34,6 @@ from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray
 from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.subject import Subject, subject_of, worst_of
 
-__all__ = ["check", "curve_of"]
-
 CURVE_SAMPLES = 200
 """Largest number of samples of a curve; a figure shows fewer."""
 

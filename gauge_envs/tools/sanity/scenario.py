@@ -18,8 +18,6 @@ from gauge_envs.runs.rollout import DeclinedError, Rollout, record
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-__all__ = ["Scenario", "run_scenario", "settings_in_force"]
-
 
 def _unchanged(scene: Scene) -> Scene:
     return scene
@@ -70,10 +68,6 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
         backend: The backend.
         scenario: The scenario.
         settings: Settings of the backend; the backend's default for the scene completes them.
-
-    Raises:
-        DeclinedError: The backend cannot build the scene, or refuses the settings for it.
-        DivergedError: The engine fails, or a body is where or as fast as the scene's energy does not allow.
     """
     simulation = _built(backend, scenario, settings)
     try:
@@ -91,11 +85,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
 
 
 def settings_in_force(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every numerical setting that a scenario would run with, those of the preset included.
-
-    Raises:
-        DeclinedError: The backend cannot build the scene, or refuses the settings for it.
-    """
+    """Return every numerical setting that a scenario would run with, those of the preset included."""
     simulation = _built(backend, scenario, settings)
     try:
         return dict(simulation.settings)

@@ -10,8 +10,6 @@ from gauge_envs.tools.sanity.capacity import CAPACITY_ID
 from gauge_envs.tools.sanity.gravity import GRAVITY_ID
 from gauge_envs.tools.sanity.phenomena import phenomena
 
-__all__ = ["selection"]
-
 
 def selection(only: Sequence[str] = (), *, include_deformables: bool = False) -> tuple[str, ...]:
     """Return ids of rows in a fixed order: all, or those that match one of the patterns.
@@ -19,9 +17,6 @@ def selection(only: Sequence[str] = (), *, include_deformables: bool = False) ->
     Args:
         only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
         include_deformables: Whether to include phenomena of deformable bodies.
-
-    Raises:
-        UnknownNameError: A pattern matches no row.
     """
     patterns = [part.strip() for text in only for part in text.split(",") if part.strip()]
     known = (GRAVITY_ID, CAPACITY_ID, *(one.id for one in phenomena(include_deformables=include_deformables)))

@@ -12,8 +12,6 @@ from gauge_envs.tools.sanity.model import Need, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import Phenomenon
 from gauge_envs.tools.sanity.phenomena.foot import with_foot
 
-__all__ = ["Subject", "subject_of", "worst_of"]
-
 SEVERITY = (Verdict.DECLINED, Verdict.INSIDE, Verdict.VISIBLE, Verdict.WRONG)
 """Verdicts, the worst last."""
 
@@ -38,11 +36,7 @@ class Subject:
     advisory: str = ""
 
     def measured(self, measurements: Measurements, changes: Mapping[str, Any] | None = None) -> dict[str, Measured]:
-        """Return the outcome with each set, with some settings changed.
-
-        Raises:
-            TimeLimitError: The time of the check is used up.
-        """
+        """Return the outcome with each set, with some settings changed."""
         return {
             geoms: measurements.measure(self.phenomenon, {**settings, **(changes or {})})
             for geoms, settings in self.sets.items()

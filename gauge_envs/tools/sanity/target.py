@@ -15,8 +15,6 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.readers import READERS, GeomPair
 from gauge_envs.tools.sanity.readers.reader import NotATargetError
 
-__all__ = ["Target", "compiled_model", "configuration"]
-
 Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | VectorEnv[Any, Any, Any] | Mapping[str, Any]
 """A target of a sanity check; see `configuration`."""
 
@@ -63,11 +61,7 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
 
 
 def compiled_model(target: Any) -> mujoco.MjModel | None:
-    """Return the model of a target whose memory for contacts is limited; None for other targets.
-
-    Raises:
-        TargetError: The target cannot be read.
-    """
+    """Return the model of a target whose memory for contacts is limited; None for other targets."""
     reader = next((one for one in READERS if one.matches(target)), None)
     return None if reader is None or reader.model is None else reader.model(target)
 

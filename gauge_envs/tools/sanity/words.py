@@ -19,26 +19,6 @@ from gauge_envs.tools.sanity.model import PhenomenonResult, Reality, Report, Tra
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.selection import selection
 
-__all__ = [
-    "ADVISORY_NOTE",
-    "VERDICT_NOTES",
-    "effect_text",
-    "foot_text",
-    "measured_text",
-    "phenomena_rows",
-    "phenomena_table",
-    "reality_text",
-    "responsible_text",
-    "sanity_markdown",
-    "sanity_rows",
-    "sanity_view",
-    "setting_text",
-    "settings_by_origin",
-    "tally_text",
-    "top_line",
-    "verdict_text",
-]
-
 VERDICT_NOTES = {
     Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
     Verdict.VISIBLE: "outside, at most 2.5 half-widths from reality: a careful observer sees the difference",
@@ -120,9 +100,6 @@ def phenomena_rows(*, include_deformables: bool = False, only: Sequence[str] = (
     Args:
         include_deformables: Whether to include phenomena of deformable bodies.
         only: Ids or patterns; all when empty.
-
-    Raises:
-        UnknownNameError: A pattern matches no row.
     """
     chosen = selection(only, include_deformables=include_deformables)
     known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]

@@ -24,8 +24,6 @@ from gauge_envs.tools.site.overview import overview_page
 from gauge_envs.tools.site.replay import ghost_text, replay_data
 from gauge_envs.tools.site.reproduce import reproduce_page
 
-__all__ = ["ReplayNote", "save_site"]
-
 MARK = "gauge-report-site.txt"
 """File that marks a folder as a site, which a later one may replace."""
 
@@ -93,11 +91,7 @@ def save_site(
 
 
 def check_replaceable(out: Path) -> None:
-    """Check that a site may take the place of a folder.
-
-    Raises:
-        ResultFileError: The folder holds something else than a site.
-    """
+    """Check that a site may take the place of a folder."""
     try:
         is_taken = out.is_symlink() or (out.exists() and (not out.is_dir() or any(out.iterdir())))
     except OSError as error:

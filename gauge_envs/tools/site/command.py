@@ -12,8 +12,6 @@ from gauge_envs.cli.output import EXIT_FAILED, counted, echo, plain_text, progre
 from gauge_envs.cli.results import loaded_files
 from gauge_envs.errors import ResultFileError
 
-__all__ = ["report"]
-
 
 def report(
     sources: Annotated[

@@ -14,8 +14,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.comparison import ExperimentComparison
 from gauge_envs.tools.site.model import Site, first_result
 
-__all__ = ["curve_section", "mean_text"]
-
 FloatArray = NDArray[np.float64]
 
 MOST_PANELS = 6

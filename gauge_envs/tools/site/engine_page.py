@@ -10,8 +10,6 @@ from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.pages.text import shortened
 from gauge_envs.tools.site.model import Site, first_result, score_cell
 
-__all__ = ["engine_page"]
-
 
 def engine_page(site: Site, name: str) -> str:
     """Return the page of an engine.

@@ -26,8 +26,6 @@ from gauge_envs.tools.site.model import TITLES, Site, first_result, score_cell
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
-__all__ = ["experiment_page"]
-
 REPLAY_SCRIPTS = ("assets/three.min.js", "assets/replay.js")
 
 STAGE_COLORS: Mapping[BudgetStage | None, str] = {

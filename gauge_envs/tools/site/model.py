@@ -19,18 +19,6 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.comparison import Cell, Comparison, ExperimentComparison
 from gauge_envs.tools.compare.scores import COMPARED_METRICS
 
-__all__ = [
-    "COLOR_COUNT",
-    "TITLES",
-    "Site",
-    "Standing",
-    "badge",
-    "first_result",
-    "score_cell",
-    "standing_of",
-    "whisker_text",
-]
-
 Interval = tuple[float, float]
 
 COLOR_COUNT = 6

@@ -14,8 +14,6 @@ from gauge_envs.tools.compare.grades import GradeComparison, GradeScore, PairCom
 from gauge_envs.tools.compare.scores import COMPARED_METRICS
 from gauge_envs.tools.site.model import TITLES, Site, Standing, badge, score_cell, standing_of, whisker_text
 
-__all__ = ["overview_page", "place_text"]
-
 SCALE_NOTE = (
     "Score: distance to the real mean over the published mean distance of single real trials, which is 1. Lower is "
     "closer. In brackets: 95 % interval, from the sample of real trials, the uncertain inputs and the discretization."

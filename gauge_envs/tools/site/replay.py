@@ -44,8 +44,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import Pose, Shape
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-__all__ = ["Quantized", "ghost_text", "quantized", "replay_data", "scene_data"]
-
 FloatArray = NDArray[np.floating[Any]]
 
 MOST = 32767

@@ -18,8 +18,6 @@ from gauge_envs.references.imported import DataSource
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.site.model import Site
 
-__all__ = ["reproduce_page", "run_command", "run_commands"]
-
 
 def run_command(results: Sequence[Result]) -> str | None:
     """Return the `gauge run` command that makes the repeats of one configuration in one experiment.

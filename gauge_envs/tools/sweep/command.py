@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sweep.session import SweepSession
     from gauge_envs.tools.sweep.spec import SweepSpec
 
-__all__ = ["query", "sweep"]
 
 MOST_DIGITS = 9
 """Most digits of the numbers of `--shard`."""
@@ -227,12 +226,7 @@ def _processors() -> int:
 
 
 def _lanes(ray: str | None, workers: int | None, count: int, limits: Limits, most: int) -> list[Lane]:
-    """Return the lanes, at most so many as there are tasks.
-
-    Raises:
-        ParameterError: A limit is wrong, or there is no cluster at the address.
-        MissingExtraError: Ray is not installed.
-    """
+    """Return the lanes, at most so many as there are tasks."""
     from gauge_envs.tools.sweep.lanes import WorkerLane
     from gauge_envs.tools.sweep.ray_lanes import ray_lanes
 

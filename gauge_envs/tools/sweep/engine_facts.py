@@ -13,8 +13,6 @@ from gauge_envs.files import versions
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.tools.sweep.key import content_sha256
 
-__all__ = ["EngineFacts", "SettingsFacts", "engine_facts"]
-
 FACTS_LIMIT_S = 600.0
 """Time limit of the questions to an engine of another package [s]."""
 
@@ -59,12 +57,6 @@ def engine_facts(
         experiments: The experiments.
         choices: Settings that replace those of the presets.
         isolate: Ask an engine of this package in another process, too.
-
-    Raises:
-        UnknownNameError: No such engine or preset.
-        MissingExtraError: The engine is not installed.
-        ParameterError: A setting does not exist or has an invalid value.
-        GaugeError: The engine crashed, or exceeded the time limit.
     """
     if backend not in backend_names():
         raise UnknownNameError("backend", backend, backend_names())

@@ -15,8 +15,6 @@ from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.plan import SweepTask
 from gauge_envs.tools.sweep.store import read_only
 
-__all__ = ["Cost", "EarlierCosts"]
-
 
 @dataclass(frozen=True)
 class Cost:

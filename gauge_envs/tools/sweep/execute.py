@@ -15,8 +15,6 @@ from gauge_envs.tools.sweep.plan import SweepTask
 from gauge_envs.tools.sweep.schedule import Schedule
 from gauge_envs.tools.sweep.store import SweepStore
 
-__all__ = ["run_tasks"]
-
 MOST_LOSSES = 3
 """Lanes that a task may lose before it counts as failed."""
 
@@ -36,9 +34,6 @@ def run_tasks(
         lanes: The lanes.
         folder: Folder of the result files.
         store: Store that gets a row for each; None leaves it as it is.
-
-    Raises:
-        ResultFileError: A result cannot be written.
     """
     threads = _LaneThreads(Schedule(tasks), lanes)
     try:

@@ -19,8 +19,6 @@ from gauge_envs.runs.batch import check_writable
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, write_result
 
-__all__ = ["STORE_NAME", "SweepFolder"]
-
 STORE_NAME = "sweep.sqlite"
 
 SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.DECLINED: "declined"}
@@ -42,11 +40,7 @@ class SweepFolder:
         return self.path / STORE_NAME
 
     def create(self) -> None:
-        """Create the folders that do not exist.
-
-        Raises:
-            ResultFileError: They cannot be created or written.
-        """
+        """Create the folders that do not exist."""
         for name in ("", *SUBFOLDERS.values()):
             check_writable(self.path / name)
 
@@ -56,9 +50,6 @@ class SweepFolder:
 
         Args:
             shared: Let parts of a sweep in, which hold the lock in the same way.
-
-        Raises:
-            ResultFileError: Another sweep holds it.
         """
         try:
             with locked(self.path, name=".sweep.lock", waits=False, shared=shared):
@@ -76,11 +67,7 @@ class SweepFolder:
                 yield from (one for one in entries if one.name.endswith(".json") and not one.name.startswith("."))
 
     def write(self, result: Result, name: str) -> Path:
-        """Write a result file and return its path; a file of an earlier failure of the episode is removed.
-
-        Raises:
-            ResultFileError: It cannot be written.
-        """
+        """Write a result file and return its path; a file of an earlier failure of the episode is removed."""
         file = self.path / SUBFOLDERS.get(result.outcome, "") / name
         write_result(result, file)
         for folder in SUBFOLDERS.values():
@@ -89,9 +76,5 @@ class SweepFolder:
         return file
 
     def read(self, file: Path) -> Result:
-        """Read a file of the folder.
-
-        Raises:
-            ResultFileError: It is damaged.
-        """
+        """Read a file of the folder."""
         return load_result(file, needs_trajectory=file.parent == self.path)

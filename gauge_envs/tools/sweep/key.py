@@ -19,8 +19,6 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready
 from gauge_envs.references.imported import dataset_record
 
-__all__ = ["KEY_LENGTH", "content_sha256", "episode_key", "experiment_sha256", "run_sha256"]
-
 KEY_FORMAT = 1
 """Number of this way to make keys; another way gets another number, so that no old result is taken for a new one."""
 
@@ -29,11 +27,7 @@ KEY_LENGTH = 16
 
 
 def content_sha256(value: Any) -> str:
-    """Return the hash of a value of dataclasses, mappings, sequences, arrays, enums, numbers, texts and None.
-
-    Raises:
-        TypeError: A part of the value is of another type.
-    """
+    """Return the hash of a value of dataclasses, mappings, sequences, arrays, enums, numbers, texts and None."""
     return hashlib.sha256(json.dumps(_plain(value), sort_keys=True, allow_nan=True).encode()).hexdigest()
 
 

@@ -15,8 +15,6 @@ from gauge_envs.runs.isolation import TIME_LIMIT_S, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 
-__all__ = ["Lane", "LaneLostError", "Limits", "WorkerLane"]
-
 
 class LaneLostError(GaugeError, RuntimeError):
     """A lane ended through no fault of its task, as the machine that it was on; the task can run again."""
@@ -41,11 +39,7 @@ class Lane(Protocol):
     """A place that runs one task after another."""
 
     def run(self, request: RunRequest) -> list[Result]:
-        """Return the results of a request, in the order of its seeds; those without a trajectory hold the reason.
-
-        Raises:
-            LaneLostError: The lane ended, or lost its machine; then a later call starts it again.
-        """
+        """Return the results of a request, in the order of its seeds; those without a trajectory hold the reason."""
 
     def close(self) -> None:
         """End the lane, also while another thread waits in `run`."""
@@ -56,9 +50,6 @@ class WorkerLane:
 
     Args:
         limits: Limits of the process.
-
-    Raises:
-        ParameterError: A limit is not positive, or cannot be kept on this system.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -68,11 +59,7 @@ class WorkerLane:
         self._is_closed = False
 
     def run(self, request: RunRequest) -> list[Result]:
-        """Return the results of a request; an episode that ends the process is `failed`, with the cause.
-
-        Raises:
-            LaneLostError: The lane is closed.
-        """
+        """Return the results of a request; an episode that ends the process is `failed`, with the cause."""
         if self._backend != request.backend:
             self._worker.close()
             self._backend = request.backend
@@ -101,8 +88,5 @@ def run_request(request: RunRequest) -> list[Result]:
 
     Args:
         request: The request, with the jitter that applies.
-
-    Raises:
-        GaugeError: The experiment cannot be loaded, also not with calibrated parameters.
     """
     return attempt(request, planned_results(request))[0]

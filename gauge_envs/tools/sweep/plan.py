@@ -15,8 +15,6 @@ from gauge_envs.tools.sweep.engine_facts import EngineFacts, engine_facts
 from gauge_envs.tools.sweep.key import KEY_LENGTH, episode_key, experiment_sha256, run_sha256
 from gauge_envs.tools.sweep.spec import MOST_EPISODES, SweepSpec
 
-__all__ = ["SweepPlan", "SweepRun", "SweepTask", "plan_sweep", "remaining_tasks", "shard"]
-
 
 @dataclass(frozen=True)
 class SweepRun:
@@ -104,13 +102,6 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
     Args:
         spec: What it covers.
         isolate: Ask also the engines of this package in another process.
-
-    Raises:
-        ParameterError: The sweep has too many episodes, no experiment takes one of the parameters, or an engine does
-            not take a setting.
-        UnknownNameError: A pattern, an engine or a preset is unknown.
-        MissingExtraError: An engine is not installed.
-        AssetError: An experiment file cannot be used.
     """
     count = spec.episode_count()
     if count > MOST_EPISODES:
@@ -241,9 +232,6 @@ def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
         plan: The plan.
         number: Number of the part, from 0.
         count: Number of parts.
-
-    Raises:
-        ParameterError: There is no such part.
     """
     if not 0 <= number < count:
         raise ParameterError(f"shard {number}/{count}: expected a number from 0 to {count - 1}")

@@ -13,7 +13,6 @@ from gauge_envs.cli.output import plain_text, progress_bar
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
-__all__ = ["SweepProgress"]
 
 LINE_INTERVAL_S = 5.0
 """Time between two lines where there is no terminal [s]."""

@@ -15,8 +15,6 @@ from gauge_envs.files import MEGABYTE
 from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.store import COLUMNS, SweepStore, read_only
 
-__all__ = ["query_sweep"]
-
 TIME_LIMIT_S = 60.0
 """Time limit of a statement [s]."""
 
@@ -51,10 +49,6 @@ def query_sweep(
         notify: Receives a sentence for a damaged store, for each damaged file, and for a store that is not up to date.
         time_limit_s: Time limit of the statement [s].
         most_bytes: Largest memory of the values of the answer.
-
-    Raises:
-        ResultFileError: The folder does not exist or holds no results, or the store cannot be read.
-        ParameterError: The statement is wrong, does anything but read, or exceeds a limit.
     """
     folder = SweepFolder(path)
     if next(folder.files(), None) is None:
@@ -74,11 +68,7 @@ def query_sweep(
 def _answer(
     connection: sqlite3.Connection, sql: str, time_limit_s: float, most_bytes: int
 ) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Return the columns and rows of a statement.
-
-    Raises:
-        ParameterError: The statement is wrong, does anything but read, or exceeds a limit.
-    """
+    """Return the columns and rows of a statement."""
     end_s = time.monotonic() + time_limit_s
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_VALUE_BYTES)
     connection.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)

@@ -10,8 +10,6 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.sweep.lanes import LaneLostError, Limits, WorkerLane
 
-__all__ = ["RayLane", "ray_lanes"]
-
 
 class RayLane:
     """A lane in an actor of a Ray cluster. The actor keeps its engine, and serves an experiment at a time.
@@ -32,11 +30,7 @@ class RayLane:
         self._actor: Any = None
 
     def run(self, request: RunRequest) -> list[Result]:
-        """Return the results of a request.
-
-        Raises:
-            LaneLostError: The actor died.
-        """
+        """Return the results of a request."""
         if self._actor is None:
             self._actor = self._class.remote(self._limits)
         try:
@@ -64,10 +58,6 @@ def ray_lanes(address: str, count: int | None, limits: Limits) -> list[RayLane]:
             address of a cluster.
         count: Number of lanes, or None.
         limits: Limits of their processes.
-
-    Raises:
-        MissingExtraError: Ray is not installed.
-        ParameterError: There is no cluster at that address.
     """
     try:
         import ray

@@ -8,8 +8,6 @@ from collections.abc import Iterable
 
 from gauge_envs.tools.sweep.plan import SweepTask
 
-__all__ = ["Schedule"]
-
 Group = tuple[str, str]
 """Engine and experiment."""
 

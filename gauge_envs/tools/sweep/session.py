@@ -14,8 +14,6 @@ from gauge_envs.tools.sweep.lanes import Lane
 from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask, remaining_tasks
 from gauge_envs.tools.sweep.store import SweepStore
 
-__all__ = ["SweepSession"]
-
 
 class SweepSession:
     """A sweep in a folder, which it holds against other sweeps. Use it in a `with` statement.
@@ -66,11 +64,7 @@ class SweepSession:
         self._stack = ExitStack()
 
     def __enter__(self) -> SweepSession:
-        """Hold the folder, bring its store up to date, and find what is left.
-
-        Raises:
-            ResultFileError: The folder cannot be written, or another sweep holds it.
-        """
+        """Hold the folder, bring its store up to date, and find what is left."""
         self._folder.create()
         with ExitStack() as stack:
             stack.enter_context(self._folder.lock(shared=self._is_part))
@@ -106,8 +100,5 @@ class SweepSession:
 
         Args:
             lanes: Where the tasks run; they are closed at the end.
-
-        Raises:
-            ResultFileError: A result cannot be written.
         """
         return run_tasks(self.tasks, lanes, self._folder, self._store)

@@ -9,8 +9,6 @@ from pathlib import Path
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import write_whole
 
-__all__ = ["slurm_script", "write_slurm_script"]
-
 SCRIPT = '''"""Submit a sweep to Slurm as one job array: python {name}
 
 Each job runs one part of the plan. Run the script again to continue: jobs skip what is there. To try it on this
@@ -66,9 +64,6 @@ def slurm_script(name: str, arguments: Sequence[str], *, jobs: int, workers: int
         jobs: Jobs of the array.
         workers: Worker processes of a job.
         log_folder: Folder for what the jobs print.
-
-    Raises:
-        ParameterError: The number of jobs is not positive.
     """
     if jobs < 1:
         raise ParameterError(f"--jobs {jobs}: expected 1 or more")
@@ -84,11 +79,7 @@ def slurm_script(name: str, arguments: Sequence[str], *, jobs: int, workers: int
 
 
 def write_slurm_script(file: Path, text: str) -> None:
-    """Write the script.
-
-    Raises:
-        ResultFileError: It cannot be written.
-    """
+    """Write the script."""
     try:
         write_whole(file, text.encode())
     except OSError as error:

@@ -34,8 +34,6 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import MEGABYTE, outside_reason, read_regular, toml_document
 from gauge_envs.scene.jitter import Jitter
 
-__all__ = ["MOST_EPISODES", "SweepSpec", "load_sweep_file", "sweep_spec"]
-
 MOST_EPISODES = 1_000_000
 """Largest number of episodes of a sweep."""
 
@@ -112,11 +110,7 @@ class SweepSpec(_Model):
         return None if self.jitter is None else Jitter(**self.jitter.model_dump())
 
     def subjects(self) -> list[Variant | str]:
-        """Return the variants and experiment files, each once.
-
-        Raises:
-            UnknownNameError: A pattern matches nothing.
-        """
+        """Return the variants and experiment files, each once."""
         return list(dict.fromkeys(subject for pattern in self.variants for subject in matching_subjects(pattern)))
 
     def setting_lists(self, backend: str) -> dict[str, list[Any]]:
@@ -133,21 +127,13 @@ class SweepSpec(_Model):
             yield dict(zip(lists, values, strict=True))
 
     def episode_count(self) -> int:
-        """Return the number of combinations, without looking for equal ones.
-
-        Raises:
-            UnknownNameError: A pattern matches nothing.
-        """
+        """Return the number of combinations, without looking for equal ones."""
         choices = sum(prod(map(len, self.setting_lists(name).values())) for name in dict.fromkeys(self.backends))
         return choices * len(self.subjects()) * len(self.parameters) * self.repeats
 
 
 def sweep_spec(values: Mapping[str, Any]) -> SweepSpec:
-    """Return the sweep of keywords, which are the keys of a sweep file.
-
-    Raises:
-        ParameterError: A key is unknown or missing, or a value has the wrong type or is out of range.
-    """
+    """Return the sweep of keywords, which are the keys of a sweep file."""
     try:
         return SweepSpec.model_validate(dict(values))
     except ValidationError as error:
@@ -161,10 +147,6 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
 
     Returns:
         Its keys and values, for `sweep_spec`.
-
-    Raises:
-        SweepFileError: The file cannot be read, is not TOML, has an unknown key or a value of the wrong type, or names
-            an experiment file outside its folder.
     """
     path = Path(path)
     try:
@@ -194,11 +176,7 @@ def _located(path: Path, name: str) -> str:
 
 
 def _check_values(key: str, values: Any) -> None:
-    """Check that the values of a setting are a list of numbers, texts, booleans or lists of them.
-
-    Raises:
-        ValueError: They are not.
-    """
+    """Check that the values of a setting are a list of numbers, texts, booleans or lists of them."""
     if not isinstance(values, list) or not values:
         raise ValueError(f"settings.{key}: a list of one or more values is expected, as [0.001, 0.002]")
     for value in values:

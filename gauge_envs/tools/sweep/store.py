@@ -22,8 +22,6 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.key import KEY_LENGTH
 
-__all__ = ["COLUMNS", "SweepStore", "read_only"]
-
 Notify = Callable[[str], None]
 
 BUSY_LIMIT_S = 60.0
@@ -81,11 +79,7 @@ COLUMNS = {
 
 
 def read_only(path: Path) -> sqlite3.Connection:
-    """Return a connection to a store that cannot write, and that reads no other file.
-
-    Raises:
-        ResultFileError: It cannot be opened.
-    """
+    """Return a connection to a store that cannot write, and that reads no other file."""
     _check_regular(path)
     try:
         connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_LIMIT_S)
@@ -96,11 +90,7 @@ def read_only(path: Path) -> sqlite3.Connection:
 
 
 def _check_regular(path: Path) -> None:
-    """Check that SQLite would open a file: it would wait for ever for the other end of a FIFO.
-
-    Raises:
-        ResultFileError: It is something else.
-    """
+    """Check that SQLite would open a file: it would wait for ever for the other end of a FIFO."""
     if path.exists() and not path.is_file():
         raise ResultFileError(f"{path}: cannot be opened: it is not a regular file")
 
@@ -113,9 +103,6 @@ class SweepStore:
     Args:
         folder: The folder.
         notify: Receives a sentence for a damaged store and for each damaged file.
-
-    Raises:
-        ResultFileError: The store cannot be opened.
     """
 
     def __init__(self, folder: SweepFolder, notify: Notify) -> None:
@@ -150,11 +137,7 @@ class SweepStore:
             ) from error
 
     def add(self, result: Result, file: Path) -> None:
-        """Add or replace the row of a result file.
-
-        Raises:
-            ResultFileError: The row cannot be written.
-        """
+        """Add or replace the row of a result file."""
         row = _row(result, file, self._name(file))
         marks = ", ".join("?" * len(COLUMNS))
         with self._used():
@@ -163,11 +146,7 @@ class SweepStore:
             self._connection.execute(f"INSERT OR REPLACE INTO results VALUES ({marks})", [row[c] for c in COLUMNS])
 
     def diverged(self, names: Container[str]) -> dict[str, Outcome]:
-        """Return those of some file names whose episodes diverged, with that outcome.
-
-        Raises:
-            ResultFileError: The store cannot be read.
-        """
+        """Return those of some file names whose episodes diverged, with that outcome."""
         with self._used():
             rows = self._connection.execute("SELECT file FROM results WHERE outcome = ?", [Outcome.DIVERGED.value])
             return {name: Outcome.DIVERGED for (name,) in rows if name in names}
@@ -176,9 +155,6 @@ class SweepStore:
         """Make the rows those of the files, and return how many files were read.
 
         A file whose size and time are those of its row is not read again. A damaged file is moved aside.
-
-        Raises:
-            ResultFileError: The store cannot be read or written.
         """
         with self._used():
             rows = self._connection.execute("SELECT file, file_bytes, file_mtime_ns FROM results")
@@ -223,12 +199,7 @@ class _DamagedError(Exception):
 
 
 def _connected(path: Path) -> sqlite3.Connection:
-    """Return a connection to a store, which is created if it does not exist.
-
-    Raises:
-        _DamagedError: The file is no store, or has other columns.
-        sqlite3.OperationalError: It cannot be opened.
-    """
+    """Return a connection to a store, which is created if it does not exist."""
     connection = sqlite3.connect(path, timeout=BUSY_LIMIT_S)
     try:
         # The files are written safely, and the store can be made again from them.

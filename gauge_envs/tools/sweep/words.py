@@ -16,17 +16,6 @@ from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep.estimate import Cost, EarlierCosts
 from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
 
-__all__ = [
-    "cost_text",
-    "duration_text",
-    "outcome_table",
-    "plan_rows",
-    "plan_table",
-    "query_csv",
-    "query_records",
-    "query_table",
-]
-
 
 def duration_text(seconds: float) -> str:
     """Return a duration in the unit that fits it, as `4.2 min`."""
@@ -132,11 +121,7 @@ def query_csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def query_records(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[dict[str, Any]]:
-    """Return the answer to a query as JSON-ready objects; bytes are written in hexadecimal digits.
-
-    Raises:
-        ParameterError: Two columns have the same name.
-    """
+    """Return the answer to a query as JSON-ready objects; bytes are written in hexadecimal digits."""
     if len({*columns}) < len(columns):
         twice = next(name for name, count in Counter(columns).items() if count > 1)
         raise ParameterError(f"two columns have the name {twice!r}, and JSON keeps one: name them with AS")

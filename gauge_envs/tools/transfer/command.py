@@ -22,7 +22,6 @@ from gauge_envs.errors import ParameterError
 if TYPE_CHECKING:
     from gauge_envs.tools.transfer.envelope import Envelope
 
-__all__ = ["envelope", "transfer"]
 
 DEFAULT_ENGINES = ("mujoco", "newton")
 

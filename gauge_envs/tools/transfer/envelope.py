@@ -24,8 +24,6 @@ from gauge_envs.scene import Scene
 from gauge_envs.tools.transfer.policy_replays import make_control_env
 from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
 
-__all__ = ["Envelope", "LawPolicy", "control_envelope", "experiment_envelope", "sobol_sigmas"]
-
 FloatArray = NDArray[np.float64]
 
 LARGEST_SAMPLE_COUNT = 2**16
@@ -39,9 +37,6 @@ class LawPolicy:
         fraction: Share of the law's limit that it uses.
         informed: Whether it knows the constants of each world. Otherwise it takes the actions that it takes with the
             calibrated constants.
-
-    Raises:
-        ParameterError: The share is negative or not finite.
     """
 
     fraction: float = 0.95
@@ -101,9 +96,6 @@ def sobol_sigmas(count: int, dimensions: int, *, seed: int = 0) -> FloatArray:
         count: Number of points, a power of 2.
         dimensions: Number of coordinates.
         seed: Seed of the scrambling.
-
-    Raises:
-        ParameterError: The number is no power of 2 from 2 to 65536.
     """
     if not 2 <= count <= LARGEST_SAMPLE_COUNT or count & (count - 1):
         raise ParameterError(f"{count} samples: a Sobol sequence needs a power of 2 from 2 to {LARGEST_SAMPLE_COUNT}")
@@ -135,10 +127,6 @@ def experiment_envelope(
         seed: Seed of the points.
         batch: Number of worlds in one vector environment.
         notify: Function that gets the number of points that are done.
-
-    Raises:
-        ParameterError: The numbers are out of range, or the experiment has no uncertain parameter.
-        GaugeError: See `GaugeVectorEnv`.
     """
     experiment = load_experiment(variant)
     parameters = uncertain_parameters(experiment)
@@ -229,10 +217,6 @@ def control_envelope(
         seed: Seed of the points.
         batch: Number of worlds at a time, which bounds the memory.
         notify: Function that gets the number of points that are done.
-
-    Raises:
-        ParameterError: The numbers are out of range, or the task has no uncertain parameter.
-        GaugeError: See `ControlEnv`.
     """
     policy = policy or LawPolicy()
 

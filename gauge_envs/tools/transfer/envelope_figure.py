@@ -16,18 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_envelope", "save_envelope"]
 
 COLUMNS = 3
 
 
 def save_envelope(envelope: Envelope, report: EnvelopeReport, path: Path) -> Path:
-    """Write the picture of `draw_envelope` as PNG, and return its path.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ResultFileError: The file cannot be written.
-    """
+    """Write the picture of `draw_envelope` as PNG, and return its path."""
     return save_png(draw_envelope(envelope, report), path)
 
 
@@ -37,9 +31,6 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
     Args:
         envelope: The points.
         report: Its report.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
     """
     rows = math.ceil((1 + len(report.effects)) / COLUMNS)
     figure = new_figure(10.5, 3.1 * rows + 0.5)

@@ -14,8 +14,6 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import UncertainParameter
 from gauge_envs.tools.transfer.envelope import Envelope
 
-__all__ = ["EnvelopeReport", "ParameterEffect", "envelope_report", "is_constant"]
-
 ROUNDING = 1e-9
 """Relative differences below it are rounding."""
 
@@ -78,9 +76,6 @@ def envelope_report(envelope: Envelope) -> EnvelopeReport:
     """Return the distribution of the quantity and the effect of each parameter.
 
     Points where an episode diverged count among the endings alone.
-
-    Raises:
-        ParameterError: Fewer than two episodes have a value.
     """
     known = np.isfinite(envelope.values)
     values, sigmas = envelope.values[known], envelope.sigmas[known]

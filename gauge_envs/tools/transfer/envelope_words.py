@@ -10,8 +10,6 @@ from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import value_text
 from gauge_envs.tools.transfer.envelope_statistics import EnvelopeReport, ParameterEffect
 
-__all__ = ["envelope_json", "envelope_table", "envelope_verdict"]
-
 
 def envelope_verdict(report: EnvelopeReport) -> str:
     """Return the result in a few sentences."""

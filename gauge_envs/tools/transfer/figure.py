@@ -12,28 +12,18 @@ from gauge_envs.tools.transfer.transfer import FALL_SHARE, TransferReport
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw_transfer", "save_transfer"]
 
 LONG_NAME = 48
 """Length at which the name of a world continues in a second line [characters]."""
 
 
 def save_transfer(report: TransferReport, path: Path) -> Path:
-    """Write the picture of `draw_transfer` as PNG, and return its path.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        ResultFileError: The file cannot be written.
-    """
+    """Write the picture of `draw_transfer` as PNG, and return its path."""
     return save_png(draw_transfer(report), path)
 
 
 def draw_transfer(report: TransferReport) -> Figure:
-    """Return the picture of kept rewards: a point with its interval for each world.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-    """
+    """Return the picture of kept rewards: a point with its interval for each world."""
     rows = (report.training, *report.others)
     names = ["\n".join(wrap(row.world.name, LONG_NAME, break_on_hyphens=False)) for row in rows]
     # Two lines of a name need more height than one world has.

@@ -22,19 +22,6 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at
 from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
 
-__all__ = [
-    "Replay",
-    "ReplayWorld",
-    "Replays",
-    "WorldKind",
-    "make_control_env",
-    "other_worlds",
-    "play_paid",
-    "replay",
-    "start_overrides",
-    "training_world",
-]
-
 MOST_SIGMAS = 10.0
 """Largest change of a constant, in standard uncertainties: beyond, no measurement says what a distribution is."""
 
@@ -123,10 +110,6 @@ def make_control_env(task: str, **arguments: Any) -> ControlEnv:
     Args:
         task: Name or Gymnasium id.
         **arguments: Keywords of `ControlEnv`.
-
-    Raises:
-        UnknownNameError: No such task.
-        GaugeError: See `ControlEnv`.
     """
     env = gymnasium.make(find_control_task(task).id, **arguments).unwrapped
     assert isinstance(env, ControlEnv)
@@ -157,10 +140,6 @@ def other_worlds(
         engines: Engines with settings that replace those of their presets; each is run with calibrated constants.
         sigmas: Numbers of standard uncertainties, positive; each constant is moved by them in both directions, in each
             of `engines`.
-
-    Raises:
-        ParameterError: A number of standard uncertainties is not positive, or above `MOST_SIGMAS`.
-        GaugeError: The training's world cannot be built.
     """
     if any(not 0.0 < number <= MOST_SIGMAS for number in sigmas):
         raise ParameterError(f"sigmas are numbers above 0, at most {MOST_SIGMAS:g}; both directions are run for each")
@@ -216,9 +195,6 @@ def start_overrides(env: ControlEnv, count: int, *, seed: int = 0) -> list[dict[
         env: The task, without wrappers.
         count: Number of starts, 1 or more. A task whose start has no stated uncertainty has one start.
         seed: Seed of the random numbers.
-
-    Raises:
-        ParameterError: The number is below 1.
     """
     if count < 1:
         raise ParameterError(f"{count} starts: give 1 or more")
@@ -266,12 +242,6 @@ def replay(
         starts: Number of starts in each world; the first is the calibrated one.
         seed: Seed of the other starts.
         notify: Function that gets the name of each world before it runs.
-
-    Raises:
-        ParameterError: Two worlds have the same name.
-        GaugeError: The world of the training cannot be built or run, or a policy raises an error.
-        UnknownNameError: A world's engine does not exist.
-        MissingExtraError: A world's engine is not installed.
     """
     names = Counter(world.name for world in (training, *others))
     if twice := [name for name, count in names.items() if count > 1]:

@@ -12,9 +12,6 @@ from gauge_envs.experiments.uncertain import UncertainParameter
 from gauge_envs.files import write_whole
 from gauge_envs.scene import Box, Pose, RigidBody, Scene, Sphere
 
-__all__ = ["ConstantRange", "StartRange", "randomization_files", "ranges_of", "write_randomization"]
-
-
 ALONG_AXIS = 0.99999
 """Smallest component of a unit vector that counts as along an axis: 0.3 degrees."""
 
@@ -53,9 +50,6 @@ def ranges_of(parameters: Sequence[UncertainParameter], width: float = 2.0) -> l
     Args:
         parameters: The parameters.
         width: Number of standard uncertainties, above 0.
-
-    Raises:
-        ParameterError: The width is not above 0.
     """
     if not width > 0.0:
         raise ParameterError(f"width {width}: give a number of standard uncertainties above 0")
@@ -70,12 +64,7 @@ def ranges_of(parameters: Sequence[UncertainParameter], width: float = 2.0) -> l
 def write_randomization(
     folder: Path, task: str, scene: Scene, parameters: Sequence[UncertainParameter], width: float = 2.0
 ) -> list[Path]:
-    """Write the files of `randomization_files` to a folder, and return their paths.
-
-    Raises:
-        ParameterError: The width is not above 0.
-        ResultFileError: The folder cannot be written.
-    """
+    """Write the files of `randomization_files` to a folder, and return their paths."""
     files = randomization_files(task, scene, parameters, width)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,9 +85,6 @@ def randomization_files(
         scene: Scene of the task.
         parameters: Its uncertain parameters.
         width: Number of standard uncertainties to each side.
-
-    Raises:
-        ParameterError: The width is not above 0.
     """
     ranges = ranges_of(parameters, width)
     heading = "\n".join(_heading(task, ranges, width))

@@ -15,8 +15,6 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.tools.transfer.policy_replays import Replay, Replays, ReplayWorld, WorldKind
 
-__all__ = ["FALL_SHARE", "Estimate", "TransferReport", "WorldTransfer", "transfer_report"]
-
 FALL_SHARE = 0.9
 """A policy falls where it keeps less than this share of its promise, as far as the law allows that there."""
 
@@ -99,9 +97,6 @@ def transfer_report(replays: Replays) -> TransferReport:
 
     Args:
         replays: The episodes.
-
-    Raises:
-        ParameterError: There is no world but the training, or the reward that was promised is not positive.
     """
     if len(replays.worlds) < 2:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in replays.left_out.items())

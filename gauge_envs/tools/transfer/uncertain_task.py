@@ -10,8 +10,6 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, uncertain_parameters
 
-__all__ = ["task_uncertainties"]
-
 
 def task_uncertainties(env: ControlEnv) -> tuple[UncertainParameter, ...]:
     """Return the uncertain inputs of a control task around its calibrated values.

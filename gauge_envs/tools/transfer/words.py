@@ -9,8 +9,6 @@ from gauge_envs.files import json_ready
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.tools.transfer.transfer import FALL_SHARE, Estimate, TransferReport, WorldTransfer
 
-__all__ = ["transfer_json", "transfer_table", "transfer_verdict"]
-
 
 def transfer_verdict(report: TransferReport) -> str:
     """Return the result in a few sentences."""

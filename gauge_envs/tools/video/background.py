@@ -8,10 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.frames import Picture, opencv
+from gauge_envs.tools.video.grid import Picture, opencv
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
-
-__all__ = ["Background", "Region", "background", "brightness", "noise_level"]
 
 Region: TypeAlias = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of a picture [px]."""

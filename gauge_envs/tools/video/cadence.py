@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from gauge_envs.tools.video.frames import Frames
 from gauge_envs.tools.video.grid import opencv
 
-__all__ = ["Cadence", "cadence_of", "read_cadence"]
-
 SMALL_PX = (208, 120)
 """Width and height to which pictures are averaged before they are compared [px]."""
 
@@ -63,9 +61,6 @@ def read_cadence(frames: Frames) -> Cadence:
 
     Args:
         frames: The video.
-
-    Raises:
-        VideoError: It cannot be decoded.
     """
     cv2 = opencv()
     differences: list[float] = []

@@ -12,8 +12,6 @@ from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
 from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, Pose
 
-__all__ = ["read_camera"]
-
 FloatArray: TypeAlias = NDArray[np.float64]
 
 TOP = {"size_px", "points", "lens", "pose", "plane", "motion"}

@@ -26,7 +26,6 @@ from gauge_envs.files import write_whole
 if TYPE_CHECKING:
     from gauge_envs.tools.video import PlaneView, Track
 
-__all__ = ["video_app", "video_list", "video_prompts", "video_render", "video_report", "video_score"]
 
 video_app = typer.Typer(help="Videos of world models, judged by the laws of motion.", no_args_is_help=True)
 

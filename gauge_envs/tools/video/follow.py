@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.tools.video.background import Background, brightness, noise_level
-from gauge_envs.tools.video.frames import Picture, opencv
-
-__all__ = ["DiskFollower", "FaceFollower", "PatchFollower", "Sight"]
+from gauge_envs.tools.video.grid import Picture, opencv
 
 LEAST_DIFFERENCE = 14.0
 """Smallest difference from the background that counts as an object, in grey values of 255."""

@@ -18,8 +18,6 @@ from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE
 from gauge_envs.tools.video.grid import Picture, Registration, opencv, stretched
 
-__all__ = ["ArrayFrames", "FileFrames", "Frames", "Picture", "opencv", "read_picture"]
-
 MOST_BYTES = 2000 * MEGABYTE
 """Largest size of a video file."""
 
@@ -89,10 +87,6 @@ class FileFrames(Frames):
     Args:
         path: File that OpenCV can decode, such as MP4 or WebM.
         fps: Frames per second, instead of the rate that the file states.
-
-    Raises:
-        MissingExtraError: OpenCV is not installed.
-        VideoError: The file is missing, too large or no video, or its size or rate is out of range.
     """
 
     def __init__(self, path: Path, *, fps: float | None = None) -> None:
@@ -126,11 +120,7 @@ class FileFrames(Frames):
         return np.array(self._times_s) if self._has_own_times and self._times_s else None
 
     def native(self) -> Iterator[NDArray[np.uint8]]:
-        """Yield all pictures in their own size.
-
-        Raises:
-            VideoError: There are too many frames, or none can be decoded.
-        """
+        """Yield all pictures in their own size."""
         cv2 = opencv()
         capture = self._opened()
         times: list[float] = []
@@ -168,9 +158,6 @@ class ArrayFrames(Frames):
     Args:
         frames: Pictures in red, green and blue, each of shape [height, width, 3] and type uint8.
         fps: Frames per second.
-
-    Raises:
-        VideoError: There is no frame, a frame has another shape or type, or size or rate is out of range.
     """
 
     def __init__(self, frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8], *, fps: float) -> None:
@@ -197,11 +184,7 @@ class ArrayFrames(Frames):
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Return a picture from a file: blue, green and red, shape [height, width, 3].
-
-    Raises:
-        VideoError: It is missing, too large or no picture.
-    """
+    """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
     if not path.is_file():
         raise VideoError(f"{path}: there is no such file")
     if path.stat().st_size > MOST_PICTURE_BYTES:

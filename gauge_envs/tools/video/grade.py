@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
-__all__ = ["Grade", "grade_of"]
-
 LEAST_RETAINED = 5
 """Fewest retained frames of a valid clip."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
-__all__ = ["Picture", "Registration", "opencv", "stretched"]
-
 Picture: TypeAlias = NDArray[np.uint8]
 """A picture on the reference grid, blue, green and red, shape [480, 832, 3]."""
 
@@ -79,11 +77,7 @@ def stretched(size_px: tuple[int, int]) -> Registration:
 
 
 def opencv() -> Any:
-    """Return OpenCV.
-
-    Raises:
-        MissingExtraError: It is not installed.
-    """
+    """Return OpenCV."""
     try:
         import cv2
     except ImportError as error:

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
-__all__ = ["WINDOW", "apices", "displacement_px", "retained", "swing_angles_rad"]
-
 FloatArray: TypeAlias = NDArray[np.float64]
 
 WINDOW = 6

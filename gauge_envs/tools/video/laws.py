@@ -23,16 +23,6 @@ from scipy.optimize import minimize, minimize_scalar
 
 from gauge_envs.errors import ParameterError
 
-__all__ = [
-    "AccelerationFit",
-    "DynamicError",
-    "OscillationFit",
-    "dynamic_error",
-    "fit_constant_acceleration",
-    "fit_damped_oscillation",
-    "momentum_transfer",
-]
-
 FloatArray: TypeAlias = NDArray[np.float64]
 
 GRAVITY_M_PER_S2 = 9.80665
@@ -121,9 +111,6 @@ def fit_constant_acceleration(
         displacement_m: Displacement along the fixed direction [m], shape [sample_count].
         release_within_s: Half-width of the interval around the first time in which the release is searched [s]; 0 for
             the paper's fit.
-
-    Raises:
-        ParameterError: There are fewer than four samples, they are not finite, or times do not increase.
     """
     times, values = _samples(times_s, displacement_m, LEAST_POINTS_QUADRATIC)
     release = float(times[0])
@@ -166,9 +153,6 @@ def dynamic_error(times_s: ArrayLike, positions_m: ArrayLike, *, mass_kg: float,
         positions_m: Positions in the plane [m], shape [sample_count, 2].
         mass_kg: Mass of the body [kg].
         friction: Coefficient of friction, 1.
-
-    Raises:
-        ParameterError: There are fewer than three samples, they are not finite, or times do not increase.
     """
     times, values = _samples(times_s, positions_m, 3)
     steps = np.diff(times)[:, None]
@@ -187,9 +171,6 @@ def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> flo
     Args:
         release_height_m: Height from which the incoming ball is released [m].
         apex_heights_m: Heights of the apices of the outgoing ball [m], shape [event_count].
-
-    Raises:
-        ParameterError: There is no apex, or a height is not positive and finite.
     """
     heights = np.asarray(apex_heights_m, dtype=float).ravel()
     if not heights.size:
@@ -215,9 +196,6 @@ def fit_damped_oscillation(
         times_s: Times [s], shape [sample_count], increasing; gaps are allowed.
         angles_rad: Angles against the vertical [rad], shape [sample_count].
         guess: Damping [1/s] and angular frequency [rad/s] from which the search starts, instead of the grid.
-
-    Raises:
-        ParameterError: There are fewer than eight samples, they are not finite or all equal, or times do not increase.
     """
     times, values = _samples(times_s, angles_rad, LEAST_POINTS_OSCILLATION)
     spread = float(((values - values.mean()) ** 2).sum())

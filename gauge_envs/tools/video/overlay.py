@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs.errors import VideoError
-from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, opencv
+from gauge_envs.tools.video.frames import FileFrames, Frames
+from gauge_envs.tools.video.grid import Picture, opencv
 from gauge_envs.tools.video.scoring import VideoScore
-
-__all__ = ["drawn_frames", "save_overlay"]
 
 COUNTED = (80, 200, 80)
 DROPPED = (150, 150, 150)
@@ -26,9 +25,6 @@ def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
         source: The video that was scored.
         result: Its result.
         path: File to write, MP4.
-
-    Raises:
-        VideoError: The file cannot be written.
     """
     cv2 = opencv()
     try:

@@ -11,12 +11,11 @@ import numpy as np
 
 from gauge_envs.errors import ResultFileError, VideoError
 from gauge_envs.tools.video import METRICS, Grade, VideoScore, video_task, video_tasks
-from gauge_envs.tools.video.frames import FileFrames, opencv
+from gauge_envs.tools.video.frames import FileFrames
+from gauge_envs.tools.video.grid import opencv
 from gauge_envs.tools.video.overlay import drawn_frames
 from gauge_envs.tools.video.published import published_results
 from gauge_envs.tools.video.words import TITLES, short_text
-
-__all__ = ["find_videos", "save_video_page", "video_page"]
 
 SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
 
@@ -53,11 +52,7 @@ tr > :first-child { position: sticky; left: 0; background: var(--page); } th .qu
 
 
 def find_videos(folder: Path) -> list[tuple[str, str, Path]]:
-    """Return the model, the task and the file of each video `<model>/<task>.mp4` in a folder, sorted.
-
-    Raises:
-        VideoError: There is no such folder, or it has no such file; the message lists the tasks.
-    """
+    """Return the model, the task and the file of each video `<model>/<task>.mp4` in a folder, sorted."""
     tasks = {task.id: order for order, task in enumerate(video_tasks())}
     files = sorted(folder.glob("*/*")) if folder.is_dir() else []
     found = [
@@ -79,9 +74,6 @@ def save_video_page(
         results: Results by model and task.
         files: Video files by model and task.
         out: Folder of the page; it is made if it does not exist.
-
-    Raises:
-        ResultFileError: The page cannot be written.
     """
     path = out / "index.html"
     try:

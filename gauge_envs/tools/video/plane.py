@@ -13,11 +13,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.frames import opencv
+from gauge_envs.tools.video.grid import opencv
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Track
-
-__all__ = ["Lens", "PlaneView", "PointPairs", "Pose", "frontal_task", "frontal_track"]
 
 FloatArray: TypeAlias = NDArray[np.float64]
 

@@ -20,8 +20,6 @@ from gauge_envs.errors import DatasetError, ParameterError
 from gauge_envs.files import MEGABYTE, read_regular, write_whole
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
-__all__ = ["COMMIT", "NOTE", "REPOSITORY", "SOURCE", "InputFile", "fetch_inputs", "input_files"]
-
 REPOSITORY = "https://github.com/InternRobotics/GAUGE"
 """Repository of the benchmark (MIT licence)."""
 
@@ -73,11 +71,7 @@ class InputFile(FileModel):
 
 @cache
 def input_files() -> tuple[InputFile, ...]:
-    """Return the table of all files: first frames, then prompts, then the negative prompt.
-
-    Raises:
-        ReferenceFileError: The table of this installation is damaged.
-    """
+    """Return the table of all files: first frames, then prompts, then the negative prompt."""
     file = scoring_folder("published") / "world_model_inputs.csv"
     return tuple(row for _, row in read_rows(file, list(InputFile.model_fields), InputFile))
 
@@ -94,11 +88,6 @@ def fetch_inputs(folder: Path, *, source: str = SOURCE, advance: Callable[[str],
 
     Returns:
         The files that were written.
-
-    Raises:
-        ParameterError: The source is neither an http address nor a folder.
-        DatasetError: A file cannot be fetched or is damaged, the folder holds another file of that name, or it cannot
-            be written.
     """
     read = _reader(source)
     # Before anything is fetched, all files that are there are checked.

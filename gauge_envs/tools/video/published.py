@@ -7,8 +7,6 @@ from functools import cache
 
 from gauge_envs.references.tables import scoring_folder
 
-__all__ = ["PUBLISHED_NAMES", "published_results"]
-
 PUBLISHED_NAMES = {"a": "a_m_s2", "qfi": "qfi", "r2": "r2", "pd": "pd_s", "mte": "mte", "de": "de_n"}
 """Names of the metrics in this package by those of the table."""
 

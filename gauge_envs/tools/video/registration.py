@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from gauge_envs.tools.video.grid import Registration, opencv, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION, Motion, VideoTask
 
-__all__ = ["registration_by_first_frame", "registration_by_outline"]
-
 CLOSE_PX = 2.0
 """Distance from the known outline at which an edge agrees [px]: the outlines were read by eye."""
 

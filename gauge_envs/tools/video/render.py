@@ -27,11 +27,9 @@ from gauge_envs.scene import Hinge, RigidBody, Scene
 from gauge_envs.scene import Motion as BodyMotion
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.video.frames import opencv
+from gauge_envs.tools.video.grid import opencv
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
-
-__all__ = ["Film", "FilmFrame", "film"]
 
 FloatArray = NDArray[np.float64]
 
@@ -79,12 +77,7 @@ class Film:
     track: Track
 
     def save(self, path: Path) -> Path:
-        """Write the film as MP4 and its exact track beside it, as `NAME.track.csv`; return the path of the track.
-
-        Raises:
-            VideoError: The file cannot be written.
-            MissingExtraError: OpenCV is not installed.
-        """
+        """Write the film as MP4 and its exact track beside it, as `NAME.track.csv`; return the path of the track."""
         cv2 = opencv()
         size = (self.pictures[0].shape[1], self.pictures[0].shape[0])
         try:
@@ -129,12 +122,6 @@ def film(
         seconds: Time from the release to the end [s]; None for the whole experiment, at most 8 s.
         release_s: Time at which the held object is released [s], rounded to 1/180 s. It may fall between two frames.
         seed: Seed of the engine.
-
-    Raises:
-        UnknownNameError: There is no such task or engine.
-        ParameterError: A parameter, setting, rate or time is wrong.
-        UnsupportedSceneError: The engine cannot build the scene.
-        RenderError: The machine has no OpenGL library.
     """
     chosen = video_task(task)
     samples_per_frame = SAMPLE_RATE_HZ / fps if fps > 0.0 else 0.0

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.frames import Picture, opencv
+from gauge_envs.tools.video.grid import Picture, opencv
 from gauge_envs.tools.video.track import Event
-
-__all__ = ["SceneWatch"]
 
 STRIDE = 3
 """Frames from one look to the next."""

@@ -27,8 +27,6 @@ from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
 
-__all__ = ["METRICS", "VideoScore", "score", "score_track"]
-
 FloatArray: TypeAlias = NDArray[np.float64]
 Metrics: TypeAlias = dict[str, float]
 

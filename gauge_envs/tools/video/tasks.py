@@ -13,8 +13,6 @@ from enum import StrEnum
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
 
-__all__ = ["REFERENCE_SIZE_PX", "Motion", "VideoTask", "video_task", "video_tasks"]
-
 REFERENCE_SIZE_PX = (832, 480)
 """Width and height of the first frames, on whose grid all pixel numbers are given."""
 

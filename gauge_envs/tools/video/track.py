@@ -17,8 +17,6 @@ from gauge_envs.files import MEGABYTE, read_regular
 from gauge_envs.tools.video.grid import Registration
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
-__all__ = ["Event", "Track", "read_track"]
-
 MOST_TRACK_BYTES = 16 * MEGABYTE
 """Largest size of a track file."""
 
@@ -132,11 +130,7 @@ def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFER
 
 
 def _rows(path: Path, text: str) -> Iterator[dict[str, str]]:
-    """Yield the rows of a track.
-
-    Raises:
-        VideoError: The text is no CSV, or lacks a column.
-    """
+    """Yield the rows of a track."""
     try:
         rows = csv.DictReader(io.StringIO(text, newline=""))
         missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]

@@ -14,14 +14,12 @@ from gauge_envs.errors import VideoError
 from gauge_envs.tools.video.background import Region, background
 from gauge_envs.tools.video.cadence import Cadence, read_cadence
 from gauge_envs.tools.video.follow import DiskFollower, FaceFollower, PatchFollower, Sight
-from gauge_envs.tools.video.frames import LEAST_FRAMES, Frames, Picture, read_picture
-from gauge_envs.tools.video.grid import Registration
+from gauge_envs.tools.video.frames import LEAST_FRAMES, Frames, read_picture
+from gauge_envs.tools.video.grid import Picture, Registration
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.scene_watch import SceneWatch
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track
-
-__all__ = ["track_object"]
 
 PLATE_RADIUS_PX = 235.0
 """Radius of the turntable in the first frames [px], with its rim."""
@@ -47,9 +45,6 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
         frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
         task: The task.
         first_frame: Picture that the model was given, on the whole grid; the video is registered by its points.
-
-    Raises:
-        VideoError: The video has too few frames, or cannot be decoded, or the picture cannot be read.
     """
     cadence = read_cadence(frames)
     count = int(cadence.is_new.sum())

@@ -12,8 +12,6 @@ from gauge_envs.pages.table import Column, Table, as_rich
 from gauge_envs.pages.text import value_text
 from gauge_envs.tools.video import METRICS, VideoScore, VideoTask
 
-__all__ = ["TITLES", "score_view", "short_text", "task_rows", "task_table"]
-
 TITLES = {
     "a_m_s2": "acceleration [m/s^2]",
     "qfi": "QFI",

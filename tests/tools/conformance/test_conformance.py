@@ -791,7 +791,7 @@ def test_command_needs_a_backend_or_the_list(gauge: Callable[..., Any]) -> None:
 def test_command_reports_progress_without_a_terminal(
     gauge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gauge_envs.tools.sanity.command._ProgressLines.INTERVAL_S", 0.0)
+    monkeypatch.setattr("gauge_envs.tools.conformance.command._ProgressLines.INTERVAL_S", 0.0)
     result = gauge("mujoco", "--only", "free-fall", "--only", "hold")
     assert "1 of 2 checks done, mujoco: free-fall" in result.stderr
     assert "2 of 2 checks done, mujoco: hold" in result.stderr

@@ -31,7 +31,7 @@ from gauge_envs.tools.video.plane import Pose  # noqa: E402
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX  # noqa: E402
 
 TASKS = ("SlopeSlider-2-metal", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal")
-SCORING = Path(__file__).parents[2] / "scoring"
+SCORING = Path(__file__).parents[3] / "scoring"
 FACTS = SCORING / "facts" / "recordings"
 
 LENS_AND_POSE = """

@@ -13,8 +13,6 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.closed_forms import ContactForm
 from gauge_envs.tools.recipes.probes import Build
 
-__all__ = ["ContactSettings", "numbers_text"]
-
 DIGITS = 6
 """Digits of the numbers of a recipe: those that are simulated are those that are printed."""
 
@@ -50,11 +48,7 @@ class ContactSettings(BaseModel, ABC):
 
     @classmethod
     def backend(cls) -> Backend:
-        """Return the backend that simulates the settings.
-
-        Raises:
-            MissingExtraError: The engine is not installed.
-        """
+        """Return the backend that simulates the settings."""
         return backend(cls.engine)
 
     @classmethod

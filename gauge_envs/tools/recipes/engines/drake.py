@@ -16,8 +16,6 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.probes import DROP_M, Build
 
-__all__ = ["DrakeSettings"]
-
 RATES = np.geomspace(0.5, 0.01, 60)
 """Natural frequency of a contact times the step, from hard to soft. Above 0.5 a rebound depends on its phase most."""
 

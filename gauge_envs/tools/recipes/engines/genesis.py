@@ -15,8 +15,6 @@ from gauge_envs.tools.recipes.closed_forms import ContactForm, MuJoCoContact
 from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers_text
 from gauge_envs.tools.recipes.probes import BALL_COUNT, DROP_M, PLATE_CONTACTS, Build, creep_slope_rad
 
-__all__ = ["GenesisSettings"]
-
 IMPACT_STEPS = (4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 50, 60)
 """Steps that half a period of a contact's spring lasts, from hard to soft."""
 

@@ -15,8 +15,6 @@ from gauge_envs.tools.recipes.closed_forms import ContactForm, MuJoCoContact
 from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers_text
 from gauge_envs.tools.recipes.probes import BALL_COUNT, DROP_M, PLATE_CONTACTS, Build, creep_slope_rad
 
-__all__ = ["MuJoCoSettings", "MuJoCoWarpSettings", "contact_of"]
-
 SETTLE_S = 0.2
 """Time constant with which a resting body of a one-step impact returns to its depth [s], where the step allows it."""
 

@@ -13,8 +13,6 @@ from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers_text
 from gauge_envs.tools.recipes.engines.mujoco import MuJoCoSettings, contact_of
 from gauge_envs.tools.recipes.probes import Build
 
-__all__ = ["NewtonSettings"]
-
 
 class NewtonSettings(ContactSettings):
     """Settings of SolverMuJoCo, and material of the shape that has priority.

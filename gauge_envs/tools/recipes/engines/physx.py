@@ -12,8 +12,6 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.probes import Build
 
-__all__ = ["PhysXSettings"]
-
 THRESHOLD_STEPS = 4.0
 """Bounce threshold over the speed that a resting body gains in a step."""
 
@@ -59,11 +57,7 @@ class PhysXSettings(ContactSettings):
         return self.dynamic_friction
 
     def build(self, mass_kg: float) -> Build:
-        """Return SAPIEN's defaults with these settings.
-
-        Raises:
-            ParameterError: The two coefficients of friction differ, which the contract of backends does not state.
-        """
+        """Return SAPIEN's defaults with these settings."""
         if self.static_friction != self.dynamic_friction:
             raise ParameterError(
                 f"static_friction {self.static_friction:g} and dynamic_friction {self.dynamic_friction:g}: recipes "

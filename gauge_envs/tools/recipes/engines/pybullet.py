@@ -11,8 +11,6 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.probes import Build
 
-__all__ = ["PyBulletSettings"]
-
 THRESHOLD_STEPS = 4.0
 """Threshold of rebounds over the speed that a resting body gains in a step."""
 

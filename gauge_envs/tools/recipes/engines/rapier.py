@@ -13,8 +13,6 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.probes import Build
 
-__all__ = ["RapierSettings"]
-
 MARGIN = 0.5
 """Share of the allowed depth that settings aim at: a plate on four points sinks by 1.66 times g / (2 pi f)^2."""
 

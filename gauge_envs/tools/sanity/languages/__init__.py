@@ -34,9 +34,5 @@ LANGUAGES: dict[str, Language] = {
 
 
 def language(name: str) -> Language:
-    """Return a language by the name that a `TrainingConfiguration` states.
-
-    Raises:
-        KeyError: There is no such language.
-    """
+    """Return a language by the name that a `TrainingConfiguration` states."""
     return LANGUAGES[name]

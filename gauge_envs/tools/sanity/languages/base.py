@@ -6,8 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-__all__ = ["Language", "number_text"]
-
 
 class Language(ABC):
     """Language in which a target states its settings.

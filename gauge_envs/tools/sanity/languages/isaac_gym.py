@@ -7,8 +7,6 @@ from typing import Any
 
 from gauge_envs.tools.sanity.languages.base import Language, number_text
 
-__all__ = ["IsaacGym"]
-
 KEYS = {
     "timestep_s": "sim.dt",
     "position_iterations": "sim.physx.num_position_iterations",

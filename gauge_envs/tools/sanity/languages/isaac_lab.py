@@ -8,8 +8,6 @@ from typing import Any, ClassVar
 
 from gauge_envs.tools.sanity.languages.base import Language, number_text
 
-__all__ = ["IsaacLab", "IsaacLab3"]
-
 SPAWN = "scene.robot.spawn"
 
 COLLIDER = f"{SPAWN}.collision_props"

@@ -7,8 +7,6 @@ from typing import Any
 
 from gauge_envs.tools.sanity.languages.base import Language, number_text
 
-__all__ = ["ManiSkill"]
-
 SCENE = {
     "bounce_threshold_m_per_s": "bounce_threshold",
     "sleep_threshold_m2_per_s2": "sleep_threshold",

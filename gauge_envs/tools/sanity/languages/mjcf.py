@@ -8,8 +8,6 @@ from typing import Any
 from gauge_envs.tools.sanity.languages.base import Language, number_text
 from gauge_envs.tools.sanity.languages.toml import toml_value
 
-__all__ = ["Mjcf"]
-
 OPTION = {
     "timestep_s": "timestep",
     "integrator": "integrator",

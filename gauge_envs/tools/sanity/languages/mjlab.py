@@ -9,8 +9,6 @@ from gauge_envs.tools.sanity.languages.base import Language, number_text
 from gauge_envs.tools.sanity.languages.mjcf import FLAG, GEOM, OPTION
 from gauge_envs.tools.sanity.languages.toml import toml_value
 
-__all__ = ["Mjlab"]
-
 SIMULATION = {"njmax": "njmax", "naconmax": "nconmax"}
 """Arguments of `SimulationCfg` by name of the setting; mjlab states contacts of one world."""
 

@@ -8,8 +8,6 @@ from typing import Any
 from gauge_envs.tools.sanity.languages.base import number_text
 from gauge_envs.tools.sanity.languages.mjcf import Mjcf
 
-__all__ = ["Playground"]
-
 CONFIG = {"timestep_s": "sim_dt", "njmax": "njmax", "naconmax": "naconmax", "impl": "impl"}
 """Keys of a task's configuration by name of the setting. Other options stand in the task's XML file alone."""
 

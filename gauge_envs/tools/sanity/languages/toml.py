@@ -7,8 +7,6 @@ from typing import Any
 
 from gauge_envs.tools.sanity.languages.base import Language, number_text
 
-__all__ = ["Toml", "toml_value"]
-
 
 class Toml(Language):
     """Lines of a settings file: `cone = "elliptic"`."""

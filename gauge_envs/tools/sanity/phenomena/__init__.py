@@ -36,9 +36,6 @@ def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) ->
     Args:
         only: Ids or patterns such as `creep-*`; all when empty.
         include_deformables: Whether to include phenomena of deformable bodies.
-
-    Raises:
-        UnknownNameError: A pattern matches no phenomenon.
     """
     known = {name: one for name, one in _all().items() if include_deformables or not one.scenario.scene.deformables}
     for pattern in only:

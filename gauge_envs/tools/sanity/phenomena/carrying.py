@@ -12,8 +12,6 @@ from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, position_scatter
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 MATERIALS = ("wood", "plastic", "metal")
 TURN_S = 94 / 30
 """Time of the published frames of the turntable [s]."""

@@ -14,8 +14,6 @@ from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, recorded,
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 SEAM_S = (0.04, 0.18)
 """Time between settling and the moment when a third of the tetrahedron's face has left the block [s]."""
 

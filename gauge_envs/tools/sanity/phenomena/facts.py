@@ -8,8 +8,6 @@ from typing import Any
 from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.references.published import published_baselines
 
-__all__ = ["PUBLISHED_TRIALS", "RECORDINGS", "facts", "position_scatter_mm", "recorded", "rigid_tolerance"]
-
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
 """File that `recorded` reads; sources name it."""
 

@@ -22,8 +22,6 @@ from gauge_envs.tools.sanity.phenomena.friction import HOLD_S, SETTLED_S, SLIDE_
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["FOOT", "foot_phenomena", "foot_scene", "phenomena", "with_foot"]
-
 FOOT, GROUND = "foot", "ground"
 """Names of the two bodies."""
 

@@ -20,8 +20,6 @@ from gauge_envs.tools.sanity.phenomena.facts import facts, rigid_tolerance
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 MATERIALS = ("wood", "plastic", "metal")
 
 HOLD_S, SETTLED_S = 1.0, 0.5

@@ -20,8 +20,6 @@ from gauge_envs.tools.sanity.phenomena.facts import PUBLISHED_TRIALS, facts
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 
 def phenomena() -> Iterator[Phenomenon]:
     """Yield the rebound of the ball, its rebound from a slower impact, and the momentum through the cradle."""

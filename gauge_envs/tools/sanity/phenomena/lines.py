@@ -12,8 +12,6 @@ from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, recorded, rigid_
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 JERK_S = 1.0
 """Simulated time [s]: the balls leave their posts at 0.5 s, and the rope stops their fall at 0.7 s."""
 

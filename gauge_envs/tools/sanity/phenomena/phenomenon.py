@@ -13,8 +13,6 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["FloatArray", "Phenomenon", "PhenomenonValue", "Trace"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -14,8 +14,6 @@ from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, recorded
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 GRIPPED_S = 1.2
 """Time after which the grips rest; they stop at 1.10 and 1.15 s [s]."""
 

@@ -14,8 +14,6 @@ from gauge_envs.tools.sanity.phenomena.facts import rigid_tolerance
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 STAND_S = 0.4
 """Simulated time [s]: soft contacts have settled, and a falling wall has moved by centimetres."""
 

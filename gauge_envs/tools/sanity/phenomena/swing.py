@@ -17,8 +17,6 @@ from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, recorded
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 VARIANT = "Pendulum-metal"
 PERIOD_S = 10.0
 """Time of the first 300 frames, for which the period is published [s]."""

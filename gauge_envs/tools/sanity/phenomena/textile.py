@@ -15,8 +15,6 @@ from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, recorded
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
 
-__all__ = ["phenomena"]
-
 RECORDED_S = 2.0
 """Length of the recording [s]."""
 

@@ -6,8 +6,6 @@ from typing import Any
 
 from gauge_envs.tools.sanity.probe.values import ProbeError, flat, found, is_number, is_of
 
-__all__ = ["capture_mujoco", "mujoco_model"]
-
 MOST_GEOMS = 2000
 
 NAMED_OPTIONS = {"integrator": "mjtIntegrator", "cone": "mjtCone", "solver": "mjtSolver", "jacobian": "mjtJacobian"}

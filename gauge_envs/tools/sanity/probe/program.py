@@ -41,8 +41,6 @@ from gauge_envs.tools.sanity.probe.stack_captures import (
 )
 from gauge_envs.tools.sanity.probe.values import ProbeError, is_of
 
-__all__ = ["document", "main", "save"]
-
 FORMAT, VERSION = "gauge-probe", 1
 
 SUFFIX = ".gaugeprobe.json"
@@ -90,11 +88,7 @@ def versions() -> dict[str, str]:
 
 
 def save(target: Any, file: str, name: str = "") -> None:
-    """Write an environment, a model or a configuration to a file for `gauge sanity`.
-
-    Raises:
-        ProbeError: Nothing is known to read of the target, or it is too large.
-    """
+    """Write an environment, a model or a configuration to a file for `gauge sanity`."""
     content = json.dumps(document(target, name), allow_nan=False, separators=(",", ": ")).encode()
     if len(content) > MOST_BYTES:
         raise ProbeError(f"the file would have {len(content)} bytes, the limit is {MOST_BYTES}")

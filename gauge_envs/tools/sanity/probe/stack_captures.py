@@ -6,16 +6,6 @@ from typing import Any
 
 from gauge_envs.tools.sanity.probe.values import flat, found, is_number, is_of, plain
 
-__all__ = [
-    "capture_genesis",
-    "capture_isaaclab",
-    "capture_maniskill",
-    "capture_newton",
-    "isaaclab_cfg",
-    "maniskill_config",
-    "newton_model",
-]
-
 NEWTON_PREFIXES = ("shape_", "body_", "joint_", "rigid_", "gravity", "up_axis")
 
 

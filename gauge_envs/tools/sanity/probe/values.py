@@ -7,8 +7,6 @@ import enum
 import math
 from typing import Any
 
-__all__ = ["ProbeError", "array_values", "flat", "found", "is_number", "is_of", "plain"]
-
 MOST_DEPTH = 24
 
 

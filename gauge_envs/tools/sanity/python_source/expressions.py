@@ -25,8 +25,6 @@ from gauge_envs.tools.sanity.python_source.values import (
     Unknown,
 )
 
-__all__ = ["Expressions", "Frame"]
-
 UNARY: Mapping[type[ast.unaryop], Callable[[Any], Any]] = {ast.Not: operator.not_, ast.USub: operator.neg}
 
 

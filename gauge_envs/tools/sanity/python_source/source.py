@@ -25,8 +25,6 @@ from gauge_envs.tools.sanity.python_source.values import (
     PythonClass,
 )
 
-__all__ = ["Source"]
-
 MOST_STATEMENTS = 200_000
 """Most statements that are evaluated for one source."""
 
@@ -55,11 +53,7 @@ class Source(Expressions):
     # --- modules -----------------------------------------------------------------------------------------------------
 
     def module(self, name: str) -> Module | None:
-        """Return a module by its dotted name; None when the package has none.
-
-        Raises:
-            TargetError: Its file cannot be read.
-        """
+        """Return a module by its dotted name; None when the package has none."""
         if name not in self._modules:
             parts = name.split(".")
             base = self._folder.joinpath(*parts[1:]) if parts[0] == self._package else None

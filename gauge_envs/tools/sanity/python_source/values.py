@@ -9,23 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any, TypeAlias
 
-__all__ = [
-    "BUILTINS",
-    "COMPARISONS",
-    "METHODS",
-    "OPERATORS",
-    "PLAIN",
-    "UNKNOWN",
-    "Config",
-    "External",
-    "Function",
-    "Instance",
-    "Known",
-    "Module",
-    "PythonClass",
-    "Unknown",
-]
-
 Known: TypeAlias = Callable[[list[Any], dict[str, Any]], Any]
 """Meaning of a function: from positional and keyword arguments to its value."""
 

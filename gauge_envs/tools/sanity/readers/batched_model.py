@@ -21,8 +21,6 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.readers.mujoco_model import read_model
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader
 
-__all__ = ["MJX_MODEL", "MUJOCO_WARP"]
-
 OPTIONS = (
     *("integrator", "cone", "solver", "iterations", "ls_iterations", "ccd_iterations"),
     *("disableflags", "enableflags"),
@@ -110,11 +108,7 @@ def _capacity(data: Any) -> ContactCapacity:
 
 
 def _built(target: Any) -> mujoco.MjModel:
-    """Return a model for MuJoCo with the bodies, geoms, contact constants and options of world 0.
-
-    Raises:
-        TargetError: The model has arrays of other sizes.
-    """
+    """Return a model for MuJoCo with the bodies, geoms, contact constants and options of world 0."""
     spec = mujoco.MjSpec()
     try:
         names = _names(target)

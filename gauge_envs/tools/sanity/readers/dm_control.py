@@ -18,8 +18,6 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.readers.mujoco_model import read_model_file
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader
 
-__all__ = ["DM_CONTROL", "SuiteTask", "suite_task"]
-
 PREFIX = "dm_control:"
 """Start of the name of a task."""
 
@@ -47,9 +45,6 @@ def suite_task(name: str) -> SuiteTask:
 
     Args:
         name: `dm_control:DOMAIN/TASK`, as `dm_control:walker/walk`.
-
-    Raises:
-        TargetError: dm_control is not installed, or has no such task.
     """
     folder = _suite_folder()
     domain, _, task = name.removeprefix(PREFIX).partition("/")

@@ -11,8 +11,6 @@ from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader, check_settings
 
-__all__ = ["GENESIS_OPTIONS", "GENESIS_SCENE", "options_settings"]
-
 MOST_OPTIONS_BYTES = MEGABYTE
 """Largest size of a file of options."""
 

@@ -17,8 +17,6 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.readers.mujoco_model import model_name, read_model
 from gauge_envs.tools.sanity.readers.reader import GeomPair, NotATargetError, Reader
 
-__all__ = ["GYMNASIUM_ENV", "GYMNASIUM_ID", "GYMNASIUM_VECTOR"]
-
 VECTOR_KEYS = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
 """Arguments of `gymnasium.make_vec` that a single environment does not take."""
 

@@ -20,8 +20,6 @@ from gauge_envs.tools.sanity.readers.reader import Reader
 from gauge_envs.tools.sanity.readers.table import Table
 from gauge_envs.tools.sanity.readers.yaml_document import MOST_YAML_BYTES, read_yaml
 
-__all__ = ["ISAAC_GYM", "isaac_gym_configuration"]
-
 MARK = "num_position_iterations"
 """Key that only this style has."""
 
@@ -53,10 +51,6 @@ def isaac_gym_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
         cfg: The configuration as nested tables.
         name: Name of the configuration.
         source: Description of where it is from.
-
-    Raises:
-        TargetError: There is no table `sim.physx`, no step, or a value is impossible.
-        MissingExtraError: SAPIEN is not installed.
     """
     table = Table(cfg, source=name)
     sim = next((found for place in PLACES if (found := _table(table, place)) is not None and "physx" in found), None)

@@ -20,8 +20,6 @@ from gauge_envs.tools.sanity.readers.reader import Reader
 from gauge_envs.tools.sanity.readers.table import Table
 from gauge_envs.tools.sanity.readers.yaml_document import read_yaml, yaml_document
 
-__all__ = ["ISAAC_LAB", "isaac_lab_configuration", "isaac_lab_yaml"]
-
 RUN_FILES = ("params/env.yaml", ".hydra/config.yaml")
 """Files in the folder of a training run."""
 
@@ -80,10 +78,6 @@ def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
         cfg: The configuration as nested tables, as `env.yaml` holds it; also below a key `env`.
         name: Name of the configuration.
         source: Description of where it is from.
-
-    Raises:
-        TargetError: It is no configuration of Isaac Lab with PhysX, or a value is impossible.
-        MissingExtraError: SAPIEN is not installed.
     """
     whole = Table(cfg, source=name)
     table = whole
@@ -129,11 +123,7 @@ def isaac_lab_yaml(content: bytes | str, *, name: str, source: str) -> TrainingC
 
 
 def _physx(sim: Table) -> Table:
-    """Return the settings of PhysX; Isaac Lab 3 has them at another place.
-
-    Raises:
-        TargetError: The engine is another one.
-    """
+    """Return the settings of PhysX; Isaac Lab 3 has them at another place."""
     if sim.value("physx") is not None:
         physx = sim.table("physx")
     else:

@@ -25,8 +25,6 @@ from gauge_envs.tools.sanity.readers.physx_values import PhysxValues
 from gauge_envs.tools.sanity.readers.reader import Reader
 from gauge_envs.tools.sanity.readers.table import Table
 
-__all__ = ["MANISKILL", "maniskill_configuration", "task_sim_config"]
-
 PREFIX = "maniskill:"
 """Start of the name of a task."""
 
@@ -76,10 +74,6 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
         sim_config: The fields of a SimConfig, as `dataclasses.asdict` returns them.
         name: Name of the configuration.
         source: Description of where it is from.
-
-    Raises:
-        TargetError: A value is impossible.
-        MissingExtraError: SAPIEN is not installed.
     """
     table = Table(sim_config, source=name, path="sim_config")
     rate = table.number("sim_freq")
@@ -137,9 +131,6 @@ def task_sim_config(name: str) -> dict[str, Any]:
 
     Args:
         name: `maniskill:TASK`, as `maniskill:PickCube-v1`.
-
-    Raises:
-        TargetError: ManiSkill is not installed, has no such task, or the task computes its settings.
     """
     folder = _folder()
     task = name.removeprefix(PREFIX)

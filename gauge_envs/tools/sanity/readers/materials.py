@@ -9,8 +9,6 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.foot_contact import FootContact
 from gauge_envs.tools.sanity.readers.table import Table
 
-__all__ = ["AVERAGE", "Material", "Range", "combined", "of_body", "one_value", "stated_material"]
-
 Range = tuple[float, float]
 """Least and greatest value."""
 
@@ -55,11 +53,7 @@ def one_value(number: float) -> Range:
 
 
 def stated_material(table: Table, *, body: str, default: Material) -> Material:
-    """Return a material with the coefficients of a table; what the table lacks is that of `default`.
-
-    Raises:
-        TargetError: A coefficient is impossible, or there is no such rule of combination.
-    """
+    """Return a material with the coefficients of a table; what the table lacks is that of `default`."""
 
     def coefficient(key: str, otherwise: Range) -> Range:
         number = table.number(key)

@@ -28,8 +28,6 @@ from gauge_envs.tools.sanity.readers.mjlab_model import MjlabModel, MjlabTable, 
 from gauge_envs.tools.sanity.readers.mujoco_model import read_model
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader
 
-__all__ = ["MJLAB", "MJLAB_CFG", "MJLAB_FILE", "mjlab_configuration", "mjlab_tasks"]
-
 PREFIX = "mjlab:"
 """Start of the name of a task."""
 
@@ -70,9 +68,6 @@ def mjlab_configuration(
         name: Name of the configuration.
         source: Description of where it is from.
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
-
-    Raises:
-        TargetError: A value has another type, or the model cannot be compiled.
     """
     table = MjlabTable(cfg, source)
     built = _built(table)
@@ -84,11 +79,7 @@ def mjlab_configuration(
 
 
 def mjlab_tasks() -> tuple[str, ...]:
-    """Return the names of all registered tasks.
-
-    Raises:
-        TargetError: mjlab is not installed.
-    """
+    """Return the names of all registered tasks."""
     return tuple(sorted(_registered(_source())))
 
 

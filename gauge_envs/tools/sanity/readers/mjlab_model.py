@@ -12,8 +12,6 @@ import mujoco
 
 from gauge_envs.errors import TargetError
 
-__all__ = ["MjlabModel", "MjlabTable", "mjlab_model"]
-
 INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -66,9 +64,6 @@ class MjlabTable:
         values: The values.
         source: Name of their origin, for messages.
         path: Key of the table in the whole configuration.
-
-    Raises:
-        TargetError: The value is no table.
     """
 
     def __init__(self, values: Any, source: str, path: str = "") -> None:
@@ -84,11 +79,7 @@ class MjlabTable:
         return value
 
     def table(self, key: str) -> MjlabTable:
-        """Return a table; an empty one when it is absent.
-
-        Raises:
-            TargetError: The value is no table.
-        """
+        """Return a table; an empty one when it is absent."""
         return MjlabTable(self.value(key) or {}, self._source, self._name(key))
 
     def items(self) -> list[tuple[str, Any]]:
@@ -96,44 +87,28 @@ class MjlabTable:
         return [(str(key), value) for key, value in self._values.items()]
 
     def number(self, key: str) -> float | None:
-        """Return a number; None when it is absent.
-
-        Raises:
-            TargetError: The value is no number.
-        """
+        """Return a number; None when it is absent."""
         value = self.value(key)
         if value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
             return value
         raise TargetError(f"{self._source}: {self._name(key)} is {value!r:.60}, and a number is expected")
 
     def whole(self, key: str) -> int | None:
-        """Return a whole number; None when it is absent.
-
-        Raises:
-            TargetError: The value is no whole number.
-        """
+        """Return a whole number; None when it is absent."""
         value = self.number(key)
         if value is None or value == int(value):
             return None if value is None else int(value)
         raise TargetError(f"{self._source}: {self._name(key)} is {value!r}, and a whole number is expected")
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """Return a list of texts; an empty one when it is absent.
-
-        Raises:
-            TargetError: The value is no such list.
-        """
+        """Return a list of texts; an empty one when it is absent."""
         value = self.value(key) or ()
         if isinstance(value, list | tuple) and all(isinstance(one, str) for one in value):
             return tuple(value)
         raise TargetError(f"{self._source}: {self._name(key)} is {value!r:.60}, and a list of texts is expected")
 
     def one_of(self, key: str, known: Mapping[str, int]) -> int | None:
-        """Return the constant that a text names; None when it is absent.
-
-        Raises:
-            TargetError: There is no such constant.
-        """
+        """Return the constant that a text names; None when it is absent."""
         value = self.value(key)
         if value is None or value in known:
             return None if value is None else int(known[value])
@@ -149,9 +124,6 @@ def mjlab_model(table: MjlabTable, file_of: Callable[[str], Path | None]) -> Mjl
     Args:
         table: The configuration.
         file_of: Function from the name of a function of mjlab that loads an MJCF file to that file; None when unknown.
-
-    Raises:
-        TargetError: A value has another type, or MuJoCo cannot compile the model.
     """
     notes = []
     spec = mujoco.MjSpec()

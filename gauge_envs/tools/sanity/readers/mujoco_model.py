@@ -14,8 +14,6 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader, check_settings
 
-__all__ = ["MODEL_FILE", "MODEL_OBJECT", "model_name", "read_model", "read_model_file"]
-
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 MOST_MODEL_BYTES = 16 * MEGABYTE
@@ -41,10 +39,6 @@ def read_model(
         source: Description of where the model is from.
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
-
-    Raises:
-        TargetError: The model has no such geom, or the two cannot collide.
-        ParameterError: A setting has an impossible value.
     """
     read = mujoco_configuration(model, name=name, source=source, pair=pair, frame_skip=frame_skip)
     check_settings(read.backend, read.settings)
@@ -52,11 +46,7 @@ def read_model(
 
 
 def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
-    """Return the configuration of a model file that MuJoCo reads.
-
-    Raises:
-        TargetError: The file cannot be read, is too large, or MuJoCo cannot load it.
-    """
+    """Return the configuration of a model file that MuJoCo reads."""
     try:
         read_regular(path, MOST_MODEL_BYTES)
     except FileNotFoundError:

@@ -22,8 +22,6 @@ from gauge_envs.tools.sanity.model import ContactGroup, TrainingConfiguration
 from gauge_envs.tools.sanity.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader, check_settings
 
-__all__ = ["NEWTON_MODEL", "is_newton", "newton_configuration"]
-
 JUDGED = "SolverMuJoCo"
 """Solver of rigid bodies that this package's Newton backend runs."""
 
@@ -65,10 +63,6 @@ def newton_configuration(
             Otherwise this package's step for each scene is used.
         name: Name of the configuration; the name of the class if empty.
         pair: Names of two shapes whose constants the experiments get, instead of all sets on ground.
-
-    Raises:
-        TargetError: It is another solver, or has an option that this package's Newton backend does not run.
-        MissingExtraError: Newton is not installed.
     """
     solver = target if hasattr(target, "model") else _default_solver(target)
     kind = type(solver).__name__
@@ -137,11 +131,7 @@ def _compiled(solver: Any) -> mujoco.MjModel:
 
 
 def _options(solver: Any, read: Mapping[str, Any], step_s: float | None) -> dict[str, Any]:
-    """Return the settings of the Newton backend for the options of a solver.
-
-    Raises:
-        TargetError: The backend does not run an option.
-    """
+    """Return the settings of the Newton backend for the options of a solver."""
     settings = {ours: _rounded(read[theirs]) for theirs, ours in OPTIONS.items() if theirs in read}
     settings["integrator"] = settings["integrator"].lower()
     settings["mujoco_contacts"] = bool(getattr(solver, "_use_mujoco_contacts", True))

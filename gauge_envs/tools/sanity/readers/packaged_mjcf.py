@@ -19,8 +19,6 @@ import mujoco
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, read_regular
 
-__all__ = ["PackagedModel", "packaged_model"]
-
 MOST_ASSET_BYTES = 256 * MEGABYTE
 """Largest size of a mesh or a picture."""
 
@@ -52,9 +50,6 @@ def packaged_model(path: Path, folders: Sequence[Path] = ()) -> PackagedModel:
     Args:
         path: The model file. Files beside and below it are found by their name, as the packages do it.
         folders: Further folders in which files are found by their name.
-
-    Raises:
-        TargetError: The file or an included one is not there, or MuJoCo cannot compile the model.
     """
     places = {file.name: file for folder in (path.parent, *folders) for file in _files(folder)}
     assets: dict[str, bytes] = {}

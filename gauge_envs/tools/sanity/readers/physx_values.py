@@ -12,8 +12,6 @@ from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.readers.reader import check_settings
 from gauge_envs.tools.sanity.readers.table import Table
 
-__all__ = ["PhysxValues", "solver_name"]
-
 OFFSET_PER_LENGTH, DISTANCE_PER_LENGTH = 0.04, 0.025
 """PhysX's friction offset threshold and friction correlation distance, over its length scale."""
 
@@ -78,12 +76,7 @@ class PhysxValues:
         foot_contact: FootContact,
         inapplicable: Mapping[Need, str] | None = None,
     ) -> TrainingConfiguration:
-        """Return the configuration, after a trial of its settings.
-
-        Raises:
-            TargetError: The engine cannot take a value.
-            MissingExtraError: SAPIEN is not installed.
-        """
+        """Return the configuration, after a trial of its settings."""
         try:
             check_settings("physx", self.settings)
         except ParameterError as error:
@@ -115,11 +108,7 @@ class PhysxValues:
 
 
 def solver_name(table: Table, key: str) -> str | None:
-    """Return the name of the solver for PhysX's number of it.
-
-    Raises:
-        TargetError: There is no such solver.
-    """
+    """Return the name of the solver for PhysX's number of it."""
     number = table.whole(key)
     if number is None:
         return None

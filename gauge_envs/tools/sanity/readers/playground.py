@@ -23,8 +23,6 @@ from gauge_envs.tools.sanity.readers.mujoco_model import read_model
 from gauge_envs.tools.sanity.readers.packaged_mjcf import PackagedModel, packaged_model
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader
 
-__all__ = ["PLAYGROUND", "PLAYGROUND_ENV", "PlaygroundTask", "playground_task", "playground_tasks"]
-
 PREFIX = "playground:"
 """Start of the name of a task."""
 
@@ -71,11 +69,7 @@ class PlaygroundTask:
 
 
 def playground_tasks() -> tuple[str, ...]:
-    """Return the names of all registered tasks.
-
-    Raises:
-        TargetError: Playground is not installed.
-    """
+    """Return the names of all registered tasks."""
     return tuple(name for suite in SUITES for name in _registered(_source([]), suite))
 
 
@@ -84,9 +78,6 @@ def playground_task(name: str) -> PlaygroundTask:
 
     Args:
         name: `playground:NAME`, as `playground:Go1JoystickFlatTerrain`.
-
-    Raises:
-        TargetError: Playground is not installed, or has no such task.
     """
     folders: list[Path] = []
     source = _source(folders)

@@ -25,8 +25,6 @@ from gauge_envs.tools.sanity.readers.maniskill import maniskill_configuration
 from gauge_envs.tools.sanity.readers.mujoco_model import read_model
 from gauge_envs.tools.sanity.readers.reader import GeomPair, Reader
 
-__all__ = ["PROBE_FILE", "SUFFIX"]
-
 SUFFIX = ".gaugeprobe.json"
 
 VERSION = 1

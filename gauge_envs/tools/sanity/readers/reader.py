@@ -15,8 +15,6 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 
-__all__ = ["GeomPair", "NotATargetError", "Reader", "check_settings"]
-
 GeomPair: TypeAlias = tuple[str, str]
 """Names of two geoms of a model."""
 
@@ -56,14 +54,7 @@ class Reader:
 
 
 def check_settings(name: str, settings: Mapping[str, Any]) -> None:
-    """Build a scene with settings of a backend.
-
-    Raises:
-        UnknownNameError: There is no such backend or preset.
-        ParameterError: There is no such setting, or a value is impossible.
-        MissingExtraError: The backend's engine is not installed.
-        TargetError: A backend of another package raises an error, or its process dies.
-    """
+    """Build a scene with settings of a backend."""
     if name not in backend_names() or is_bundled(name):
         _build_once(name, settings)
         return

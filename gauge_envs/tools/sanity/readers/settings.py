@@ -13,8 +13,6 @@ from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_documen
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.readers.reader import Reader, check_settings
 
-__all__ = ["BACKEND", "SETTINGS_FILE"]
-
 SETTINGS_SUFFIXES = (".toml", ".json")
 
 MOST_SETTINGS_BYTES = MEGABYTE

@@ -10,8 +10,6 @@ from typing import Any
 from gauge_envs.errors import TargetError
 from gauge_envs.files import printable
 
-__all__ = ["Table"]
-
 REFERENCE = re.compile(r"\$\{([A-Za-z_][\w.]*)\}")
 """A value that stands at another place of the same file, as Hydra writes it."""
 
@@ -29,9 +27,6 @@ class Table:
         source: Name of the file, for messages.
         path: Key of the table in the whole file.
         root: The whole file, in which references are looked up; the table itself if None.
-
-    Raises:
-        TargetError: The value is no table.
     """
 
     def __init__(self, values: Any, *, source: str, path: str = "", root: Mapping[str, Any] | None = None) -> None:
@@ -49,39 +44,23 @@ class Table:
         return f"{self.path}.{key}" if self.path else key
 
     def value(self, key: str) -> Any:
-        """Return a value of any kind; None when it is absent or null.
-
-        Raises:
-            TargetError: It refers to a place that does not exist.
-        """
+        """Return a value of any kind; None when it is absent or null."""
         return self._resolved(_at(self.values, key), self.name(key))
 
     def table(self, key: str) -> Table | None:
-        """Return a table.
-
-        Raises:
-            TargetError: The value is no table.
-        """
+        """Return a table."""
         value = self.value(key)
         if value is None:
             return None
         return Table(value, source=self.source, path=self.name(key), root=self._root)
 
     def number(self, key: str) -> float | None:
-        """Return a number, which may be infinite.
-
-        Raises:
-            TargetError: The value is no number.
-        """
+        """Return a number, which may be infinite."""
         value = self.value(key)
         return None if value is None else self._number(value, key)
 
     def whole(self, key: str) -> int | None:
-        """Return a whole number.
-
-        Raises:
-            TargetError: The value is no whole number.
-        """
+        """Return a whole number."""
         number = self.number(key)
         if number is None:
             return None
@@ -90,33 +69,21 @@ class Table:
         return int(number)
 
     def flag(self, key: str) -> bool | None:
-        """Return a Boolean value.
-
-        Raises:
-            TargetError: The value is neither true nor false.
-        """
+        """Return a Boolean value."""
         value = self.value(key)
         if value is None or isinstance(value, bool):
             return value
         raise self._wrong(key, value, "true or false")
 
     def text(self, key: str) -> str | None:
-        """Return a text.
-
-        Raises:
-            TargetError: The value is no text.
-        """
+        """Return a text."""
         value = self.value(key)
         if value is None or isinstance(value, str):
             return value
         raise self._wrong(key, value, "a text")
 
     def numbers(self, key: str, count: int) -> tuple[float, ...] | None:
-        """Return a list of some numbers.
-
-        Raises:
-            TargetError: The value is no such list.
-        """
+        """Return a list of some numbers."""
         value = self.value(key)
         if value is None:
             return None

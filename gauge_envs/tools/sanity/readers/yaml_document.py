@@ -16,8 +16,6 @@ import yaml
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, printable, read_regular
 
-__all__ = ["MOST_YAML_BYTES", "read_yaml", "yaml_document"]
-
 MOST_YAML_BYTES = MEGABYTE
 """Largest size of a YAML file. Dumps of training runs have some 30 kB."""
 
@@ -42,11 +40,7 @@ _Loader.add_constructor(SLICE, lambda loader, node: None)
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the value of a YAML file.
-
-    Raises:
-        TargetError: The file cannot be read, is too large, is no YAML, or has a tag that is no data.
-    """
+    """Return the value of a YAML file."""
     try:
         return yaml_document(read_regular(path, MOST_YAML_BYTES))
     except FileNotFoundError:
@@ -58,11 +52,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def yaml_document(content: bytes | str) -> Any:
-    """Return the value of a YAML document.
-
-    Raises:
-        ValueError: It is no YAML in UTF-8, is too large or too deep, or has a tag that is no data.
-    """
+    """Return the value of a YAML document."""
     raw = content.encode("utf-8", errors="surrogatepass") if isinstance(content, str) else content
     if len(raw) > MOST_YAML_BYTES:
         raise ValueError(f"it has {len(raw)} bytes, the limit is {MOST_YAML_BYTES}")
@@ -80,11 +70,7 @@ def yaml_document(content: bytes | str) -> Any:
 
 
 def _check(events: Iterable[Any]) -> None:
-    """Check the size, the depth and the tags of a document before its values are built.
-
-    Raises:
-        ValueError: The document exceeds a limit, has a tag that is no data, or a value contains itself.
-    """
+    """Check the size, the depth and the tags of a document before its values are built."""
     sizes: Counter[str] = Counter()
     open_values: list[tuple[str | None, int]] = []
     count = 0

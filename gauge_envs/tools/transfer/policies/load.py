@@ -18,8 +18,6 @@ from gauge_envs.tools.transfer.policies.normalization import read_normalization
 from gauge_envs.tools.transfer.policies.onnx import load_onnx
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 
-__all__ = ["checked_policy", "load_policies", "load_policy"]
-
 
 def load_policies(
     sources: Sequence[str], env: ControlEnv, *, normalization: Sequence[Path] = (), trust: bool = False
@@ -31,10 +29,6 @@ def load_policies(
         env: The task, without wrappers.
         normalization: No file of statistics, one for all policies, or one for each.
         trust: Whether loading may run code of the files.
-
-    Raises:
-        PolicyError: See `load_policy`; or a source is given twice, or the number of statistics is wrong.
-        MissingExtraError: The package that reads a policy is not installed.
     """
     if not sources:
         raise PolicyError("give one policy or more")
@@ -61,10 +55,6 @@ def load_policy(source: str, env: ControlEnv, *, normalization: Path | None = No
         normalization: Statistics of `VecNormalize` beside the policy, or None.
         trust: Whether loading may run code: of a module, or of the pickles in a Stable-Baselines3 file whose network
             cannot be built from its weights.
-
-    Raises:
-        PolicyError: The source is no policy, needs `trust`, or does not fit the task's spaces.
-        MissingExtraError: The package that reads it is not installed.
     """
     shape = env.observation_space.shape or ()
     actions = int(np.prod(env.action_space.shape or ()))
@@ -120,9 +110,6 @@ def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:
         name: Name of the policy in messages.
         policy: Function that returns an action for an observation of shape [n].
         env: The task, without wrappers.
-
-    Raises:
-        PolicyError: The policy raises an error, or its action has the wrong size or is not a number.
     """
     space = env.action_space
     assert isinstance(space, spaces.Box)

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from gauge_envs.errors import PolicyError
 from gauge_envs.files import MEGABYTE, read_regular
 
-__all__ = ["ObservationStatistics", "UnchangedObservations", "read_normalization"]
-
 MOST_BYTES = 64 * MEGABYTE
 
 
@@ -68,11 +66,7 @@ class _Type:
         self._order = str(state[1])
 
     def array(self, data: Any) -> NDArray[Any]:
-        """Return the numbers of bytes, shape [n].
-
-        Raises:
-            ValueError: The type is none of plain numbers, or the bytes do not fit it.
-        """
+        """Return the numbers of bytes, shape [n]."""
         is_plain = re.fullmatch("[<>=|](b1|[iu][1248]|f[248])", self._order + self._code)
         if not is_plain or not isinstance(data, bytes | bytearray):
             raise ValueError(f"an array of type {self._order + self._code!r} holds no plain numbers")
@@ -89,11 +83,7 @@ class _Array:
         self._state = state
 
     def numbers(self) -> NDArray[np.float64]:
-        """Return the numbers.
-
-        Raises:
-            ValueError: The state is damaged, or the array holds no plain numbers.
-        """
+        """Return the numbers."""
         try:
             _, shape, kind, is_fortran, data = self._state
             numbers: NDArray[np.float64] = kind.array(data).astype(np.float64)
@@ -140,11 +130,7 @@ class _ArraysOnly(pickle.Unpickler):
 
 
 def _check_operations(content: bytes) -> None:
-    """Check a pickle before it is loaded: Python takes gigabytes for a place of its memo that a file makes up.
-
-    Raises:
-        ValueError: It is no pickle, has too many operations, or names such a place.
-    """
+    """Check a pickle before it is loaded: Python takes gigabytes for a place of its memo that a file makes up."""
     for count, (operation, argument, _) in enumerate(pickletools.genops(content)):
         if count > MOST_OPERATIONS:
             raise ValueError(f"it has more than {MOST_OPERATIONS} operations")
@@ -168,10 +154,6 @@ def read_normalization(file: Path, *, observation_size: int) -> ObservationStati
     Args:
         file: The file.
         observation_size: Size n of the task's observation.
-
-    Raises:
-        PolicyError: The file cannot be read, holds no statistics of observations, those of another size, or numbers
-            that are not finite.
     """
     try:
         content = read_regular(file, MOST_BYTES)

@@ -12,8 +12,6 @@ from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 
-__all__ = ["load_onnx"]
-
 MOST_BYTES = 512 * MEGABYTE
 
 NUMBERS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
@@ -28,10 +26,6 @@ def load_onnx(file: Path, *, observation_size: int) -> Policy:
     Args:
         file: The file.
         observation_size: Size n of the task's observation.
-
-    Raises:
-        PolicyError: The file is no ONNX network, exceeds a limit, or its input does not fit the observation.
-        MissingExtraError: onnxruntime is not installed.
     """
     try:
         import onnxruntime

@@ -10,8 +10,6 @@ import sys
 
 import numpy as np
 
-__all__: list[str] = []
-
 REFUSED = 3
 """Exit code after a printed reason, as in `files.child_refusal`."""
 

@@ -16,8 +16,6 @@ from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
 from gauge_envs.files import MEGABYTE, json_document, read_regular
 
-__all__ = ["load_sb3"]
-
 MOST_BYTES = 512 * MEGABYTE
 """Largest size of a file and of its weights."""
 
@@ -60,10 +58,6 @@ def load_sb3(file: Path, *, observation_size: int, action_size: int, trust: bool
         observation_size: Size n of the task's observation.
         action_size: Size of the task's action.
         trust: Whether to load other policies with Stable-Baselines3, which runs code of the file.
-
-    Raises:
-        PolicyError: The file is no policy, needs `trust`, or has other sizes than the task.
-        MissingExtraError: PyTorch or Stable-Baselines3 is not installed.
     """
     stated, weights = _parts(file)
     try:
@@ -78,11 +72,7 @@ def load_sb3(file: Path, *, observation_size: int, action_size: int, trust: bool
 
 
 def _parts(file: Path) -> tuple[dict[str, Any], bytes]:
-    """Return the readable part of a file, and its weights.
-
-    Raises:
-        PolicyError: The file cannot be read, is no policy, or a part is too large.
-    """
+    """Return the readable part of a file, and its weights."""
     try:
         with zipfile.ZipFile(io.BytesIO(read_regular(file, MOST_BYTES))) as archive:
             stated = json_document(_part(archive, "data", MOST_DATA_BYTES))
@@ -101,11 +91,7 @@ def _parts(file: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def _part(archive: zipfile.ZipFile, name: str, most_bytes: int) -> bytes:
-    """Return a part of an archive.
-
-    Raises:
-        ValueError: There is no such part, or it is too large.
-    """
+    """Return a part of an archive."""
     if name not in archive.namelist():
         raise ValueError("expected the parts data and policy.pth")
     size = archive.getinfo(name).file_size
@@ -156,11 +142,7 @@ def _from_weights(
 
 
 def _actor(tensors: Mapping[str, Any]) -> tuple[str, tuple[str | None, str, bool]]:
-    """Return the prefix of the actor's hidden layers and what belongs to it.
-
-    Raises:
-        _NotPlainError: The weights are not those of an actor without an extractor of features.
-    """
+    """Return the prefix of the actor's hidden layers and what belongs to it."""
     for hidden, rest in ACTORS.items():
         if not any(key.startswith(hidden) for key in tensors):
             continue
@@ -176,11 +158,7 @@ def _actor(tensors: Mapping[str, Any]) -> tuple[str, tuple[str | None, str, bool
 
 
 def _hidden_layers(tensors: Mapping[str, Any], hidden: str) -> list[str]:
-    """Return the prefixes of the hidden layers, in order.
-
-    Raises:
-        _NotPlainError: A layer has no number.
-    """
+    """Return the prefixes of the hidden layers, in order."""
     names = {key.removeprefix(hidden).partition(".")[0] for key in tensors if key.startswith(hidden)}
     if not all(re.fullmatch("[0-9]{1,4}", name) for name in names):
         raise _NotPlainError(f"its layers {hidden}* are not numbered")
@@ -188,11 +166,7 @@ def _hidden_layers(tensors: Mapping[str, Any], hidden: str) -> list[str]:
 
 
 def _activation(stated: Mapping[str, Any], default: str) -> str:
-    """Return the activation of hidden layers, from the readable part of the file.
-
-    Raises:
-        _NotPlainError: The file states a class, an argument or an activation that may change the network.
-    """
+    """Return the activation of hidden layers, from the readable part of the file."""
     policy, kwargs = stated.get("policy_class"), stated.get("policy_kwargs", {})
     module = policy.get("__module__", "") if isinstance(policy, dict) else ""
     if not MODULES.fullmatch(str(module)):
@@ -213,11 +187,7 @@ def _activation(stated: Mapping[str, Any], default: str) -> str:
 
 
 def _linear(torch: Any, tensors: Mapping[str, Any], prefix: str) -> Any:
-    """Return a linear layer with the weights of a prefix.
-
-    Raises:
-        _NotPlainError: They are missing, have no two dimensions, or are no plain numbers.
-    """
+    """Return a linear layer with the weights of a prefix."""
     weight, bias = tensors.get(f"{prefix}weight"), tensors.get(f"{prefix}bias")
     if weight is None or bias is None or weight.ndim != 2 or bias.shape != weight.shape[:1]:
         raise _NotPlainError(f"layer {prefix.rstrip('.')} is not linear")
