@@ -19,7 +19,7 @@ from rich.segment import Segment
 
 from gauge_envs.cli.streams import result_stream
 from gauge_envs.files import printable
-from gauge_envs.pages.table import Table, as_rich, as_rows
+from gauge_envs.pages.document import Shown, Terminal, as_markdown, as_rows
 
 UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters but tabs and ends of lines, and lone surrogates."""
@@ -112,12 +112,21 @@ def print_json_lines(rows: Sequence[Mapping[str, Any]]) -> None:
         echo(json.dumps(row, allow_nan=False))
 
 
-def print_table(table: Table, *, json_lines: bool, wide: bool = False) -> None:
-    """Print a table, or its rows as JSON objects."""
+def print_document(shown: Shown, *, json_lines: bool = False, markdown: bool = False, wide: bool = False) -> None:
+    """Print a document or a table on stdout: as JSON objects, as Markdown, or for a terminal.
+
+    Args:
+        shown: What to print.
+        json_lines: Whether to print its rows, one JSON object a line.
+        markdown: Whether to print GitHub Markdown.
+        wide: Whether a terminal shows what is left out by default.
+    """
     if json_lines:
-        print_json_lines(as_rows(table))
+        print_json_lines(as_rows(shown))
+    elif markdown:
+        echo(as_markdown(shown), nl=False)
     else:
-        stdout_console().print(as_rich(table, wide=wide))
+        stdout_console().print(Terminal(shown, wide))
 
 
 def counted(number: int, noun: str) -> str:
