@@ -80,9 +80,10 @@ class Tone(StrEnum):
     """What one needs to read the rest."""
     WARNING = "yellow"
     """What a reader might miss."""
+    ERROR = "red"
 
 
-CLASSES = {Tone.PLAIN: None, Tone.ANSWER: "answer", Tone.NOTE: "small", Tone.WARNING: "note"}
+CLASSES = {Tone.ANSWER: "answer", Tone.NOTE: "small", Tone.WARNING: "note", Tone.ERROR: "note"}
 """Class of a paragraph on a page."""
 
 
@@ -103,7 +104,7 @@ class Paragraph:
 
     def html(self) -> Html:
         """Return the text as an element."""
-        return element("p", self.text, class_=CLASSES[self.tone]) if self.text else Html("")
+        return element("p", self.text, class_=CLASSES.get(self.tone)) if self.text else Html("")
 
 
 @dataclass(frozen=True)
@@ -203,12 +204,12 @@ def page(title: str, parts: Iterable[Part | Html], **frame: Any) -> str:
     return framed(title, as_html([Heading(title, 1), *parts]), **frame)
 
 
-def save_text(path: Path, text: str) -> Path:
-    """Write a text whole or not at all, and return its path; the folder is created."""
+def save_file(path: Path, content: str | bytes) -> Path:
+    """Write a text or a picture whole or not at all, and return its path; the folder is created."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # A lone surrogate in a file of a stranger has no UTF-8.
-        write_whole(path, text.encode("utf-8", errors="backslashreplace"))
+        write_whole(path, content if isinstance(content, bytes) else content.encode(errors="backslashreplace"))
     except OSError as error:
         raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
     return path

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.pages.html import Html, element
-from gauge_envs.pages.text import quantity_text, score_text
+from gauge_envs.pages.text import interval_text, quantity_text, score_text
 
 FloatArray = NDArray[np.float64]
 
@@ -57,14 +57,12 @@ class ForestRow:
         color: Colour in CSS.
         value: The score.
         interval: Its 95 % interval, or None.
-        note: Text behind the label.
     """
 
     label: str
     color: str
     value: float
     interval: tuple[float, float] | None
-    note: str = ""
 
 
 def curve_panel(panel: CurvePanel) -> Html:
@@ -104,6 +102,7 @@ def curve_panel(panel: CurvePanel) -> Html:
         viewBox=f"0 0 {WIDTH:.0f} {HEIGHT:.0f}",
         role="img",
         aria_label=f"{panel.title} over time",
+        class_="plot",
     )
 
 
@@ -250,14 +249,9 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
         if row.value >= LEAST_SCORE:
             parts.append(element("circle", cx=f"{place(row.value):.1f}", cy=y, r=4, style=f"fill:{row.color}"))
         parts.append(element("text", score_text(row.value), x=WIDTH - 2, y=f"{y + 4:.1f}", text_anchor="end"))
-    label = "; ".join(
-        f"{row.label} {score_text(row.value)}"
-        + ("" if row.interval is None else f" [{score_text(row.interval[0])}, {score_text(row.interval[1])}]")
-        for row in rows
-    )
-    drawing = element(
-        "svg", *parts, viewBox=f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", role="img", aria_label=f"{title}: {label}"
-    )
+    values = "; ".join(f"{row.label} {interval_text(row.value, row.interval, score_text)}" for row in rows)
+    box, label = f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", f"{title}: {values}"
+    drawing = element("svg", *parts, viewBox=box, role="img", aria_label=label, class_="plot")
     is_cut = any(row.value < LEAST_SCORE for row in rows)
     cut = [f"Scores below {LEAST_SCORE:g} have an arrow in place of a dot."] if is_cut else []
     return element("figure", drawing, *(element("figcaption", note) for note in (*notes, *cut)))

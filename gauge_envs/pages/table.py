@@ -54,6 +54,7 @@ class Column:
         unit: Unit of all values; it stands in brackets behind the title.
         is_number: Whether the texts are aligned on the right.
         wide_only: Whether a terminal shows the column only with `--wide`.
+        narrow_only: Whether only a terminal without `--wide` shows the column.
         place: Where the column stands in a terminal.
         style: Rich style of a value; None for plain text.
         html: Markup of a value on a page; None for its text.
@@ -66,6 +67,7 @@ class Column:
     unit: str = ""
     is_number: bool = False
     wide_only: bool = False
+    narrow_only: bool = False
     place: Place = Place.CELL
     style: Callable[[Any], str] | None = None
     html: Callable[[Any], Html | str] | None = None
@@ -137,17 +139,19 @@ class Table:
     def markdown(self) -> str:
         """Return the table as GitHub Markdown, with all columns."""
         lines = [f"**{markdown_text(self.title)}**", ""] if self.title else []
-        lines.append(markdown_row([column.label for column in self.columns]))
-        lines.append(f"| {' | '.join('---:' if column.is_number else '---' for column in self.columns)} |")
-        lines += [markdown_row([column.text(row) for column in self.columns]) for row in self.rows]
+        columns = [column for column in self.columns if not column.narrow_only]
+        lines.append(markdown_row([column.label for column in columns]))
+        lines.append(f"| {' | '.join('---:' if column.is_number else '---' for column in columns)} |")
+        lines += [markdown_row([column.text(row) for column in columns]) for row in self.rows]
         # Two blanks end a line in Markdown.
         lines += ["", *(f"{markdown_text(note)}  " for note in self.notes)] if self.notes else []
         return "\n".join(lines)
 
     def html(self) -> Html:
         """Return the table as an element; on a narrow screen the cells of a row may stand below each other."""
-        beside = [column for column in self.columns if column.place is not Place.BELOW]
-        below = [column for column in self.columns if column.place is Place.BELOW]
+        columns = [column for column in self.columns if not column.narrow_only]
+        beside = [column for column in columns if column.place is not Place.BELOW]
+        below = [column for column in columns if column.place is Place.BELOW]
         head = (
             element("th", column.title if isinstance(column.title, Html) else column.label, scope="col", class_=kind)
             for column in beside
@@ -170,7 +174,12 @@ def _cell(column: Column, row: Any) -> Html:
 
 
 def grid(
-    titles: Sequence[str], rows: Iterable[Sequence[Any]], *, number_from: int = 99, look: str = "stack dense"
+    titles: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    number_from: int = 99,
+    look: str = "stack dense",
+    notes: tuple[str, ...] = (),
 ) -> Table:
     """Return a table of cells that are texts or markup already.
 
@@ -179,17 +188,19 @@ def grid(
         rows: The cells.
         number_from: First column of numbers.
         look: Classes of the table on a page.
+        notes: Lines below the table.
     """
     columns = (
         Column(str(index), title, lambda cell: cell, is_number=index >= number_from)
         for index, title in enumerate(titles)
     )
-    return Table(columns=tuple(columns), rows=list(rows), look=look)
+    return Table(columns=tuple(columns), rows=list(rows), notes=notes, look=look)
 
 
 def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
     """Yield headings, rows and what stands below them, none longer than the width."""
-    shown = {place: [c for c in table.columns if c.place is place and (wide or not c.wide_only)] for place in Place}
+    chosen = [c for c in table.columns if not (c.narrow_only if wide else c.wide_only)]
+    shown = {place: [c for c in chosen if c.place is place] for place in Place}
     indent = GAP if shown[Place.HEADING] else ""
     columns, widths = _fitted(shown[Place.CELL], table.rows, width - len(indent))
     spilled = shown[Place.CELL][len(columns) :]

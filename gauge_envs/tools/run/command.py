@@ -25,6 +25,7 @@ from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
     plain_text,
+    print_document,
     print_json_lines,
     progress_bar,
     stderr_console,
@@ -101,10 +102,11 @@ def run(
     Exit code 1 when an episode failed or diverged, or when an experiment given by its id was declined. Experiments of
     a pattern or of --all may be declined.
     """
-    from gauge_envs.pages.results import summary_view
+    from gauge_envs.pages.document import Terminal
     from gauge_envs.runs.batch import check_requests, run_many
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Outcome
+    from gauge_envs.tools.run.words import summary_document
 
     if not ids and not every:
         raise ParameterError("nothing to run: give ids, patterns or --all; gauge list shows them")
@@ -165,10 +167,10 @@ def run(
         stderr.print(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
-        stderr.print(summary_view(results, wide=wide, budget=uncertainty))
+        stderr.print(Terminal(summary_document(results, budget=uncertainty), wide))
         stderr.print(f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone")
         raise
-    (stderr if json_lines else stdout_console()).print(summary_view(results, wide=wide, budget=uncertainty))
+    (stderr if json_lines else stdout_console()).print(Terminal(summary_document(results, budget=uncertainty), wide))
     stderr.print(_totals(results, out))
     bad = (Outcome.FAILED, Outcome.DIVERGED)
     if any(r.outcome in bad or (r.outcome is Outcome.DECLINED and r.id in by_name) for r in results):
@@ -190,8 +192,8 @@ def score(
 
     Columns are the coordinates that `gauge show ID` lists. Without a `time_s` column, rows are 30 Hz frames.
     """
-    from gauge_envs.pages.results import summary_view
     from gauge_envs.runs.score_file import score_file
+    from gauge_envs.tools.run.words import summary_document
 
     result, interpolated = score_file(
         file,
@@ -207,7 +209,7 @@ def score(
     if json_lines:
         print_json_lines([result.to_dict(trajectory=False)])
     else:
-        stdout_console().print(summary_view([result], wide=wide))
+        print_document(summary_document([result]), wide=wide)
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:

@@ -11,13 +11,10 @@ import typer
 from gauge_envs.cli.arguments import Json, Wide, check_one_format
 from gauge_envs.cli.output import (
     EXIT_FAILED,
-    echo,
     plain_text,
-    print_json_lines,
-    print_table,
+    print_document,
     progress_bar,
     stderr_console,
-    stdout_console,
 )
 from gauge_envs.errors import ParameterError
 
@@ -100,18 +97,18 @@ def sanity(
     with real trials and laws. Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from
     --baseline, or when nothing could be measured.
     """
+    from gauge_envs.pages.document import save_file
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.baseline import read_baseline
-    from gauge_envs.tools.sanity.page import check_can_draw, save_sanity_page
+    from gauge_envs.tools.sanity.page import check_can_draw, sanity_page
     from gauge_envs.tools.sanity.selection import selection
     from gauge_envs.tools.sanity.target import compiled_model
-    from gauge_envs.tools.sanity.words import phenomena_rows, phenomena_table
+    from gauge_envs.tools.sanity.words import phenomena_table
 
     check_one_format(json_lines, markdown)
     patterns = only or []
     if describe:
-        listed = phenomena_rows(include_deformables=every, only=patterns)
-        print_table(phenomena_table(listed), json_lines=json_lines, wide=wide)
+        print_document(phenomena_table(include_deformables=every, only=patterns), json_lines=json_lines, wide=wide)
         return
     if target is None:
         raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5, or use --list")
@@ -138,21 +135,16 @@ def sanity(
             report = with_mujoco_warp(report, model=compiled_model(target))
     print_report(report, json_lines, markdown, wide)
     if html is not None:
-        stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
+        stderr_console().print(plain_text(str(save_file(html, sanity_page(report)))), soft_wrap=True)
     if has_failed(report, fail_on, before):
         raise typer.Exit(EXIT_FAILED)
 
 
 def print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
     """Print a sanity check as JSON lines, as Markdown, or for a terminal."""
-    from gauge_envs.tools.sanity.words import sanity_markdown, sanity_rows, sanity_view
+    from gauge_envs.tools.sanity.words import sanity_document
 
-    if json_lines:
-        print_json_lines(sanity_rows(report))
-    elif markdown:
-        echo(sanity_markdown(report), nl=False)
-    else:
-        stdout_console().print(sanity_view(report, wide=wide))
+    print_document(sanity_document(report), json_lines=json_lines, markdown=markdown, wide=wide)
 
 
 def _compare(
@@ -168,15 +160,10 @@ def _compare(
 ) -> None:
     """Print what changes between two targets; exit code 1 for a change as large as --fail-on states."""
     from gauge_envs.tools.sanity.against import Change, compare
-    from gauge_envs.tools.sanity.against_words import against_markdown, against_rows, against_view
+    from gauge_envs.tools.sanity.against_words import against_document
 
     comparison = compare(trained, deployed, only=patterns, include_deformables=every, time_limit_s=time_limit_s)
-    if json_lines:
-        print_json_lines(against_rows(comparison))
-    elif markdown:
-        echo(against_markdown(comparison), nl=False)
-    else:
-        stdout_console().print(against_view(comparison, wide=wide))
+    print_document(against_document(comparison), json_lines=json_lines, markdown=markdown, wide=wide)
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE), FailOn.NEVER: ()}
     if any(row.change in bad[fail_on] for row in comparison.rows):
         raise typer.Exit(EXIT_FAILED)
