@@ -101,20 +101,22 @@ PERCENTILES = {"rmse": "percentile", "rmse_aligned": "percentile_aligned"}
 """Field of `Score` with the percentage of real trials that are closer to their mean, by metric."""
 
 
-def raw_score(score: Score, metric: Metric) -> float | None:
+def raw_score(score: Score, metric: str) -> float | None:
     """Return a metric in its unit."""
-    value: float | None = getattr(score, metric.score_field)
+    value: float | None = getattr(score, SCORE_METRICS[metric].score_field)
     return value
 
 
-def normalized_score(score: Score, metric: Metric) -> float | None:
+def normalized_score(score: Score, metric: str) -> float | None:
     """Return a metric over the mean of the real trials; None for one that is not normalized."""
-    return None if metric.normalized_field is None else getattr(score, metric.normalized_field)
+    field = SCORE_METRICS[metric].normalized_field
+    return None if field is None else getattr(score, field)
 
 
-def score_interval(score: Score, metric: Metric) -> tuple[float, float] | None:
+def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
     """Return the 95 % interval of the normalized metric."""
-    return None if metric.normalized_field is None else getattr(score, f"{metric.normalized_field}_95")
+    field = SCORE_METRICS[metric].normalized_field
+    return None if field is None else getattr(score, f"{field}_95")
 
 
 # --- convergence ---

@@ -114,7 +114,7 @@ def _band(
     times, mean, sigma = (values[shown] for values in (panel.times_s, panel.mean, panel.sigma))
     measured = panel.measured[shown]
     parts: list[Html] = []
-    for first, last in _runs(np.isfinite(mean)):
+    for first, last in runs(np.isfinite(mean)):
         piece = slice(first, last)
         for reach, kind in ((2.0, "sigma2"), (1.0, "sigma1")):
             spread = reach * np.nan_to_num(sigma[piece])
@@ -123,7 +123,7 @@ def _band(
             points = np.column_stack([to_x(along), np.clip(to_y(edge), TOP, HEIGHT - BOTTOM)])
             parts.append(element("polygon", points=_points(points), class_=kind))
     for flags, dashes in ((measured, None), (~measured, "1 3")):
-        for first, last in _runs(flags & np.isfinite(mean)):
+        for first, last in runs(flags & np.isfinite(mean)):
             # A piece reaches the next point, so that pieces join.
             piece = slice(first, min(last + 1, len(mean)))
             known = np.isfinite(mean[piece])
@@ -135,7 +135,7 @@ def _band(
     return parts
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return half-open ranges of true flags."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))

@@ -113,6 +113,7 @@ class Table:
         title: Line above the table; empty for none.
         notes: Lines below the table.
         wide_only: Whether a terminal shows the table only with `--wide`.
+        narrow_only: Whether only a terminal without `--wide` shows the table.
         look: Classes of the table on a page.
     """
 
@@ -121,11 +122,12 @@ class Table:
     title: str = ""
     notes: tuple[str, ...] = ()
     wide_only: bool = False
+    narrow_only: bool = False
     look: str = "stack dense"
 
     def lines(self, width: int, *, wide: bool) -> Iterator[Text]:
         """Yield the lines of the table for a terminal, none longer than the width."""
-        if self.wide_only and not wide:
+        if self.narrow_only if wide else self.wide_only:
             return
         if self.title:
             yield Text(f"\n{self.title}", style="bold")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.files import printable
-from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 
 BACKEND_TITLES = {
@@ -37,12 +37,6 @@ GRADE_NOTES = {
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
     BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
-}
-
-SIGMA_NOTES = {
-    SigmaSource.TRIALS: "scatter of the trials, per frame",
-    SigmaSource.BASELINE: "from the published scatter, constant and the same for each coordinate",
-    SigmaSource.MEASUREMENT: "uncertainty of the measurement; the scatter of trials is not known",
 }
 
 
@@ -119,6 +113,12 @@ def quantity_text(value: float) -> str:
     return f"{value:.3g}" if size >= 1e-3 or size == 0.0 else f"{value:.1e}"
 
 
+class Markdown(str):
+    """Text whose Markdown marks are meant; all other texts are escaped."""
+
+    __slots__ = ()
+
+
 def markdown_row(cells: Sequence[str]) -> str:
     """Return one row of a table in GitHub Markdown."""
     return f"| {' | '.join(map(markdown_text, cells))} |"
@@ -126,6 +126,8 @@ def markdown_row(cells: Sequence[str]) -> str:
 
 def markdown_text(text: str) -> str:
     """Return a text in one line in which Markdown changes nothing and makes no link, picture or code."""
+    if isinstance(text, Markdown):
+        return text
     plain = printable(" ".join(text.split()))
     # A bracket alone stays, as in intervals; it makes a link only with what follows it.
     return re.sub(r"([|*_<`\\]|\](?=[(\[])|!(?=\[))", r"\\\1", plain)

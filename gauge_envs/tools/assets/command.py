@@ -13,7 +13,7 @@ from gauge_envs.cli.output import (
     counted,
     echo,
     plain_text,
-    print_table,
+    print_document,
     stderr_console,
 )
 from gauge_envs.experiments.patterns import matching_variants
@@ -50,7 +50,7 @@ def assets_list(json_lines: Json = False) -> None:
         Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True),
         Column("of", "of", _owners_text),
     )
-    print_table(Table(columns=columns, rows=asset_rows(assets_folder())), json_lines=json_lines)
+    print_document(Table(columns=columns, rows=asset_rows(assets_folder())), json_lines=json_lines)
 
 
 @assets_app.command("isaac-sim")

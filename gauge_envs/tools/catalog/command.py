@@ -11,8 +11,7 @@ from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
     plain_text,
-    print_json_lines,
-    print_table,
+    print_document,
     stderr_console,
     stdout_console,
 )
@@ -32,7 +31,8 @@ def list_(
     """
     from gauge_envs.experiments.task_files import task_file_faults
     from gauge_envs.references.bands import BandGrade
-    from gauge_envs.tools.catalog.listing import list_rows, list_table
+    from gauge_envs.tools.catalog.listing import list_rows
+    from gauge_envs.tools.catalog.words import list_table
 
     stderr = stderr_console()
     faults = task_file_faults()
@@ -40,11 +40,10 @@ def list_(
         stderr.print(f"[yellow]skipped:[/] {plain_text(str(fault))}", soft_wrap=True)
     found = list_rows(
         [variant for variant in matching_variants(pattern) if variant.family not in faults],
-        isolate=True,
         notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
     )
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
-    print_table(list_table(rows), json_lines=json_lines, wide=wide)
+    print_document(list_table(rows), json_lines=json_lines, wide=wide)
     if not json_lines:
         _print_counts(rows, with_control=pattern == "*" and not scored)
     if faults:
@@ -53,7 +52,7 @@ def list_(
 
 def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
     from gauge_envs.experiments.variants import beyond_variants
-    from gauge_envs.tools.catalog.control import control_summary
+    from gauge_envs.tools.catalog.words import control_summary
 
     families = len({row["family"] for row in rows})
     console = stdout_console()
@@ -76,16 +75,12 @@ def show(
     """
     from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
-    from gauge_envs.tools.catalog.control import control_description, control_view
-    from gauge_envs.tools.catalog.description import description, description_view
+    from gauge_envs.tools.catalog.description import control_description, description
+    from gauge_envs.tools.catalog.words import control_document, experiment_document
 
     if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
-        values = control_description(find_control_task(name))
-        view = control_view(values)
+        document = control_document(control_description(find_control_task(name)))
     else:
-        values = description(resolve_experiment(name, drivers=drivers, reference=reference, asset=asset))
-        view = description_view(values)
-    if json_lines:
-        print_json_lines([values])
-    else:
-        stdout_console().print(view)
+        experiment = resolve_experiment(name, drivers=drivers, reference=reference, asset=asset)
+        document = experiment_document(description(experiment))
+    print_document(document, json_lines=json_lines)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli.arguments import Json, Wide, check_one_format
-from gauge_envs.cli.output import EXIT_FAILED, echo, plain_text, print_json_lines, stderr_console, stdout_console
+from gauge_envs.cli.output import EXIT_FAILED, echo, plain_text, print_document, stderr_console
 from gauge_envs.cli.results import loaded_results
-from gauge_envs.errors import ResultFileError
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
@@ -44,22 +43,17 @@ def plot(
 
 def _save_pareto(results: Sequence[Result], folder: Path) -> Iterator[Path]:
     """Write error over cost as a picture, in Markdown and in JSON; yield each path."""
-    from gauge_envs.files import write_whole
-    from gauge_envs.tools.cost.figure import save_pareto
-    from gauge_envs.tools.cost.pareto import tradeoff
-    from gauge_envs.tools.cost.words import pareto_json, pareto_markdown
+    from gauge_envs.pages.document import as_markdown, as_rows, save_file
+    from gauge_envs.pages.figures import save_png
+    from gauge_envs.tools.cost import draw_pareto, pareto_document, tradeoff
 
     found = tradeoff(results)
     for note in found.notes:
         stderr_console().print(f"[yellow]note:[/] {plain_text(note)}", soft_wrap=True)
-    yield save_pareto(found, folder / "pareto.png")
-    texts = {"pareto.md": pareto_markdown(found), "pareto.json": json.dumps(pareto_json(found), indent=1) + "\n"}
-    for name, text in texts.items():
-        try:
-            write_whole(folder / name, text.encode())
-        except OSError as error:
-            raise ResultFileError(f"{folder / name}: cannot be written: {error.strerror or error}") from error
-        yield folder / name
+    document = pareto_document(found)
+    yield save_png(draw_pareto(found), folder / "pareto.png")
+    yield save_file(folder / "pareto.md", as_markdown(document))
+    yield save_file(folder / "pareto.json", json.dumps(as_rows(document)[0], indent=1) + "\n")
 
 
 def compare(
@@ -82,19 +76,13 @@ def compare(
     shown as mean and scatter. Exit code 1 when a damaged file was skipped.
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
-    from gauge_envs.tools.compare.scores import check_metrics
-    from gauge_envs.tools.compare.words import comparison_json, comparison_markdown, comparison_view
+    from gauge_envs.tools.compare.words import check_metrics, comparison_document
 
     check_one_format(json_lines, markdown)
     chosen = check_metrics(metrics or [])
     results, skipped = loaded_results(sources, with_scene=out is not None)
     comparison = compare_results(results)
-    if json_lines:
-        print_json_lines(comparison_json(comparison, chosen))
-    elif markdown:
-        echo(comparison_markdown(comparison, chosen), nl=False)
-    else:
-        stdout_console().print(comparison_view(comparison, chosen, wide=wide))
+    print_document(comparison_document(comparison, chosen), json_lines=json_lines, markdown=markdown, wide=wide)
     if out is not None:
         from gauge_envs.tools.compare.overview_figure import save_comparison
 

@@ -13,13 +13,11 @@ from gauge_envs.cli.arguments import Json, Wide, parsed_settings
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
-    echo,
     plain_text,
+    print_document,
     print_json_lines,
-    print_table,
     progress_bar,
     stderr_console,
-    stdout_console,
 )
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.conformance.matrix_command import MatrixOutput, check_matrix
@@ -38,9 +36,9 @@ backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=Tru
 @backend_app.command("list")
 def backend_list(json_lines: Json = False) -> None:
     """List installed backends and the versions of their engines."""
-    from gauge_envs.tools.catalog.listing import backend_rows, backend_table
+    from gauge_envs.tools.conformance.words import backends_table
 
-    print_table(backend_table(backend_rows(isolate=True)), json_lines=json_lines)
+    print_document(backends_table(), json_lines=json_lines)
 
 
 @backend_app.command("check")
@@ -104,11 +102,11 @@ def backend_check(
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.matrix import CANONICAL
     from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
-    from gauge_envs.tools.conformance.words import checks_table, findings_markdown, findings_view
+    from gauge_envs.tools.conformance.words import checks_table, findings_document
 
     patterns = only or []
     if describe:
-        print_table(checks_table(checks(patterns)), json_lines=json_lines, wide=wide)
+        print_document(checks_table(checks(patterns)), json_lines=json_lines, wide=wide)
         return
     if not names and not every and not files:
         raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list or --all")
@@ -139,10 +137,8 @@ def backend_check(
         limits=(limit_s, memory_limit_gb),
         json_lines=json_lines,
     )
-    if markdown:
-        echo(findings_markdown(findings))
-    elif not json_lines:
-        stdout_console().print(findings_view(findings, wide=wide))
+    if not json_lines:
+        print_document(findings_document(findings), markdown=markdown, wide=wide)
     bad = sum(finding.is_bad for finding in findings)
     stderr_console().print(f"{counted(len(findings), 'check')}, {bad} failed")
     if bad:

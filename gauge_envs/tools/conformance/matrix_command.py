@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from gauge_envs.cli.output import EXIT_FAILED, counted, echo, plain_text, print_json_lines, progress_bar, stderr_console
+from gauge_envs.cli.output import (
+    EXIT_FAILED,
+    counted,
+    plain_text,
+    print_document,
+    print_json_lines,
+    progress_bar,
+    stderr_console,
+)
 from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
@@ -80,12 +88,15 @@ def check_matrix(
         limits: Time limit of a check [s] and limit of memory [GB].
         output: Where the matrix goes.
     """
+    from datetime import UTC, datetime
+
+    from gauge_envs.pages.document import save_file
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.matrix import matrix_columns
     from gauge_envs.tools.conformance.matrix_file import with_columns, write_columns
-    from gauge_envs.tools.conformance.matrix_words import matrix_markdown
-    from gauge_envs.tools.conformance.page import save_conformance_page
+    from gauge_envs.tools.conformance.page import conformance_page
+    from gauge_envs.tools.conformance.words import matrix_document
 
     output.check_places()
     new: list[MatrixColumn] = []
@@ -106,10 +117,10 @@ def check_matrix(
     if output.file is not None:
         stderr.print(plain_text(str(write_columns(columns, output.file))), soft_wrap=True)
     if output.report is not None:
-        page = save_conformance_page(columns, chosen, output.report, command=command)
-        stderr.print(plain_text(str(page)), soft_wrap=True)
+        page = conformance_page(columns, chosen, command=command, when=datetime.now(UTC))
+        stderr.print(plain_text(str(save_file(output.report, page))), soft_wrap=True)
     if output.markdown:
-        echo(matrix_markdown(columns, chosen), nl=False)
+        print_document(matrix_document(columns, chosen), markdown=True)
     bad = sum(finding.is_bad for column in new for finding in column.findings.values())
     if new:
         stderr.print(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")

@@ -14,11 +14,10 @@ from gauge_envs.cli.output import (
     counted,
     echo,
     plain_text,
+    print_document,
     print_json_lines,
-    print_table,
     progress_bar,
     stderr_console,
-    stdout_console,
 )
 from gauge_envs.experiments.patterns import matching_variants
 
@@ -66,7 +65,7 @@ def data_import(
     """
     from gauge_envs.tools.dataset.importer import import_trials
     from gauge_envs.tools.dataset.layout import find_trials
-    from gauge_envs.tools.dataset.words import import_view
+    from gauge_envs.tools.dataset.words import import_document
 
     layout = find_trials(folder, only=only or ["*"])
     stderr = stderr_console()
@@ -88,7 +87,7 @@ def data_import(
     if json_lines:
         print_json_lines([{"finding": asdict(finding)} for finding in findings])
     else:
-        stdout_console().print(import_view(imports))
+        print_document(import_document(imports))
     trials = sum(one.used for one in imports)
     kept = sum(one.record is not None for one in imports)
     stderr.print(f"{counted(trials, 'trial')} of {counted(kept, 'experiment')} imported")
@@ -108,4 +107,4 @@ def data_status(
     from gauge_envs.tools.dataset.status import status_rows
     from gauge_envs.tools.dataset.words import status_table
 
-    print_table(status_table(status_rows(matching_variants(pattern))), json_lines=json_lines, wide=wide)
+    print_document(status_table(status_rows(matching_variants(pattern))), json_lines=json_lines, wide=wide)

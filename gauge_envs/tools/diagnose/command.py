@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli.arguments import Json, Wide, WithheldOption
-from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, stderr_console, stdout_console
+from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_document, stderr_console
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
-    from gauge_envs.tools.diagnose.diagnosis import Diagnosis
+    from gauge_envs.tools.diagnose.model import Diagnosis
 
 
 def diagnose(
@@ -42,7 +42,7 @@ def diagnose(
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.diagnose.error_budget import DiagnosisError, stage_order
     from gauge_envs.tools.diagnose.error_budget import diagnose as diagnose_result
-    from gauge_envs.tools.diagnose.words import diagnosis_rows, diagnosis_view
+    from gauge_envs.tools.diagnose.words import diagnosis_document
 
     stages = stage_order(part.strip() for part in order.split(","))
     if name is None:
@@ -63,13 +63,12 @@ def diagnose(
         raise DiagnosisError("; ".join(dict.fromkeys(reasons)))
     for reason in dict.fromkeys(reasons):
         stderr_console().print(f"[yellow]left out:[/] {plain_text(reason)}", soft_wrap=True)
-    if json_lines:
-        print_json_lines(diagnosis_rows(pairs))
-    else:
-        stdout_console().print(diagnosis_view(pairs, wide=wide))
+    print_document(diagnosis_document(pairs), json_lines=json_lines, wide=wide)
     if out is not None:
-        from gauge_envs.tools.diagnose.figure import save_diagnoses
+        from gauge_envs.pages.figures import save_png
+        from gauge_envs.tools.diagnose.figure import draw_diagnoses
 
-        stderr_console().print(plain_text(str(save_diagnoses(pairs, out))), soft_wrap=True)
+        picture = save_png(draw_diagnoses(pairs), out / "diagnosis.png")
+        stderr_console().print(plain_text(str(picture)), soft_wrap=True)
     if skipped:
         raise typer.Exit(EXIT_FAILED)

@@ -11,12 +11,10 @@ from gauge_envs.cli.arguments import Json, Wide, check_one_format
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
-    echo,
     plain_text,
-    print_json_lines,
+    print_document,
     progress_bar,
     stderr_console,
-    stdout_console,
 )
 
 if TYPE_CHECKING:
@@ -43,13 +41,10 @@ def leaderboard_check(
 
     Exit code 1 when anything is wrong.
     """
-    from gauge_envs.tools.leaderboard.words import check_records, check_view
+    from gauge_envs.tools.leaderboard.words import check_document
 
     check = _checked(folder, rerun=rerun, salt=salt)
-    if json_lines:
-        print_json_lines(check_records(check))
-    else:
-        stdout_console().print(check_view(check))
+    print_document(check_document(check), json_lines=json_lines)
     stderr_console().print(
         f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}"
     )
@@ -73,28 +68,19 @@ def leaderboard_table(
     """
     import json
 
-    from gauge_envs.errors import ResultFileError
-    from gauge_envs.files import write_whole
+    from gauge_envs.pages.document import as_markdown, as_rows, save_file
     from gauge_envs.tools.leaderboard.layout import GENERATED
-    from gauge_envs.tools.leaderboard.words import leaderboard_markdown, leaderboard_records, leaderboard_view
+    from gauge_envs.tools.leaderboard.words import leaderboard_document
 
     check_one_format(json_lines, markdown)
     check = _checked(folder)
+    document = leaderboard_document(check)
     if out is not None:
-        texts = (json.dumps(leaderboard_records(check), allow_nan=False, indent=1) + "\n", leaderboard_markdown(check))
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            for name, text in zip(GENERATED, texts, strict=True):
-                write_whole(out / name, text.encode())
-                stderr_console().print(plain_text(str(out / name)), soft_wrap=True)
-        except OSError as error:
-            raise ResultFileError(f"{out}: cannot be written: {error.strerror or error}") from error
-    if json_lines:
-        print_json_lines(leaderboard_records(check))
-    elif markdown:
-        echo(leaderboard_markdown(check), nl=False)
-    elif out is None:
-        stdout_console().print(leaderboard_view(check, wide=wide))
+        texts = (json.dumps(as_rows(document), allow_nan=False, indent=1) + "\n", as_markdown(document))
+        for name, text in zip(GENERATED, texts, strict=True):
+            stderr_console().print(plain_text(str(save_file(out / name, text))), soft_wrap=True)
+    if json_lines or markdown or out is None:
+        print_document(document, json_lines=json_lines, markdown=markdown, wide=wide)
     for fault in check.all_faults:
         stderr_console().print(f"[yellow]left out:[/] {plain_text(str(fault))}", soft_wrap=True)
     if not check.ok:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from gauge_envs.cli.arguments import Json
-from gauge_envs.cli.output import EXIT_FAILED, echo, print_json_lines, print_table, stdout_console
+from gauge_envs.cli.output import EXIT_FAILED, echo, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _print_recipe(
 ) -> None:
     from gauge_envs.tools.recipes import FREE_FRICTION, Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
-    from gauge_envs.tools.recipes.words import material_table, recipe_view
+    from gauge_envs.tools.recipes.words import recipe_document
 
     settings = engine_settings(engine)
     friction, restitution, penetration, stiffness, damping = behaviour
@@ -103,12 +103,8 @@ def _print_recipe(
         timestep_s=_given(timestep, "timestep", "0.002"),
     )
     found = find_recipe(settings, aim)
-    if json_lines:
-        print_json_lines([found.json() | ({} if pair is None else {"material": dict(vars(pair))})])
-    else:
-        if pair is not None:
-            print_table(material_table((pair,)), json_lines=False)
-        stdout_console().print(recipe_view(found))
+    print_document(recipe_document(found, pair), json_lines=json_lines)
+    if not json_lines:
         _print_snippet(found.settings.snippet(aim.mass_kg))
     if found.found is None:
         raise typer.Exit(EXIT_FAILED)
@@ -117,16 +113,14 @@ def _print_recipe(
 def _explain(engine: str, text: str, mass: float | None, timestep: float | None, json_lines: bool) -> None:
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
-    from gauge_envs.tools.recipes.words import meaning_view
+    from gauge_envs.tools.recipes.words import meaning_document
 
     step_s = _given(timestep, "timestep", "0.002")
     if not step_s > 0.0:
         raise ParameterError(f"timestep {step_s:g} s: expected a positive number")
     meaning = explain(parsed_contact(engine_settings(engine), text, step_s), _given(mass, "mass", "2"))
-    if json_lines:
-        print_json_lines([meaning.json()])
-    else:
-        stdout_console().print(meaning_view(meaning))
+    print_document(meaning_document(meaning), json_lines=json_lines)
+    if not json_lines:
         _print_snippet(meaning.settings.snippet(meaning.mass_kg))
     if meaning.found is None:
         raise typer.Exit(EXIT_FAILED)
@@ -136,8 +130,8 @@ def _list_materials(json_lines: bool) -> None:
     from gauge_envs.tools.recipes.materials import material_pairs
     from gauge_envs.tools.recipes.words import fabric_table, material_table
 
-    print_table(material_table(material_pairs()), json_lines=json_lines)
-    print_table(fabric_table(_fabrics()), json_lines=json_lines)
+    print_document(material_table(material_pairs()), json_lines=json_lines)
+    print_document(fabric_table(_fabrics()), json_lines=json_lines)
 
 
 def _fabrics() -> Mapping[str, Fabric]:
@@ -148,13 +142,11 @@ def _fabrics() -> Mapping[str, Fabric]:
 
 def _print_fabric(name: str, engine: str, timestep: float | None, json_lines: bool) -> None:
     from gauge_envs.tools.recipes.fabrics import fabric_recipe, fabric_snippet
-    from gauge_envs.tools.recipes.words import fabric_view
+    from gauge_envs.tools.recipes.words import fabric_document
 
     found = fabric_recipe(name, _fabrics()[name], engine, timestep)
-    if json_lines:
-        print_json_lines([found.json()])
-    else:
-        stdout_console().print(fabric_view(found))
+    print_document(fabric_document(found), json_lines=json_lines)
+    if not json_lines:
         _print_snippet(fabric_snippet(found.mapped))
     if found.faults and found.versions:
         raise typer.Exit(EXIT_FAILED)

@@ -109,14 +109,14 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
     order = ("rmse", ALIGNED.key) if score.primary == "rmse" else (ALIGNED.key, "rmse")
     for key in dict.fromkeys((*order, *METRICS)):
         metric, line = SCORE_METRICS[key], baselines.get(key)
-        raw, normalized = raw_score(score, metric), normalized_score(score, metric)
+        raw, normalized = raw_score(score, key), normalized_score(score, key)
         if (normalized if metric is ALIGNED else raw) is None and line is None:
             continue
         is_partial = metric.is_normalized and raw is not None and normalized is None
         row = common | {
             "metric": metric.title,
             "score": None if raw is None else with_unit(number_text(raw), metric.unit_of(score.unit)),
-            "normalized": None if normalized is None else interval_text(normalized, score_interval(score, metric)),
+            "normalized": None if normalized is None else interval_text(normalized, score_interval(score, key)),
             "percentile": getattr(score, PERCENTILES[key]) if key in PERCENTILES else None,
             # Published scores are over the whole motion. Some laws hold for its first frames alone.
             "engines": None if line is None or is_partial else line.engines,

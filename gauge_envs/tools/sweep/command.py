@@ -23,10 +23,9 @@ from gauge_envs.cli.output import (
     counted,
     echo,
     plain_text,
+    print_document,
     print_json_lines,
-    print_table,
     stderr_console,
-    stdout_console,
 )
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.patterns import is_glob
@@ -144,15 +143,13 @@ def query(
 ) -> None:
     """Query the results of a folder with SQL, which can only read, within 60 s."""
     from gauge_envs.tools.sweep.query import query_sweep
-    from gauge_envs.tools.sweep.words import query_csv, query_records, query_table
+    from gauge_envs.tools.sweep.words import query_csv, query_document
 
     columns, rows = query_sweep(folder, sql, notify=_note)
     if form is Format.CSV:
         echo(query_csv(columns, rows), nl=False)
-    elif form is Format.JSON:
-        print_json_lines(query_records(columns, rows))
     else:
-        print_table(query_table(columns, rows), json_lines=False)
+        print_document(query_document(columns, rows), json_lines=form is Format.JSON)
 
 
 # --- what is asked for -----------------------------------------------------------------------------------------------
@@ -258,15 +255,14 @@ def _show_plan(plan: SweepPlan, out: Path, workers: int, *, retry_failed: bool, 
     from gauge_envs.tools.sweep.estimate import EarlierCosts
     from gauge_envs.tools.sweep.folder import SweepFolder
     from gauge_envs.tools.sweep.plan import remaining_tasks
-    from gauge_envs.tools.sweep.words import cost_text, plan_rows, plan_table
+    from gauge_envs.tools.sweep.words import cost_text, plan_document
 
     folder = SweepFolder(out)
     kept = [one for one in Outcome if not (retry_failed and one is Outcome.FAILED)]
     tasks = list(remaining_tasks(plan, {entry.name for entry in folder.files(*kept)}))
     costs = EarlierCosts(folder)
-    rows = plan_rows(plan, tasks, costs)
-    print_table(plan_table(rows, wide=wide or json_lines), json_lines=json_lines, wide=True)
-    left = sum(row["left"] for row in rows)
+    print_document(plan_document(plan, tasks, costs), json_lines=json_lines, wide=wide)
+    left = sum(len(task.seeds) for task in tasks)
     stderr = stderr_console()
     stderr.print(
         f"{plan.episode_count} episodes, {left} left; {counted(plan.duplicates, 'duplicate')} left out", soft_wrap=True
@@ -284,7 +280,6 @@ def _run(
     retry_failed: bool,
     json_lines: bool,
 ) -> None:
-    from gauge_envs.pages.table import as_rich
     from gauge_envs.runs.result import Outcome
     from gauge_envs.tools.sweep.session import SweepSession
     from gauge_envs.tools.sweep.words import outcome_table
@@ -306,7 +301,7 @@ def _run(
     if json_lines:
         stderr.print(plain_text(f"{counted(counts.total(), 'episode')}; results in {out}"), soft_wrap=True)
     else:
-        stdout_console().print(as_rich(outcome_table(counts)))
+        print_document(outcome_table(counts))
         stderr.print(plain_text(f"results in {out}"), soft_wrap=True)
     if any(counts[name, Outcome.FAILED] for name in spec.backends):
         stderr.print("causes of failures are in the folder failed; --retry-failed runs them again")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.files import json_ready, printable
+from gauge_envs.files import printable
+from gauge_envs.pages.document import Document
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import value_text
 from gauge_envs.runs.result import Outcome
@@ -38,8 +39,20 @@ def cost_text(cost: Cost, workers: int) -> str:
     return f"{text}; unknown for {cost.unknown} episodes" if cost.unknown else text
 
 
-def plan_rows(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) -> list[dict[str, Any]]:
-    """Return a row for each engine and experiment of a plan, with the episodes that are left and their cost."""
+PLAN_COLUMNS = (
+    Column("backend", "engine"),
+    Column("experiment", "experiment"),
+    *(Column(key, key, str, is_number=True) for key in ("runs", "episodes", "left", "declined")),
+    Column("engine_s", "engine time", duration_text, is_number=True),
+    Column("unknown", "without estimate", str, is_number=True),
+)
+
+
+def plan_document(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) -> Document:
+    """Return the episodes of a plan that are left and their cost: for each engine, or wide for each experiment, too.
+
+    Its rows are those of the engines and experiments.
+    """
     left: dict[tuple[str, str], list[SweepTask]] = {}
     for task in tasks:
         left.setdefault(task.run.group, []).append(task)
@@ -59,18 +72,17 @@ def plan_rows(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) 
         row["left"] = sum(len(task.seeds) for task in waiting)
         row["engine_s"] = cost.engine_s if cost.known else None
         row["unknown"] = cost.unknown
-    return list(rows.values())
+    whole = tuple(column for column in PLAN_COLUMNS if column.key != "experiment")
+    return Document(
+        parts=(
+            Table(columns=whole, rows=_sums(rows.values()), narrow_only=True),
+            Table(columns=PLAN_COLUMNS, rows=list(rows.values()), wide_only=True),
+        ),
+        rows=list(rows.values()),
+    )
 
 
-def plan_table(rows: Sequence[Mapping[str, Any]], *, wide: bool) -> Table:
-    """Return a plan as a table: a row for each engine, or with `wide` for each engine and experiment."""
-    if wide:
-        return Table(columns=PLAN_COLUMNS, rows=rows)
-    columns = tuple(column for column in PLAN_COLUMNS if column.key != "experiment")
-    return Table(columns=columns, rows=_sums(rows))
-
-
-def _sums(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _sums(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     sums: dict[str, dict[str, Any]] = {}
     for row in rows:
         one = sums.setdefault(row["backend"], {"backend": row["backend"], "engine_s": None})
@@ -95,16 +107,22 @@ def outcome_table(counts: Mapping[tuple[str, Outcome], int]) -> Table:
     return Table(columns=columns, rows=rows)
 
 
-def query_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """Return the answer to a query as a table."""
+def query_document(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Document:
+    """Return the answer to a query; bytes are written in hexadecimal digits."""
     numbers = [all(isinstance(row[index], int | float | None) for row in rows) for index in range(len(columns))]
-    return Table(
-        columns=tuple(
-            Column(str(index), name, lambda value: value_text(_plain(value)), is_number=is_number)
-            for index, (name, is_number) in enumerate(zip(columns, numbers, strict=True))
-        ),
-        rows=[{str(index): value for index, value in enumerate(row)} for row in rows],
+    shown = (
+        Column(str(index), name, lambda value: value_text(_plain(value)), is_number=is_number)
+        for index, (name, is_number) in enumerate(zip(columns, numbers, strict=True))
     )
+    return Document(parts=(Table(columns=tuple(shown), rows=rows),), rows=_records(columns, rows))
+
+
+def _records(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Iterator[dict[str, Any]]:
+    if len({*columns}) < len(columns):
+        twice = next(name for name, count in Counter(columns).items() if count > 1)
+        raise ParameterError(f"two columns have the name {twice!r}, and JSON keeps one: name them with AS")
+    for row in rows:
+        yield {name: _plain(value) for name, value in zip(columns, row, strict=True)}
 
 
 def query_csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -120,14 +138,6 @@ def query_csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return text.getvalue()
 
 
-def query_records(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[dict[str, Any]]:
-    """Return the answer to a query as JSON-ready objects; bytes are written in hexadecimal digits."""
-    if len({*columns}) < len(columns):
-        twice = next(name for name, count in Counter(columns).items() if count > 1)
-        raise ParameterError(f"two columns have the name {twice!r}, and JSON keeps one: name them with AS")
-    return [json_ready({name: _plain(value) for name, value in zip(columns, row, strict=True)}) for row in rows]
-
-
 def _plain(value: Any) -> Any:
     return value.hex() if isinstance(value, bytes) else value
 
@@ -135,15 +145,3 @@ def _plain(value: Any) -> Any:
 def _csv_value(value: Any) -> Any:
     value = _plain(value)
     return "\n".join(map(printable, value.split("\n"))) if isinstance(value, str) else value
-
-
-PLAN_COLUMNS = (
-    Column("backend", "engine"),
-    Column("experiment", "experiment"),
-    Column("runs", "runs", str, is_number=True),
-    Column("episodes", "episodes", str, is_number=True),
-    Column("left", "left", str, is_number=True),
-    Column("declined", "declined", str, is_number=True),
-    Column("engine_s", "engine time", duration_text, is_number=True),
-    Column("unknown", "without estimate", str, is_number=True),
-)

@@ -11,11 +11,9 @@ from gauge_envs.cli.arguments import Json, ParametersOption, Wide, parsed_parame
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     plain_text,
-    print_json_lines,
-    print_table,
+    print_document,
     progress_bar,
     stderr_console,
-    stdout_console,
 )
 from gauge_envs.errors import ParameterError
 
@@ -73,11 +71,11 @@ def transfer(
     """
     from contextlib import closing
 
-    from gauge_envs.pages.figures import new_figure
+    from gauge_envs.pages.figures import new_figure, save_png
     from gauge_envs.tools.transfer.policies.load import load_policies
     from gauge_envs.tools.transfer.policy_replays import make_control_env, other_worlds, replay, training_world
     from gauge_envs.tools.transfer.transfer import transfer_report
-    from gauge_envs.tools.transfer.words import transfer_json, transfer_table, transfer_verdict
+    from gauge_envs.tools.transfer.words import transfer_document
 
     if figure is not None:
         new_figure(1.0, 1.0)  # A missing matplotlib is an error before the replays, not after.
@@ -93,17 +91,14 @@ def transfer(
             notify=lambda name: status.update(f"replaying: {plain_text(name)}"),
         )  # fmt: skip
     report = transfer_report(replays)
-    if json_lines:
-        print_json_lines(transfer_json(report))
-    else:
-        print_table(transfer_table(report), json_lines=False, wide=wide)
+    if not json_lines:
         for name, reason in report.left_out.items():
             stderr.print(f"[yellow]left out:[/] {plain_text(name)}: {plain_text(reason)}", soft_wrap=True)
-        stdout_console().print(f"\n{plain_text(transfer_verdict(report))}")
+    print_document(transfer_document(report), json_lines=json_lines, wide=wide)
     if figure is not None:
-        from gauge_envs.tools.transfer.figure import save_transfer
+        from gauge_envs.tools.transfer.figure import draw_transfer
 
-        stderr.print(plain_text(str(save_transfer(report, figure))), soft_wrap=True)
+        stderr.print(plain_text(str(save_png(draw_transfer(report), figure))), soft_wrap=True)
     if fail_below is not None and 100.0 * report.kept.value < fail_below:
         raise typer.Exit(EXIT_FAILED)
 
@@ -142,9 +137,9 @@ def envelope(
 
     With --out it writes the same uncertainty as ranges of domain randomization.
     """
-    from gauge_envs.pages.figures import new_figure
+    from gauge_envs.pages.figures import new_figure, save_png
     from gauge_envs.tools.transfer.envelope_statistics import envelope_report
-    from gauge_envs.tools.transfer.envelope_words import envelope_json, envelope_table, envelope_verdict
+    from gauge_envs.tools.transfer.envelope_words import envelope_document
     from gauge_envs.tools.transfer.randomization import write_randomization
 
     if figure is not None:
@@ -165,16 +160,12 @@ def envelope(
 
             found = experiment_envelope(subject, **common)
     report = envelope_report(found)
-    if json_lines:
-        print_json_lines([envelope_json(report)])
-    else:
-        print_table(envelope_table(report), json_lines=False)
-        stdout_console().print(f"\n{plain_text(envelope_verdict(report))}")
+    print_document(envelope_document(report), json_lines=json_lines)
     written = []
     if figure is not None:
-        from gauge_envs.tools.transfer.envelope_figure import save_envelope
+        from gauge_envs.tools.transfer.envelope_figure import draw_envelope
 
-        written.append(save_envelope(found, report, figure))
+        written.append(save_png(draw_envelope(found, report), figure))
     if out is not None:
         written += write_randomization(out, found.id, found.scene, found.parameters, width)
     for path in written:

@@ -14,14 +14,12 @@ from gauge_envs.cli.output import (
     counted,
     echo,
     plain_text,
-    print_json_lines,
-    print_table,
+    print_document,
     progress_bar,
     stderr_console,
-    stdout_console,
 )
 from gauge_envs.errors import ParameterError, VideoError
-from gauge_envs.files import write_whole
+from gauge_envs.pages.document import save_file
 
 if TYPE_CHECKING:
     from gauge_envs.tools.video import PlaneView, Track
@@ -34,9 +32,9 @@ video_app = typer.Typer(help="Videos of world models, judged by the laws of moti
 def video_list(json_lines: Json = False, wide: Wide = False) -> None:
     """List the tasks: what moves, how large it is, and what real trials give."""
     from gauge_envs.tools.video import video_tasks
-    from gauge_envs.tools.video.words import task_rows, task_table
+    from gauge_envs.tools.video.words import task_table
 
-    print_table(task_table(task_rows(video_tasks())), json_lines=json_lines, wide=wide)
+    print_document(task_table(video_tasks()), json_lines=json_lines, wide=wide)
 
 
 @video_app.command("prompts")
@@ -98,7 +96,7 @@ def video_score(
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.overlay import save_overlay
     from gauge_envs.tools.video.tracker import track_object
-    from gauge_envs.tools.video.words import score_view
+    from gauge_envs.tools.video.words import score_document
 
     chosen = video_task(task)
     if is_track and (overlay or first_frame):
@@ -117,10 +115,7 @@ def video_score(
         if overlay is not None:
             written = save_overlay(source, result, overlay / f"{path.stem}.overlay.mp4")
             stderr_console().print(plain_text(str(written)), soft_wrap=True)
-        if json_lines:
-            print_json_lines([result.to_dict()])
-        else:
-            stdout_console().print(score_view(result, chosen.real), soft_wrap=True)
+        print_document(score_document(result, chosen.real), json_lines=json_lines)
         has_failed = has_failed or result.grade is Grade.INVALID
     if has_failed:
         raise typer.Exit(EXIT_FAILED)
@@ -142,7 +137,7 @@ def video_report(
 
     from gauge_envs.tools.video import score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
-    from gauge_envs.tools.video.page import find_videos, save_video_page
+    from gauge_envs.tools.video.page import find_videos, video_page
     from gauge_envs.tools.video.tracker import track_object
 
     videos = find_videos(folder)
@@ -163,13 +158,9 @@ def video_report(
         stderr_console().print(plain_text(text), soft_wrap=True)
     if not results:
         raise typer.Exit(EXIT_FAILED)
-    page = save_video_page(results, files, out)
+    page = save_file(out / "index.html", video_page(results, files))
     lines = [json.dumps({"model": model, **result.to_dict()}) for (model, _), result in results.items()]
-    file = out / "results.json"
-    try:
-        write_whole(file, ("\n".join(lines) + "\n").encode())
-    except OSError as error:
-        raise VideoError(f"{file}: cannot be written: {error.strerror or error}") from error
+    save_file(out / "results.json", "\n".join(lines) + "\n")
     echo(page)
     if broken:
         raise typer.Exit(EXIT_FAILED)

@@ -69,9 +69,7 @@ def page_report() -> Report:
 
 def test_the_cure_comes_first_then_the_table_then_the_pictures() -> None:
     text = sanity_page(page_report())
-    places = [
-        text.index(part) for part in ("<h1>", "Mends most", '<table class="stack phenomena', "<svg", "read from")
-    ]
+    places = [text.index(part) for part in ("<h1>", "Mends most", '<table class="stack phenomena', "<svg", "read from")]
     assert places == sorted(places)
     assert len(text) < 3_000_000
 
