@@ -199,9 +199,16 @@ def as_html(parts: Iterable[Part | Html]) -> Html:
     return join((part if isinstance(part, Html) else part.html() for part in parts), "\n")
 
 
-def page(title: str, parts: Iterable[Part | Html], **frame: Any) -> str:
-    """Return a page in one file, with its title above its parts; `framed` states what `frame` may hold."""
-    return framed(title, as_html([Heading(title, 1), *parts]), **frame)
+def page(title: str, parts: Iterable[Part | Html], *, above: Html | None = None, **frame: Any) -> str:
+    """Return a page.
+
+    Args:
+        title: Its title, above the parts.
+        parts: Its content.
+        above: What stands above the title, as links.
+        **frame: What `framed` may be given.
+    """
+    return framed(title, as_html([above or Html(""), Heading(title, 1), *parts]), **frame)
 
 
 def save_file(path: Path, content: str | bytes) -> Path:

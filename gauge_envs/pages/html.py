@@ -79,6 +79,11 @@ def folded(summary: Text | Html, *content: Text | Html, **attributes: Text | boo
     return element("details", element("summary", summary), *content, **attributes)
 
 
+def below(*texts: Text | Html) -> Html:
+    """Return a quiet line below a text."""
+    return element("span", *texts, class_="quiet block")
+
+
 @cache
 def stylesheet() -> str:
     """Return the style of all pages, in CSS."""

@@ -56,7 +56,7 @@ class Column:
         wide_only: Whether a terminal shows the column only with `--wide`.
         narrow_only: Whether only a terminal without `--wide` shows the column.
         place: Where the column stands in a terminal.
-        style: Rich style of a value; None for plain text.
+        style: Rich style of a value, which is the class of its cell on a page; None for plain text.
         html: Markup of a value on a page; None for its text.
     """
 
@@ -172,7 +172,8 @@ class Table:
 
 def _cell(column: Column, row: Any) -> Html:
     label = None if isinstance(column.title, Html) else column.label or None
-    return element("td", column.markup(row), data_label=label, class_="n" if column.is_number else None)
+    kinds = " ".join(filter(None, ("n" if column.is_number else "", column.style_of(row))))
+    return element("td", column.markup(row), data_label=label, class_=kinds or None)
 
 
 def grid(

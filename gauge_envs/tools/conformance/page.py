@@ -7,7 +7,7 @@ from datetime import datetime
 
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Heading, Paragraph, Part, page
-from gauge_envs.pages.html import Html, code, element, folded, join, listed
+from gauge_envs.pages.html import Html, below, code, element, folded, join, listed
 from gauge_envs.pages.table import Column, Place, Table, grid
 from gauge_envs.pages.text import pairs_text
 from gauge_envs.tools.conformance.matrix import MatrixColumn
@@ -57,21 +57,17 @@ def _badge(kind: str, text: str, hint: str | None = None) -> Html:
     return element("span", text, class_=f"badge {kind}", title=hint)
 
 
-def _small(text: str) -> Html:
-    return element("span", text, class_="quiet block")
-
-
 def _matrix(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> Table:
     current = [column.current() for column in columns]
     outdated = [column.outdated for column in columns]
     titles = ["phenomenon"]
     for column in columns:
-        title = [column.backend, element("br"), column.name, _small(tally(column))]
-        title += [] if column.is_of_this_version else [_small(f"\u26a0 gauge-envs {column.gauge_envs}")]
+        title = [column.backend, element("br"), column.name, below(tally(column))]
+        title += [] if column.is_of_this_version else [below(f"\u26a0 gauge-envs {column.gauge_envs}")]
         titles.append(join(title))
     rows = []
     for check in checks:
-        expected = _small(expected_text(found.get(check.id) for found in current))
+        expected = below(expected_text(found.get(check.id) for found in current))
         cells = [_cell(column, check.id, old) for column, old in zip(columns, outdated, strict=True)]
         rows.append([join([element("a", check.title, href=f"#{check.id}"), expected]), *cells])
     return grid(titles, rows, look="matrix")
@@ -88,7 +84,7 @@ def _cell(column: MatrixColumn, check: str, outdated: Mapping[str, str]) -> Html
     hint = "; ".join(finding.missing) or finding.diagnosis or None
     cost = "" if finding.status is Status.DECLINED else cost_text(finding)
     texts = (measured_text(finding), error_text(finding), cost)
-    return join([_badge(CLASSES[finding.status], SIGNS[finding.status], hint), *(_small(one) for one in texts if one)])
+    return join([_badge(CLASSES[finding.status], SIGNS[finding.status], hint), *(below(one) for one in texts if one)])
 
 
 def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:

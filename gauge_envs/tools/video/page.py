@@ -10,7 +10,7 @@ import numpy as np
 
 from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Heading, Part, page
-from gauge_envs.pages.html import Html, element, join, listed
+from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.tools.video import METRICS, Grade, VideoScore, video_task, video_tasks
 from gauge_envs.tools.video.frames import FileFrames
@@ -84,10 +84,6 @@ def video_page(results: Results, files: Mapping[tuple[str, str], Path]) -> str:
     return page("Videos and the laws of motion", parts)
 
 
-def _below(*notes: str) -> Html:
-    return join(element("span", note, class_="quiet block") for note in notes)
-
-
 def _values_table(models: Sequence[str], rows: Sequence[tuple[str, str]], results: Results) -> Table:
     lines = []
     for task, name in rows:
@@ -98,7 +94,7 @@ def _values_table(models: Sequence[str], rows: Sequence[tuple[str, str]], result
             (value for value in valid if value is not None), key=lambda value: abs(value - real), default=None
         )
         cells = (_cell(model, one, name, nearest) for model, one in zip(models, found, strict=True))
-        lines.append([join([task, _below(TITLES[name], f"real {short_text(real)}")]), *cells])
+        lines.append([join([task, below(TITLES[name]), below(f"real {short_text(real)}")]), *cells])
     return grid(("task", *models), lines, look="matrix")
 
 
@@ -114,13 +110,13 @@ def _cell(model: str, result: VideoScore | None, name: str, nearest: float | Non
         notes.append(f"published {short_text(known[result.task, name])}")
     is_best = grade is Grade.VALID and value is not None and value == nearest
     text = grade.value if value is None else short_text(value)
-    return element("span", element("b", text) if is_best else text, _below(*notes), class_=grade.value)
+    return element("span", element("b", text) if is_best else text, *map(below, notes), class_=grade.value)
 
 
 def _published_table(rows: Sequence[tuple[str, str]]) -> Table:
     published = published_results()
     lines = [
-        [join([task, _below(TITLES[name])]), *(short_text(known.get((task, name))) for known in published.values())]
+        [join([task, below(TITLES[name])]), *(short_text(known.get((task, name))) for known in published.values())]
         for task, name in rows
     ]
     return grid(("task", *published), lines, look="matrix")
