@@ -19,7 +19,7 @@ from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.tools.compare import ExperimentComparison, compare_grade, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
 from gauge_envs.tools.site.curves import curve_section
-from gauge_envs.tools.site.model import Site, first_result, score_cell, section, site_page
+from gauge_envs.tools.site.model import Site, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
@@ -62,7 +62,7 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
         replay: Element of the replay, or None.
         replay_notes: Why configurations have no replay, a sentence each.
     """
-    results = {index: result for index, cell in enumerate(one.cells) if (result := first_result(cell)) is not None}
+    results = first_results(one)
     experiment = _experiment(results)
     withheld = any(result.score.withheld is not None for result in results.values())
     band = None if experiment is None else reference_band(experiment, use_withheld=withheld)

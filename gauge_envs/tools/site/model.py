@@ -164,6 +164,11 @@ def first_result(cell: Cell | None) -> Result | None:
     return None if cell is None else next((one for one in cell.results if one.error is None), None)
 
 
+def first_results(one: ExperimentComparison) -> dict[int, Result]:
+    """Return the first result of each configuration that ran an experiment, by its index."""
+    return {index: result for index, cell in enumerate(one.cells) if (result := first_result(cell)) is not None}
+
+
 def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Html:
     """Return mean and interval of a metric in one experiment, a badge for the primary one, or why there is no score."""
     if cell is None:
