@@ -160,7 +160,7 @@ def _compare(
 ) -> None:
     """Print what changes between two targets; exit code 1 for a change as large as --fail-on states."""
     from gauge_envs.tools.sanity.against import Change, compare
-    from gauge_envs.tools.sanity.against_words import against_document
+    from gauge_envs.tools.sanity.words import against_document
 
     comparison = compare(trained, deployed, only=patterns, include_deformables=every, time_limit_s=time_limit_s)
     print_document(against_document(comparison), json_lines=json_lines, markdown=markdown, wide=wide)

@@ -139,8 +139,8 @@ def envelope(
     """
     from gauge_envs.pages.figures import new_figure, save_png
     from gauge_envs.tools.transfer.envelope_statistics import envelope_report
-    from gauge_envs.tools.transfer.envelope_words import envelope_document
     from gauge_envs.tools.transfer.randomization import write_randomization
+    from gauge_envs.tools.transfer.words import envelope_document
 
     if figure is not None:
         new_figure(1.0, 1.0)
@@ -163,7 +163,7 @@ def envelope(
     print_document(envelope_document(report), json_lines=json_lines)
     written = []
     if figure is not None:
-        from gauge_envs.tools.transfer.envelope_figure import draw_envelope
+        from gauge_envs.tools.transfer.figure import draw_envelope
 
         written.append(save_png(draw_envelope(found, report), figure))
     if out is not None:
