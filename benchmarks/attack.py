@@ -315,6 +315,9 @@ def targets(folder: Path) -> dict[str, Target]:
                 left.unlink()
         assert rows == [(f"GAUGE/{NAME}", "finished")], rows
 
+    def compared(file: Path) -> None:
+        as_markdown(comparison_document(compare([load_result(file)])))
+
     def sweep_read(file: Path) -> None:
         spec = sweep_spec(load_sweep_file(file))
         spec.episode_count()
@@ -334,9 +337,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "csv": Target(".csv", [table.encode()], trajectory_read, 2.0),
         "npz": Target(".npz", [(folder / name).read_bytes() for name in ("g.npz", "small.npz")], trajectory_read, 2.0),
         "json": Target(".json", [json.dumps({"id": NAME, "g": path.tolist()}).encode()], trajectory_read, 2.0),
-        "result": Target(
-            ".json", [result_file.read_bytes()], compared, 0.5
-        ),
+        "result": Target(".json", [result_file.read_bytes()], compared, 0.5),
         "band": Target(".csv", [band.read_bytes()], lambda file: read_band(file, sidecar, file), 1.0),
         "task": Target(".toml", [task_path("SlopeSlider").read_bytes()], load_task, 0.2),
         "experiment": Target(".toml", [own.encode()], load_experiment_file, 0.5),

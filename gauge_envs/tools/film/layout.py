@@ -194,8 +194,9 @@ class _Sheet:
         self._scale = scale
         self.top = scale.gap + scale.large_line + scale.small_line
         legend = _legend_lines(caption, width - 2 * scale.gap, scale)
-        full = (width, self.top + height + len(legend) * scale.small_line + scale.gap)
-        self.image = Image.new("RGB", tuple(side + side % 2 for side in full) if is_even else full, GROUND)
+        full_height = self.top + height + len(legend) * scale.small_line + scale.gap
+        odd = (width % 2, full_height % 2) if is_even else (0, 0)
+        self.image = Image.new("RGB", (width + odd[0], full_height + odd[1]), GROUND)
         for number, line in enumerate(legend):
             left, middle = float(scale.gap), self.top + height + (number + 0.5) * scale.small_line
             for color, text in line:

@@ -236,7 +236,8 @@ class _Recording:
 
     def _surface(self, body: Deformable, points_m: FloatArray, faces: NDArray[np.intp] | None) -> Any:
         color = COLORS[Motion.DYNAMIC]
-        if isinstance(body, Rope | Rod) or faces is None:
+        if faces is None:
+            assert isinstance(body, Rope | Rod)
             return self._rerun.LineStrips3D([points_m], radii=body.radius_m, colors=[color])
         normals = trimesh.Trimesh(points_m, faces, process=False).vertex_normals
         return self._rerun.Mesh3D(

@@ -61,9 +61,10 @@ def sanity_judge(
     Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from --baseline, or when nothing could be
     measured. A scene without a motion file is declined.
     """
+    from gauge_envs.pages.document import save_file
     from gauge_envs.tools.sanity.baseline import read_baseline
     from gauge_envs.tools.sanity.judge import judge
-    from gauge_envs.tools.sanity.page import check_can_draw, save_sanity_page
+    from gauge_envs.tools.sanity.page import check_can_draw, sanity_page
 
     check_one_format(json_lines, markdown)
     if html is not None:
@@ -72,6 +73,6 @@ def sanity_judge(
     report = judge(folder, only=only or [], engine=engine)
     print_report(report, json_lines, markdown, wide)
     if html is not None:
-        stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
+        stderr_console().print(plain_text(str(save_file(html, sanity_page(report)))), soft_wrap=True)
     if has_failed(report, fail_on, before):
         raise typer.Exit(EXIT_FAILED)

@@ -29,7 +29,7 @@ Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
 """Configuration, times [s], g(t) of shape [sample_count, coordinate_count], and names of the coordinates."""
 
 
-def curve_section(site: Site, one: ExperimentComparison, band: Band | None) -> list[Part | Html]:
+def curve_section(site: Site, one: ExperimentComparison, band: Band | None) -> list[Part]:
     """Return the curves of all configurations that ran over the band, or without one."""
     recorded = [
         (index, *result.trajectory.arrays(), result.trajectory.coordinates)

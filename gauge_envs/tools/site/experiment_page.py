@@ -47,7 +47,7 @@ UNCERTAINTY_NOTE = (
     "observations, B from other knowledge (GUM)."
 )
 
-Parts = list[Part | Html]
+Parts = list[Part]
 
 Results = Mapping[int, Result]
 """First result of each configuration that ran, by its index."""
@@ -98,7 +98,7 @@ def _experiment(results: Results) -> Experiment | None:
     return None
 
 
-def _head(one: ExperimentComparison, experiment: Experiment | None, band: Band | None) -> Iterator[Part | Html]:
+def _head(one: ExperimentComparison, experiment: Experiment | None, band: Band | None) -> Iterator[Part]:
     if isinstance(experiment, TaskExperiment):
         yield element("p", experiment.spec.summary, class_="lead")
         yield element("p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), ".")
@@ -141,7 +141,7 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
     if not names:
         return []
     titles, note = ["", *(SCORE_METRICS[name].title for name in names)], SCORES_NOTE
-    rows = [
+    rows: list[list[str]] = [
         [link, *(score_cell(one, cell, name) for name in names)]
         for link, cell in zip(site.links, one.cells, strict=True)
     ]

@@ -62,12 +62,12 @@ def whisker_text(value: float, interval: Sequence[float] | None) -> Html:
     )
 
 
-def section(title: str, table: Table, *notes: str) -> list[Part | Html]:
+def section(title: str, table: Table, *notes: str) -> list[Part]:
     """Return a table below its title, with notes below it; nothing without rows."""
     return [Heading(title), table, *(Paragraph(note, Tone.NOTE) for note in notes)] if table.rows else []
 
 
-def site_page(title: str, parts: Iterable[Part | Html], *, here: str, scripts: Sequence[str] = ()) -> str:
+def site_page(title: str, parts: Iterable[Part], *, here: str, scripts: Sequence[str] = ()) -> str:
     """Return a page of the site.
 
     Args:
