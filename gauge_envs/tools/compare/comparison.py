@@ -13,7 +13,14 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
-from gauge_envs.pages.results import PERCENTILES, SCORE_METRICS, normalized_score, raw_score, score_interval
+from gauge_envs.pages.results import (
+    PERCENTILES,
+    SCORE_METRICS,
+    configuration_labels,
+    normalized_score,
+    raw_score,
+    score_interval,
+)
 from gauge_envs.pages.text import counted, short_id
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.published import Baseline, published_baselines
@@ -22,7 +29,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.draws import ScoreDraws, ScoreSpread, repeats_interval, score_draws
-from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, compare_grade, grade_name
+from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, PairComparison, compare_grade, grade_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,6 +199,15 @@ class Comparison:
     configurations: tuple[RunConfiguration, ...]
     experiments: tuple[ExperimentComparison, ...]
     notes: tuple[str, ...]
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Label of each configuration."""
+        return tuple(configuration_labels(self.configurations))
+
+    def names(self, of: Distance | PairComparison) -> dict[str, str]:
+        """Return the labels of the two configurations that a distance or a difference is between."""
+        return {"first": self.labels[of.first], "second": self.labels[of.second]}
 
     @cached_property
     def grades(self) -> tuple[GradeComparison, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
-from gauge_envs.pages.results import SCORE_METRICS, configuration_labels
+from gauge_envs.pages.results import SCORE_METRICS
 from gauge_envs.pages.text import ENGINE_TITLES
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.comparison import Comparison, ExperimentComparison, compare
@@ -81,9 +81,7 @@ def draw_overview(comparison: Comparison, *, metric: str | None = None) -> Figur
     axes[0].set_yticks(range(len(shown)), [f"{one.name}  ({one.grade_name})" for one in shown], fontsize=8)
     axes[0].set_ylim(len(shown) - 0.5, -0.5)
     has_published = any(rows[name][place].published for name in names for place in kept)
-    _overview_legend(
-        figure, axes[-1], configuration_labels(comparison.configurations), shown, has_published=has_published
-    )
+    _overview_legend(figure, axes[-1], comparison.labels, shown, has_published=has_published)
     return figure
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 from gauge_envs.experiments.variants import variants
 from gauge_envs.pages.document import Document, Heading, as_rows
-from gauge_envs.pages.results import configuration_labels
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
@@ -81,7 +80,6 @@ def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
 def leaderboard_document(check: LeaderboardCheck) -> Document:
     """Return all submissions without faults, and their comparison; `record` of a row states what it is of."""
     comparison = compare(result for one in check.submissions if one.ok for result in one.results)
-    labels = configuration_labels(comparison.configurations)
     columns = {"engine": "engine", "version": "version", "configuration": "configuration", "submitter": "submitter"}
     standing = Table(
         title="Submissions",
@@ -93,7 +91,7 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
             Column("left_out", "left out", _left_out_text, place=Place.BELOW),
         ),
         rows=[
-            {"label": labels[comparison.configurations.index(RunConfiguration.of(one.results[0]))]}
+            {"label": comparison.labels[comparison.configurations.index(RunConfiguration.of(one.results[0]))]}
             | _submission_row(one)
             for one in check.submissions
             if one.ok and one.results

@@ -14,7 +14,6 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
 from gauge_envs.pages.html import Html, below, element, join, slug
-from gauge_envs.pages.results import configuration_labels
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
@@ -95,10 +94,10 @@ class Site:
     comparison: Comparison
     files: Mapping[int, Path]
 
-    @cached_property
+    @property
     def labels(self) -> tuple[str, ...]:
         """Label of each configuration."""
-        return tuple(configuration_labels(self.comparison.configurations))
+        return self.comparison.labels
 
     @cached_property
     def slugs(self) -> tuple[str, ...]:
