@@ -167,7 +167,9 @@ class Table:
         table = element("table", element("thead", element("tr", *head)), element("tbody", *body), class_=self.look)
         title = [element("h3", self.title)] if self.title else []
         notes = (element("p", note, class_="small") for note in self.notes)
-        return join([*title, element("div", table, class_="scroll"), *notes])
+        # A keyboard scrolls what has the focus.
+        reach = {"tabindex": 0, "role": "region", "aria_label": beside[0].label} if "matrix" in self.look else {}
+        return join([*title, element("div", table, class_="scroll", **reach), *notes])
 
 
 def _cell(column: Column, row: Any) -> Html:

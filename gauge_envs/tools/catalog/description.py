@@ -23,7 +23,7 @@ from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
 from gauge_envs.references.published import law_for
 from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.scene.drivers import Driver, Profile, SampledProfile
+from gauge_envs.scene.drivers import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import lacking_features
 
 
@@ -111,16 +111,16 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     shown = band if used is None else used
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
-        "trial_count": None if shown is None else shown.trial_count,
+        "trial_count": shown and shown.trial_count,
         "single_shot": experiment.trial is not None,
-        "source": None if shown is None else shown.source,
+        "source": shown and shown.source,
         "imported": experiment.reference_source is DataSource.IMPORTED,
         "is_import_available": has_import(experiment.name),
-        "law": None if law is None else law.condition,
-        "sigma_source": None if shown is None else shown.sigma_source.value,
-        "known_frames": None if shown is None else int(np.isfinite(shown.mean).any(axis=1).sum()),
-        "normalized_by_baseline": None if shown is None else shown.normalized_by_baseline,
-        "withheld": None if band is None else band.withheld,
+        "law": law and law.condition,
+        "sigma_source": shown and shown.sigma_source.value,
+        "known_frames": shown and int(np.isfinite(shown.mean).any(axis=1).sum()),
+        "normalized_by_baseline": shown and shown.normalized_by_baseline,
+        "withheld": band and band.withheld,
     }
 
 
@@ -142,51 +142,29 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
 
 def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
     driver = experiment.scene.drivers[index]
+    described = {"body": driver.body, "provenance": driver.provenance}
     if not isinstance(experiment, TaskExperiment) or experiment.asset is not None:
-        return _driver_of_asset(driver)
+        keys = ("kind", "axis", "point_m", "largest_rate", "residual_rate")
+        stated = [
+            {key: getattr(motion, key) for key in keys}
+            | {"profile": [type(profile).__name__ for profile in motion.profiles]}
+            for motion in driver.motions
+        ]
+        note = "as the asset states it; rates in m/s or rad/s"
+        return described | {"imported": False, "note": note, "motions": stated}
     variant, spec = experiment.variant, experiment.spec
     own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
-    stated = (own if own is not None else spec.drivers)[index]
-    motions = [motion.model_dump(exclude_none=True) for motion in stated.motions]
-    note, recorded = stated.note, _recorded_driver(experiment, driver.body)
-    if recorded is not None:
-        note = f"{_recorded_note(recorded)}; not in use is the bundled one: {note}"
+    source = (own if own is not None else spec.drivers)[index]
+    motions, note = [motion.model_dump(exclude_none=True) for motion in source.motions], source.note
+    imported = load_imported(experiment.name) if experiment.drivers is DataSource.IMPORTED else None
+    records = [] if imported is None else [one for one in imported.record.drivers if one.body == driver.body]
+    if records:
+        note = f"{_recorded_note(records[0])}; not in use is the bundled one: {note}"
         for motion, used in zip(motions, driver.motions, strict=True):
             motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
     elif has_import(experiment.name):
         note = f"{note}; imported trials exist: drivers='imported' or --drivers imported uses their motion"
-    return {
-        "body": driver.body,
-        "provenance": driver.provenance,
-        "imported": recorded is not None,
-        "note": note,
-        "motions": motions,
-    }
-
-
-def _driver_of_asset(driver: Driver) -> dict[str, Any]:
-    """Return a driver as its asset states it."""
-    motions = [
-        {
-            "kind": motion.kind,
-            "axis": motion.axis,
-            "point_m": motion.point_m,
-            "largest_rate": motion.largest_rate,
-            "residual_rate": motion.residual_rate,
-            "profile": [type(profile).__name__ for profile in motion.profiles],
-        }
-        for motion in driver.motions
-    ]
-    note = "as the asset states it; rates in m/s or rad/s"
-    return {"body": driver.body, "provenance": driver.provenance, "imported": False, "note": note, "motions": motions}
-
-
-def _recorded_driver(experiment: Experiment, body: str) -> DriverRecord | None:
-    """Return the imported driver of a body; None if the bundled one is in use."""
-    imported = load_imported(experiment.name) if experiment.drivers is DataSource.IMPORTED else None
-    if imported is None:
-        return None
-    return next((record for record in imported.record.drivers if record.body == body), None)
+    return described | {"imported": bool(records), "note": note, "motions": motions}
 
 
 def _sampled(profile: Profile, kind: str) -> dict[str, Any]:

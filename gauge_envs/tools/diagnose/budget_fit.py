@@ -66,6 +66,11 @@ class StageFit:
         """Mean squared error, the sum over coordinates."""
         return float(self.mean_squares.sum())
 
+    @property
+    def rmse(self) -> float:
+        """Root mean square error."""
+        return math.sqrt(self.mean_square)
+
 
 class NestedFits:
     """Least-squares fits of a motion to the mean of real trials, for each set of stages.

@@ -19,7 +19,7 @@ paper.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -129,7 +129,16 @@ def diagnose_trajectory(
     """
     stages = stage_order(order)
     if band is None:
-        raise DiagnosisError(f"{experiment.id}: {_why_no_band(experiment.name)}")
+        found = load_band(experiment.name)
+        if found is not None and found.withheld is not None:
+            raise DiagnosisError(
+                f"{experiment.id}: its band is withheld: {found.withheld}; use_withheld=True or --use-withheld splits "
+                "the error to it"
+            )
+        raise DiagnosisError(
+            f"{experiment.id}: there is no reference band (grade none), so no error to split; it needs the mean of "
+            "real trials (gauge data import), of a recording or of a law"
+        )
     times_s, values = _checked(times_s, values, len(band.mean))
     reference = np.where(band.measured[:, None], band.mean, np.nan) if measured_only else np.array(band.mean)
     if not np.isfinite(reference).any():
@@ -148,16 +157,6 @@ def stage_order(names: Iterable[str]) -> tuple[BudgetStage, ...]:
     if sorted(given) != sorted(known):
         raise ParameterError(f"order is {', '.join(given) or 'empty'}, expected each of {', '.join(known)} once")
     return tuple(BudgetStage(name) for name in given)
-
-
-def _why_no_band(variant: str) -> str:
-    found = load_band(variant)
-    if found is not None and found.withheld is not None:
-        return f"its band is withheld: {found.withheld}; use_withheld=True or --use-withheld splits the error to it"
-    return (
-        "there is no reference band (grade none), so no error to split; it needs the mean of real trials "
-        "(gauge data import), of a recording or of a law"
-    )
 
 
 def _checked(times_s: FloatArray, values: FloatArray, frame_count: int) -> tuple[FloatArray, FloatArray]:
@@ -198,11 +197,34 @@ def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
 def _diagnosis(
     experiment: Experiment, band: Band, budget: NestedFits, order: Sequence[BudgetStage], *, measured_only: bool
 ) -> Diagnosis:
-    baselines = experiment.baselines
+    baselines, recorded = experiment.baselines, experiment.recorded
     baseline = baselines["rmse"].mean if "rmse" in baselines and band.normalized_by_baseline else None
     whole, left = budget.fit(()), budget.fit(order)
     deviations = budget.deviations()
     extrapolated = ~band.measured[budget.known]
+
+    def normalized(fit: StageFit) -> float | None:
+        return fit.rmse / baseline if baseline else None
+
+    def part(index: int) -> StagePart:
+        stage, before, after = order[index], budget.fit(order[:index]), budget.fit(order[: index + 1])
+        alone, others = budget.fit([stage]), budget.fit(set(order) - {stage})
+        return StagePart(
+            stage=stage,
+            missing=budget.missing.get(stage),
+            explained=before.mean_square - after.mean_square,
+            share=_over(before.mean_square - after.mean_square, whole.mean_square),
+            rmse_before=before.rmse,
+            rmse_after=after.rmse,
+            rmse_before_normalized=normalized(before),
+            rmse_after_normalized=normalized(after),
+            alone_share=_over(whole.mean_square - alone.mean_square, whole.mean_square),
+            last_share=_over(others.mean_square - left.mean_square, whole.mean_square),
+            by_coordinate=tuple((before.mean_squares - after.mean_squares).tolist()),
+            changes=_changes(budget, band, order[: index + 1], after),
+            alone_changes=_changes(budget, band, [stage], alone),
+        )
+
     return Diagnosis(
         id=experiment.id,
         grade=band.grade.value,
@@ -211,69 +233,41 @@ def _diagnosis(
         baseline=baseline,
         coordinates=band.coordinates,
         kind=budget.motion.kind,
-        subject=_subject(experiment),
+        subject=MARKERS if not recorded else f"the {recorded[0]}" if len(recorded) == 1 else SEVERAL_BODIES,
         driven=bool(experiment.scene.drivers),
         frames=budget.frame_count,
         extrapolated_frames=int(extrapolated.sum()),
         extrapolated_share=_over(float(deviations[extrapolated].sum()), float(deviations.sum())),
         mean_square=whole.mean_square,
-        rmse=math.sqrt(whole.mean_square),
-        rmse_normalized=_normalized(whole.mean_square, baseline),
+        rmse=whole.rmse,
+        rmse_normalized=normalized(whole),
         dtw_over_rmse=None,
         measured_only=measured_only,
         by_coordinate=tuple(whole.mean_squares.tolist()),
-        parts=tuple(_part(budget, band, order, index, baseline) for index in range(len(order))),
+        parts=tuple(map(part, range(len(order)))),
         rest=Remainder(
             mean_square=left.mean_square,
             share=_over(left.mean_square, whole.mean_square),
-            rmse=math.sqrt(left.mean_square),
-            rmse_normalized=_normalized(left.mean_square, baseline),
+            rmse=left.rmse,
+            rmse_normalized=normalized(left),
             by_coordinate=tuple(left.mean_squares.tolist()),
         ),
         published=_published(baselines),
-        notes=_notes(budget, band, order, measured_only=measured_only),
-    )
-
-
-def _part(
-    budget: NestedFits, band: Band, order: Sequence[BudgetStage], index: int, baseline: float | None
-) -> StagePart:
-    stage = order[index]
-    whole, before, after = budget.fit(()), budget.fit(order[:index]), budget.fit(order[: index + 1])
-    alone, others, everything = budget.fit([stage]), budget.fit(set(order) - {stage}), budget.fit(order)
-    return StagePart(
-        stage=stage,
-        missing=budget.missing.get(stage),
-        explained=before.mean_square - after.mean_square,
-        share=_over(before.mean_square - after.mean_square, whole.mean_square),
-        rmse_before=math.sqrt(before.mean_square),
-        rmse_after=math.sqrt(after.mean_square),
-        rmse_before_normalized=_normalized(before.mean_square, baseline),
-        rmse_after_normalized=_normalized(after.mean_square, baseline),
-        alone_share=_over(whole.mean_square - alone.mean_square, whole.mean_square),
-        last_share=_over(others.mean_square - everything.mean_square, whole.mean_square),
-        by_coordinate=tuple((before.mean_squares - after.mean_squares).tolist()),
-        changes=_changes(budget, band, order[: index + 1], after),
-        alone_changes=_changes(budget, band, [stage], alone),
+        notes=tuple(_notes(budget, band, order, measured_only=measured_only)),
     )
 
 
 def _changes(budget: NestedFits, band: Band, stages: Sequence[BudgetStage], fit: StageFit) -> tuple[Change, ...]:
     """Return the changes of a fit, in the order of the stages."""
-    motion = budget.motion
+    motion, late = budget.motion, _at_bound(fit.shift_s, (-MAX_SHIFT_S, MAX_SHIFT_S))
+    offsets = zip(band.coordinates, fit.offsets.tolist(), strict=True)
     changes: dict[BudgetStage, tuple[Change, ...]] = {
         BudgetStage.RELEASE: (
-            Change(
-                quantity="release_time",
-                unit="s",
-                simulated=0.0,
-                fitted=fit.shift_s,
-                at_bound=_at_bound(fit.shift_s, (-MAX_SHIFT_S, MAX_SHIFT_S)),
-            ),
+            Change(quantity="release_time", unit="s", simulated=0.0, fitted=fit.shift_s, at_bound=late),
         ),
         BudgetStage.OFFSET: tuple(
-            Change(quantity="offset", unit=band.unit, simulated=0.0, fitted=float(value), coordinate=name)
-            for name, value in zip(band.coordinates, fit.offsets, strict=True)
+            Change(quantity="offset", unit=band.unit, simulated=0.0, fitted=value, coordinate=name)
+            for name, value in offsets
         ),
         BudgetStage.RATE: motion.changes(
             fit.rate,
@@ -290,27 +284,21 @@ def _at_bound(value: float, bounds: tuple[float, float]) -> bool:
     return min(abs(value - bound) for bound in bounds) <= close
 
 
-def _notes(budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, measured_only: bool) -> tuple[str, ...]:
-    notes = []
-    fit = budget.fit(order)
-    late = budget.continued_frames(fit)
-    if late:
-        how = "periodically" if budget.motion.period_s is not None else "at constant velocity"
-        notes.append(f"{late} frames of the faster motion lie past the end of the simulation, continued {how}")
+def _notes(budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, measured_only: bool) -> Iterator[str]:
+    motion, fit = budget.motion, budget.fit(order)
+    if late := budget.continued_frames(fit):
+        how = "periodically" if motion.period_s is not None else "at constant velocity"
+        yield f"{late} frames of the faster motion lie past the end of the simulation, continued {how}"
     if budget.likeness(fit) > INSEPARABLE:
-        notes.append(
-            "speed and displacement change this motion alike: their sum is determined, its split between them is not"
-        )
+        yield "speed and displacement change this motion alike: their sum is determined, its split between them is not"
     if measured_only:
-        notes.append("frames that the band extrapolates are left out, so the whole is not the RMSE of the score")
-    impact = budget.motion.impact
-    if impact is not None and impact.until_s < budget.motion.end_s - 1e-9:
-        notes.append(f"restitution acts on the flight after the first impact, which ends at {impact.until_s:.3f} s")
+        yield "frames that the band extrapolates are left out, so the whole is not the RMSE of the score"
+    if motion.impact is not None and motion.impact.until_s < motion.end_s - 1e-9:
+        yield f"restitution acts on the flight after the first impact, which ends at {motion.impact.until_s:.3f} s"
     if band.withheld is not None:
-        notes.append(f"the band is withheld from scores: {band.withheld}")
+        yield f"the band is withheld from scores: {band.withheld}"
     if len(band.coordinates) < 3 and band.unit == "mm":
-        notes.append(f"the band has {', '.join(band.coordinates)} only; errors in other directions are not in the RMSE")
-    return tuple(notes)
+        yield f"the band has {', '.join(band.coordinates)} only; errors in other directions are not in the RMSE"
 
 
 def _published(baselines: Mapping[str, Baseline]) -> dict[str, PublishedScore]:
@@ -333,13 +321,3 @@ def _published(baselines: Mapping[str, Baseline]) -> dict[str, PublishedScore]:
 
 def _over(part: float, whole: float) -> float:
     return part / whole if whole > 0.0 else 0.0
-
-
-def _normalized(mean_square: float, baseline: float | None) -> float | None:
-    return math.sqrt(mean_square) / baseline if baseline else None
-
-
-def _subject(experiment: Experiment) -> str:
-    if not experiment.recorded:
-        return MARKERS
-    return f"the {experiment.recorded[0]}" if len(experiment.recorded) == 1 else SEVERAL_BODIES
