@@ -58,19 +58,15 @@ def configuration_parts(configuration: RunConfiguration, *, digits: int = 4) -> 
     def assignments(values: Mapping[str, Any]) -> list[str]:
         return [f"{key}={f'{v:.{digits}g}' if isinstance(v, float) else value_text(v)}" for key, v in values.items()]
 
-    named, proxy = configuration.parameters, configuration.marker_proxy
+    named, proxy, asset = configuration.parameters, configuration.marker_proxy, configuration.asset
     return [
         ("engine", configuration.backend or "file"),
         ("parameters", named if isinstance(named, str) else ",".join(assignments(named))),
         *(("setting", text) for text in assignments(configuration.settings_given)),
         *([("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")] if configuration.jitter else []),
         *([("markers", f"markers by {proxy}")] if proxy != MarkerProxy.MATERIAL else []),
-        *([("asset", _asset_text(configuration.asset))] if configuration.asset else []),
+        *([("asset", f"edited scene {asset['file']} ({asset['sha256'][:8]})")] if asset else []),
     ]
-
-
-def _asset_text(asset: Mapping[str, str]) -> str:
-    return f"edited scene {asset['file']} ({asset['sha256'][:8]})"
 
 
 def versions_text(configuration: RunConfiguration) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,20 +32,20 @@ class CurvePanel:
     Attributes:
         title: Name and unit of the coordinate.
         curves: Colour, label, times [s] and values of each curve.
+        end_s: End of the time axis [s].
         times_s: Times of the real mean [s]; empty without a reference.
         mean: Real mean at those times; NaN is unknown.
         sigma: Its standard deviation.
         measured: Whether a time was measured; the others are extrapolated and drawn dotted.
-        end_s: End of the time axis [s].
     """
 
     title: str
     curves: Sequence[tuple[str, str, FloatArray, FloatArray]]
-    times_s: FloatArray
-    mean: FloatArray
-    sigma: FloatArray
-    measured: NDArray[np.bool_]
     end_s: float
+    times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sigma: FloatArray = field(default_factory=lambda: np.zeros(0))
+    measured: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,7 +210,8 @@ def simplified(points: FloatArray, tolerance: float) -> FloatArray:
 ROW = 20.0
 MOST_WORDED = 3
 """Largest number of decades of an axis of scores with words below the 1."""
-LABELS = 128.0
+LABELS, LONGEST_LABEL = 128.0, 19
+"""Room for the labels at the left, and the length of the longest [characters]."""
 VALUES = 52.0
 """Room for the scores at the right end, as 0.00032."""
 LEAST_SCORE = 0.1
@@ -238,7 +239,8 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
         parts.append(element("text", text, x=f"{x:.1f}", y=bottom + 13, text_anchor="middle", class_="quiet"))
     for number, row in enumerate(rows):
         y = TOP + ROW * (number + 0.5)
-        parts.append(element("text", _short(row.label), x=2, y=f"{y + 4:.1f}"))
+        name = row.label if len(row.label) <= LONGEST_LABEL else f"{row.label[: LONGEST_LABEL - 1]}\u2026"
+        parts.append(element("text", name, x=2, y=f"{y + 4:.1f}"))
         low, high = row.interval or (row.value, row.value)
         paint = f"stroke:{row.color};stroke-width:2.5"
         parts.append(element("line", x1=f"{place(low):.1f}", x2=f"{place(high):.1f}", y1=y, y2=y, style=paint))
@@ -255,7 +257,3 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
     is_cut = any(row.value < LEAST_SCORE for row in rows)
     cut = [f"Scores below {LEAST_SCORE:g} have an arrow in place of a dot."] if is_cut else []
     return element("figure", drawing, *(element("figcaption", note) for note in (*notes, *cut)))
-
-
-def _short(label: str) -> str:
-    return label if len(label) <= 19 else f"{label[:18]}\u2026"

@@ -168,8 +168,9 @@ class Table:
         title = [element("h3", self.title)] if self.title else []
         notes = (element("p", note, class_="small") for note in self.notes)
         # A keyboard scrolls what has the focus.
-        reach = {"tabindex": 0, "role": "region", "aria_label": beside[0].label} if "matrix" in self.look else {}
-        return join([*title, element("div", table, class_="scroll", **reach), *notes])
+        label = beside[0].label if "matrix" in self.look else None
+        focus = {"tabindex": label and "0", "role": label and "region", "aria_label": label}
+        return join([*title, element("div", table, class_="scroll", **focus), *notes])
 
 
 def _cell(column: Column, row: Any) -> Html:

@@ -261,9 +261,11 @@ def compare(results: Iterable[Result]) -> Comparison:
     every = list(results)
     groups = group_by_configuration(every)
     notes: list[str] = []
+    # In the order of `gauge list`; experiments of files follow by name.
+    places = {variant.id: place for place, variant in enumerate(variants())}
+    names = sorted({result.id for result in every}, key=lambda name: (places.get(name, len(places)), name))
     by_id = {
-        name: tuple(_cell(name, configuration, members, notes) for configuration, members in groups)
-        for name in sorted({result.id for result in every}, key=_list_order)
+        name: tuple(_cell(name, configuration, members, notes) for configuration, members in groups) for name in names
     }
     experiments = []
     for name, cells in by_id.items():
@@ -291,12 +293,6 @@ def compare(results: Iterable[Result]) -> Comparison:
         experiments=tuple(experiments),
         notes=(*notes, *_mismatches(every)),
     )
-
-
-def _list_order(name: str) -> tuple[int, str]:
-    """Return the sort key of `gauge list`; experiments of files follow by name."""
-    places = {variant.id: place for place, variant in enumerate(variants())}
-    return places.get(name, len(places)), name
 
 
 def _cell(name: str, configuration: RunConfiguration, members: Sequence[Result], notes: list[str]) -> Cell | None:

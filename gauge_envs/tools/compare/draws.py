@@ -104,12 +104,6 @@ def score_draws(
 ) -> ScoreDraws | None:
     """Return the draws of the repeats of one configuration in one experiment.
 
-    Args:
-        results: The repeats.
-        experiment: Their experiment.
-        band: Reference of their scores.
-        configuration: Their configuration.
-
     Returns:
         The draws; None if a repeat has no score, because a mean without failures would be too good.
     """

@@ -277,12 +277,7 @@ def _published(common: Sequence[GradedExperiment]) -> dict[str, float]:
 
 
 def compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int]) -> PairComparison | None:
-    """Return the comparison of two configurations by paired bootstrap; None without a common scored experiment.
-
-    Args:
-        experiments: Experiments of one grade.
-        pair: Indices of the two configurations.
-    """
+    """Return the comparison of two configurations by paired bootstrap; None without a common scored experiment."""
     differences, difference_draws, improved = [], [], []
     for one in experiments:
         first, second = one.draws[pair[0]], one.draws[pair[1]]

@@ -14,26 +14,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-COLOURS = {
-    "mujoco": OURS[0],
-    "rapier": OURS[1],
-    "physx": OURS[2],
-    "newton": OURS[3],
-    "drake": OURS[4],
-    "genesis": OURS[5],
-    "pybullet": "#000000",
+LOOKS = {
+    "mujoco": (OURS[0], "o"),
+    "rapier": (OURS[1], "s"),
+    "physx": (OURS[2], "^"),
+    "newton": (OURS[3], "D"),
+    "drake": (OURS[4], "v"),
+    "genesis": (OURS[5], "P"),
+    "pybullet": ("#000000", "X"),
 }
-"""Colours of the engines of this package; others share a grey and have their name at the line."""
-
-MARKERS = {
-    "mujoco": "o",
-    "rapier": "s",
-    "physx": "^",
-    "newton": "D",
-    "drake": "v",
-    "genesis": "P",
-    "pybullet": "X",
-}
+"""Colour and marker of the engines of this package; others share a grey and have their name at the line."""
 
 LEAST_SHOWN = 1e-4
 """Errors below this are drawn at the lower edge."""
@@ -52,16 +42,11 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
     grid = figure.subplots(count, 2, squeeze=False, sharex="row")
     for (left, right), phenomenon in zip(grid, tradeoff.phenomena, strict=True):
         _panel(left, phenomenon, "numerical", "numerical error")
-        scored = phenomenon.best("to_reality") is not None
-        _panel(
-            right,
-            phenomenon,
-            "to_reality" if scored else "to_closed_form",
-            "error against reality" if scored else "error against the exact motion",
-        )
+        if phenomenon.best("to_reality") is not None:
+            _panel(right, phenomenon, "to_reality", "error against reality")
+        else:
+            _panel(right, phenomenon, "to_closed_form", "error against the exact motion")
         left.set_title(phenomenon.name, loc="left", fontsize=11, fontweight="bold")
-        for axis in (left, right):
-            _mark_limits(axis, phenomenon)
     unit = "CPU" if tradeoff.cost == "cpu" else "wall"
     for axis in grid[-1]:
         axis.set_xlabel(f"{unit} seconds per simulated second", fontsize=9)
@@ -80,7 +65,7 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
 
 
 def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
-    """Draw one error of all families over their cost."""
+    """Draw one error of all families over their cost, the real scatter, and the parametric floor."""
     tidy_axis(axis)
     axis.set_xscale("log")
     axis.set_yscale("log")
@@ -90,8 +75,11 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
         line.sort(key=lambda point: -(point.step_s or 0.0))
         if line:
             axis.plot([p.cost for p in line], [_value(p, error) or math.nan for p in line], **style)
-            if error == "numerical":
-                _name_line(axis, family, (line[-1].cost, _value(line[-1], error) or LEAST_SHOWN), style["color"])
+            if error == "numerical" and family.is_default and family.backend not in LOOKS:
+                # The name of an engine without a colour of its own stands at the end of its line.
+                end = (line[-1].cost, _value(line[-1], error) or LEAST_SHOWN)
+                place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+                axis.annotate(family.backend, end, fontsize=7.5, color=style["color"], annotation_clip=False, **place)
         others = [p for p in family.points if not p.is_on_main_line and _value(p, error) is not None]
         if others:
             cross: dict[str, Any] = {"marker": "x", "ms": 6, "mew": 1.6, "ls": "", "color": style["color"]}
@@ -100,13 +88,12 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
     axis.set_ylabel(f"{title}\n[{unit}]", fontsize=8.5)
     axis.tick_params(labelsize=8)
     axis.margins(x=0.12)
-
-
-def _name_line(axis: Axes, family: Family, end: tuple[float, float], colour: str) -> None:
-    """Write the name of an engine without a colour of its own at the end of its line; the legend names the others."""
-    if family.is_default and family.backend not in COLOURS:
-        place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
-        axis.annotate(family.backend, end, fontsize=7.5, color=colour, annotation_clip=False, **place)
+    floors = [family.floor for family in phenomenon.families if family.floor is not None and family.floor > LEAST_SHOWN]
+    if phenomenon.unit == "scatter":
+        axis.axhline(1.0, color=REAL, lw=1.0, ls="-", zorder=1)
+    if floors:
+        axis.axhspan(min(floors) * 0.97, max(floors) * 1.03, color="#9a9a9a", alpha=0.55, lw=0.0, zorder=1)
+    _set_ticks(axis)
 
 
 def _value(point: Point, error: str) -> float | None:
@@ -115,16 +102,6 @@ def _value(point: Point, error: str) -> float | None:
     if value is None or (error == "numerical" and point.is_reference):
         return None
     return max(float(value), LEAST_SHOWN)
-
-
-def _mark_limits(axis: Axes, phenomenon: Phenomenon) -> None:
-    """Draw the real scatter and the parametric floor."""
-    floors = [family.floor for family in phenomenon.families if family.floor is not None and family.floor > LEAST_SHOWN]
-    if phenomenon.unit == "scatter":
-        axis.axhline(1.0, color=REAL, lw=1.0, ls="-", zorder=1)
-    if floors:
-        axis.axhspan(min(floors) * 0.97, max(floors) * 1.03, color="#9a9a9a", alpha=0.55, lw=0.0, zorder=1)
-    _set_ticks(axis)
 
 
 def _set_ticks(axis: Axes) -> None:
@@ -142,8 +119,8 @@ def _set_ticks(axis: Axes) -> None:
 
 
 def _style(family: Family) -> dict[str, Any]:
-    colour = COLOURS.get(family.backend, "#707070")
-    shared = {"color": colour, "marker": MARKERS.get(family.backend, "*"), "ms": 5, "lw": 1.3}
+    colour, marker = LOOKS.get(family.backend, ("#707070", "*"))
+    shared = {"color": colour, "marker": marker, "ms": 5, "lw": 1.3}
     return shared if family.is_default else shared | {"ls": (0, (4, 2)), "mfc": "white", "lw": 1.0, "ms": 4.5}
 
 

@@ -176,7 +176,12 @@ def _with_fronts(families: Sequence[Family]) -> list[Family]:
     fronts: dict[int, list[str]] = {}
     for error in ERRORS:
         lowest = float("inf")
-        known = [(value, point) for family, point in every if (value := _shown_error(family, point, error)) is not None]
+        # A numerical error is at least the resolution, as the converged motion has 0 itself.
+        known = [
+            (max(value, family.resolution or 0.0) if error == "numerical" else value, point)
+            for family, point in every
+            if (value := getattr(point, error)) is not None
+        ]
         for value, point in sorted(known, key=lambda one: (one[1].cost, one[0])):
             if value < lowest:
                 lowest = value
@@ -185,11 +190,3 @@ def _with_fronts(families: Sequence[Family]) -> list[Family]:
         replace(one, points=tuple(replace(p, fronts=tuple(fronts.get(id(p), ()))) for p in one.points))
         for one in families
     ]
-
-
-def _shown_error(family: Family, point: Point, error: str) -> float | None:
-    """Return the error of a point; a numerical one is at least the resolution, as the converged motion has 0 itself."""
-    value: float | None = getattr(point, error)
-    if value is None or error != "numerical":
-        return value
-    return max(value, family.resolution or 0.0)

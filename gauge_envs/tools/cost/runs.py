@@ -61,15 +61,9 @@ class ErrorMeasure:
         if band is None and event is not None and event in baselines:
             line = baselines[event]
             return cls(experiment=experiment, band=None, metric=event, unit=line.unit, scatter=line.std or None)
-        rmse = baselines.get("rmse")
+        rmse, unit = baselines.get("rmse"), experiment.score.observable.unit
         scatter = None if rmse is None or (band is not None and not band.normalized_by_baseline) else rmse.mean
-        return cls(
-            experiment=experiment,
-            band=band,
-            metric="rmse",
-            unit=experiment.score.observable.unit,
-            scatter=scatter or None,
-        )
+        return cls(experiment=experiment, band=band, metric="rmse", unit=unit, scatter=scatter or None)
 
     def frames(self, result: Result) -> FloatArray | None:
         """Return g(t) of a result at the frames, shape [T, D]; None if it did not run to its end."""

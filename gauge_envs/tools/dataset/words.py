@@ -10,107 +10,102 @@ from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import METRIC_TITLES, short_id, with_unit
 from gauge_envs.tools.dataset.importer import FLAGGED_DIFFERENCE, BaselineRow, ImportedTrials
 
+STATUS_NOTE = (
+    "Baselines: mean (standard deviation) of the real trials. Own: from the trials of the reference band. Published: "
+    "from the paper, Table 5."
+)
+
+EXPERIMENT = Column("name", "experiment", place=Place.HEADING)
+
 
 def import_document(imports: Sequence[ImportedTrials]) -> Document:
     """Return the own baselines beside the paper's, one row per metric, and the imported drivers."""
-    baselines = [
-        {"name": one.variant.name, "trials": f"{one.used} trials, {one.left_out} left out", "row": row}
-        for one in imports
-        for row in one.rows
-    ]
+    flagged = sum(row.is_flagged for one in imports for row in one.rows)
+    note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
     drivers = [
         {"name": one.variant.name, "driver": driver} for one in imports if one.record for driver in one.record.drivers
     ]
-    flagged = sum(row.is_flagged for one in imports for row in one.rows)
-    note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
-    return Document(
-        parts=(
-            Table(columns=BASELINE_COLUMNS, rows=baselines),
-            *([Table(title="Drivers", columns=DRIVER_COLUMNS, rows=drivers)] if drivers else []),
-            Paragraph(""),
-            Paragraph(note, Tone.WARNING if flagged else Tone.NOTE),
-        )
+    tables = [_baselines_table(imports), *([_drivers_table(drivers)] if drivers else [])]
+    return Document(parts=[*tables, Paragraph(""), Paragraph(note, Tone.WARNING if flagged else Tone.NOTE)])
+
+
+def _baselines_table(imports: Sequence[ImportedTrials]) -> Table:
+    def own(row: BaselineRow) -> str:
+        return "-" if row.own is None else with_unit(_spread(row.own.mean, row.own.std), row.unit)
+
+    def published(row: BaselineRow) -> str:
+        return _spread(row.published.mean, row.published.std) if row.published else "-"
+
+    def difference(row: BaselineRow) -> str:
+        return "-" if row.difference is None else f"{100 * row.difference:+.1f} %"
+
+    def style(row: BaselineRow) -> str:
+        return "yellow" if row.is_flagged else ""
+
+    return Table(
+        columns=(
+            EXPERIMENT,
+            Column("trials", "", place=Place.HEADING),
+            Column("row.metric", "metric", METRIC_TITLES.__getitem__),
+            Column("row", "own baseline", own, is_number=True),
+            Column("row", "published", published, is_number=True),
+            Column("row", "difference", difference, is_number=True, style=style),
+        ),
+        rows=[
+            {"name": one.variant.name, "trials": f"{one.used} trials, {one.left_out} left out", "row": row}
+            for one in imports
+            for row in one.rows
+        ],
+    )
+
+
+def _drivers_table(drivers: Sequence[Mapping[str, Any]]) -> Table:
+    def amounts(length_mm: float | None, angle_deg: float | None) -> str:
+        texts = (f"{value:.2g} {unit}" for value, unit in ((length_mm, "mm"), (angle_deg, "deg")) if value is not None)
+        return ", ".join(texts) or "-"
+
+    return Table(
+        title="Drivers",
+        columns=(
+            EXPERIMENT,
+            Column("driver.body", "body"),
+            Column("driver.trial_count", "trials", is_number=True),
+            Column("driver", "left out by its motions", lambda one: amounts(one.residual_mm, one.residual_deg)),
+            Column("driver.start_offset_mm", "start off by", lambda value: f"{value:.2g} mm", is_number=True),
+            Column("driver", "scatter", lambda one: amounts(one.scatter_mm, one.scatter_deg)),
+        ),
+        rows=drivers,
     )
 
 
 def status_table(rows: Sequence[dict[str, Any]]) -> Table:
     """Return the rows of `status_rows` as a table."""
-    return Table(columns=STATUS_COLUMNS, rows=rows, notes=(STATUS_NOTE,))
 
+    def grade(row: Mapping[str, Any]) -> str:
+        text = f"{row['grade']}, imported" if row["imported"] else row["grade"]
+        return f"{text}; task file changed" if row["is_current"] is False else text
 
-def _grade_text(row: Mapping[str, Any]) -> str:
-    grade = f"{row['grade']}, imported" if row["imported"] else row["grade"]
-    return f"{grade}; task file changed" if row["is_current"] is False else grade
-
-
-def _drivers_text(drivers: Sequence[Mapping[str, Any]]) -> str:
-    return ", ".join(f"{driver['body']}: {driver['provenance']}" for driver in drivers) or "-"
-
-
-def _baselines_text(lines: Sequence[Mapping[str, Any]]) -> str:
-    texts = []
-    for line in lines:
+    def baseline(line: Mapping[str, Any]) -> str:
         own, published = (_spread(line[f"{whose}_mean"], line[f"{whose}_std"]) for whose in ("own", "published"))
-        texts.append(f"{METRIC_TITLES[line['metric']]} own {own}, published {published}")
-    return "; ".join(texts)
+        return f"{METRIC_TITLES[line['metric']]} own {own}, published {published}"
+
+    def drivers(moved: Sequence[Mapping[str, Any]]) -> str:
+        return ", ".join(f"{driver['body']}: {driver['provenance']}" for driver in moved) or "-"
+
+    return Table(
+        columns=(
+            Column("id", "experiment", short_id),
+            Column("", "grade", grade),
+            Column("trials", "trials", is_number=True),
+            Column("drivers", "driver", drivers),
+            Column("baselines", "baselines", lambda lines: "; ".join(map(baseline, lines)), place=Place.BELOW),
+        ),
+        rows=rows,
+        notes=(STATUS_NOTE,),
+    )
 
 
 def _spread(mean: float | None, std: float | None) -> str:
     if mean is None:
         return "-"
     return f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})"
-
-
-def _own(row: BaselineRow) -> str:
-    if row.own is None:
-        return "-"
-    return with_unit(_spread(row.own.mean, row.own.std), row.unit)
-
-
-def _published(row: BaselineRow) -> str:
-    return _spread(row.published.mean, row.published.std) if row.published else "-"
-
-
-def _difference(row: BaselineRow) -> str:
-    return "-" if row.difference is None else f"{100 * row.difference:+.1f} %"
-
-
-def _flag_style(row: BaselineRow) -> str:
-    return "yellow" if row.is_flagged else ""
-
-
-def _amounts(length_mm: float | None, angle_deg: float | None) -> str:
-    amounts = ((length_mm, "mm"), (angle_deg, "deg"))
-    return ", ".join(f"{value:.2g} {unit}" for value, unit in amounts if value is not None) or "-"
-
-
-BASELINE_COLUMNS = (
-    Column("name", "experiment", place=Place.HEADING),
-    Column("trials", "", place=Place.HEADING),
-    Column("row.metric", "metric", METRIC_TITLES.__getitem__),
-    Column("row", "own baseline", _own, is_number=True),
-    Column("row", "published", _published, is_number=True),
-    Column("row", "difference", _difference, is_number=True, style=_flag_style),
-)
-
-DRIVER_COLUMNS = (
-    Column("name", "experiment", place=Place.HEADING),
-    Column("driver.body", "body"),
-    Column("driver.trial_count", "trials", is_number=True),
-    Column("driver", "left out by its motions", lambda one: _amounts(one.residual_mm, one.residual_deg)),
-    Column("driver.start_offset_mm", "start off by", lambda value: f"{value:.2g} mm", is_number=True),
-    Column("driver", "scatter", lambda one: _amounts(one.scatter_mm, one.scatter_deg)),
-)
-
-STATUS_COLUMNS = (
-    Column("id", "experiment", short_id),
-    Column("", "grade", _grade_text),
-    Column("trials", "trials", is_number=True),
-    Column("drivers", "driver", _drivers_text),
-    Column("baselines", "baselines", _baselines_text, place=Place.BELOW),
-)
-
-STATUS_NOTE = (
-    "Baselines: mean (standard deviation) of the real trials. Own: from the trials of the reference band. Published: "
-    "from the paper, Table 5."
-)

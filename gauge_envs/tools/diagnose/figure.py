@@ -38,7 +38,11 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
             left += 100.0 * part.share
         rest = "rest" if place == 0 else None
         axis.barh(place, 100.0 * diagnosis.rest.share, left=left, color=ENGINES[0], height=0.72, label=rest)
-        axis.text(101.0, place, _error_text(diagnosis), va="center", fontsize=8, color="#404040")
+        rmses, unit = (diagnosis.rmse_normalized, diagnosis.rest.rmse_normalized), ""
+        if None in rmses:
+            rmses, unit = (diagnosis.rmse, diagnosis.rest.rmse), f" {diagnosis.unit}"
+        text = " to ".join(map(score_text, rmses)) + unit
+        axis.text(101.0, place, text, va="center", fontsize=8, color="#404040")
     names = [f"{short_id(diagnosis.id)}\n{result_label(result)}" for result, diagnosis in pairs]
     axis.set_yticks(range(len(pairs)), names, fontsize=8)
     axis.set_ylim(len(pairs) - 0.5, -0.5)
@@ -53,10 +57,3 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
     axis.tick_params(axis="y", length=0)
     axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False)
     return figure
-
-
-def _error_text(diagnosis: Diagnosis) -> str:
-    before, after, unit = diagnosis.rmse_normalized, diagnosis.rest.rmse_normalized, ""
-    if before is None or after is None:
-        before, after, unit = diagnosis.rmse, diagnosis.rest.rmse, f" {diagnosis.unit}"
-    return f"{score_text(before)} to {score_text(after)}{unit}"

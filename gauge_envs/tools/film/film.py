@@ -26,14 +26,25 @@ from gauge_envs.tools.film.writer import STRIP_SUFFIXES, check_film_format, chec
 MOST_PANELS = 12
 """Largest number of panels of a film."""
 
-LEAST_SIDE_PX, MOST_SIDE_PX = 120, 4096
-"""Range of the width and height of a picture [pixels]: text needs some room."""
+LIMITS = {
+    "width": (120, 4096, " pixels"),
+    "height": (120, 4096, " pixels"),
+    "columns": (1, MOST_PANELS, ""),
+    "fps": (1.0, 120.0, ""),
+    "speed": (0.001, 100.0, ""),
+    "hold_s": (0.0, 60.0, ""),
+}
+"""Ranges of options; the text of a picture needs some room."""
 
 MOST_FRAMES = 20_000
 """Largest number of frames of a film."""
 
 Progress = Callable[[int, int], None]
 """Receiver of the number of pictures that are done, and of all."""
+
+
+def _no_progress(done: int, count: int) -> None:
+    """Receive the progress, and drop it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,17 +104,11 @@ class FilmOptions:
     recording: Recording | None = None
 
     def __post_init__(self) -> None:
-        for name in ("width", "height"):
-            if not LEAST_SIDE_PX <= getattr(self, name) <= MOST_SIDE_PX:
-                raise ParameterError(
-                    f"{name} is {getattr(self, name)}, expected {LEAST_SIDE_PX} to {MOST_SIDE_PX} pixels"
-                )
-        if self.columns is not None and not 1 <= self.columns <= MOST_PANELS:
-            raise ParameterError(f"columns is {self.columns}, expected 1 to {MOST_PANELS}")
-        for name, least, most in (("fps", 1.0, 120.0), ("speed", 0.001, 100.0), ("hold_s", 0.0, 60.0)):
+        for name, (least, most, unit) in LIMITS.items():
+            value = getattr(self, name)
             # A comparison with NaN is false.
-            if not least <= getattr(self, name) <= most:
-                raise ParameterError(f"{name} is {getattr(self, name):g}, expected {least:g} to {most:g}")
+            if value is not None and not least <= value <= most:
+                raise ParameterError(f"{name} is {value:g}, expected {least:g} to {most:g}{unit}")
         if not 0.0 <= self.from_s < math.inf:
             raise ParameterError(f"from_s is {self.from_s:g}, expected 0 or more")
         if self.to_s is not None and not self.from_s <= self.to_s < math.inf:
@@ -136,12 +141,7 @@ def results_of_one_experiment(results: Mapping[Path, Result], name: str | None =
 
 
 def film_times(options: FilmOptions, last_s: float) -> NDArray[np.float64]:
-    """Return the times of the frames [s], shape [frame_count].
-
-    Args:
-        options: The options.
-        last_s: End of the longest episode [s].
-    """
+    """Return the times of the frames [s], shape [frame_count]."""
     end_s = last_s if options.to_s is None else options.to_s
     if options.from_s > last_s:
         raise ParameterError(f"from_s is {options.from_s:g} s, and the longest episode ends at {last_s:.3f} s")
@@ -152,7 +152,7 @@ def film_times(options: FilmOptions, last_s: float) -> NDArray[np.float64]:
 
 
 def save_film(
-    results: Mapping[Path, Result], out: Path, options: FilmOptions, *, progress: Progress | None = None
+    results: Mapping[Path, Result], out: Path, options: FilmOptions, *, progress: Progress = _no_progress
 ) -> list[LeftOut]:
     """Write a film of results of one experiment, and return the results that have no panel.
 
@@ -166,21 +166,15 @@ def save_film(
     with ExitStack() as stack:
         panels, takes, left_out = _panels(results, options, stack)
         times_s = film_times(options, max(panel.last_s for panel in panels))
-        layout = FilmLayout(
-            [panel.text for panel in panels],
-            _caption(takes, options),
-            width=options.width,
-            height=options.height,
-            columns=options.columns,
-        )
+        size = {"width": options.width, "height": options.height}
+        layout = FilmLayout([panel.text for panel in panels], _caption(takes, options), columns=options.columns, **size)
         held = round(options.hold_s * options.fps)
         writer = stack.enter_context(film_writer(out, size=layout.size, fps=options.fps))
         for number, time_s in enumerate(times_s):
             pictures = [panel.picture(float(time_s)) for panel in panels]
             frame = layout.frame(pictures, f"t = {time_s:.3f} s")
             writer.add(frame, times=1 + held if number == len(times_s) - 1 else 1)
-            if progress is not None:
-                progress(number + 1, len(times_s))
+            progress(number + 1, len(times_s))
     return left_out
 
 
@@ -190,7 +184,7 @@ def save_strip(
     options: FilmOptions,
     *,
     count: int = 3,
-    progress: Progress | None = None,
+    progress: Progress = _no_progress,
 ) -> list[LeftOut]:
     """Write pictures at a few times beside each other, a row for each result, and return the results without a row.
 
@@ -212,8 +206,7 @@ def save_strip(
         rows: list[list[NDArray[np.uint8]]] = []
         for number, panel in enumerate(panels):
             rows.append([panel.picture(float(time_s)) for time_s in times_s])
-            if progress is not None:
-                progress(number + 1, len(panels))
+            progress(number + 1, len(panels))
         clocks = [f"{time_s:.2f} s" for time_s in times_s]
         save_still(strip_picture(rows, [panel.text for panel in panels], _caption(takes, options), clocks), out)
     return left_out

@@ -184,12 +184,7 @@ class SimulatedPanel:
 
 
 def score_line(result: Result, band: Band | None) -> str:
-    """Return the scores of a result in a line, the primary one first.
-
-    Args:
-        result: The result.
-        band: The band that is shown, or None.
-    """
+    """Return the scores of a result in a line, the primary one first."""
     if result.outcome is Outcome.DIVERGED:
         return f"diverged: {result.diverged_reason}" if result.diverged_reason else "diverged"
     score = result.score

@@ -148,10 +148,6 @@ class _Recording:
         """Log the recorded mean where it is a place in space: as bodies, or as markers.
 
         A mean has positions alone; a ghost body turns as the simulated one.
-
-        Args:
-            band: The band.
-            frames: g(t) at the frames, shape [frame_count, coordinate_count].
         """
         observable = self._experiment.score.observable
         if observable.unit != "mm":

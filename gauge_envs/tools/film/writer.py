@@ -58,7 +58,7 @@ def film_writer(file: Path, *, size: tuple[int, int], fps: float) -> Iterator[Fi
             with _mp4_writer(part, size, fps) as writer:
                 yield writer
         else:
-            held = _HeldWriter(file.suffix.lower(), fps)
+            held = _HeldWriter(file.suffix.lower() == ".gif", fps)
             yield held
             held.save(part)
 
@@ -102,9 +102,9 @@ def _written(file: Path) -> Iterator[Path]:
         file.parent.mkdir(parents=True, exist_ok=True)
         with replaced_whole(file) as part:
             yield part
+    except ResultFileError:
+        raise
     except OSError as error:
-        if isinstance(error, ResultFileError):
-            raise
         raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
 
 
@@ -151,9 +151,8 @@ class _StreamWriter:
 class _HeldWriter:
     """Writer of WebP and GIF, whose frames are written together."""
 
-    def __init__(self, suffix: str, fps: float) -> None:
-        self._is_gif = suffix == ".gif"
-        self._fps = fps
+    def __init__(self, is_gif: bool, fps: float) -> None:
+        self._is_gif, self._fps = is_gif, fps
         self._frames: list[Image.Image] = []
         self._counts: list[int] = []
 

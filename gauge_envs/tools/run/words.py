@@ -53,12 +53,7 @@ LABEL = Column("label", "", place=Place.HEADING)
 
 
 def summary_document(results: Sequence[Result], *, budget: bool = False) -> Document:
-    """Return scores of results beside the published ones, what the numbers mean, and what was not run and why.
-
-    Args:
-        results: The results.
-        budget: Whether to show the uncertainty budgets.
-    """
+    """Return scores of results beside the published ones, what the numbers mean, and what was not run and why."""
     ran = [result for result in results if result.error is None]
     tables = [_score_table(ran)] if ran else []
     if budget and any(result.score.budget for result in ran):
@@ -217,12 +212,7 @@ def _rounded(value: float) -> str:
 
 
 def estimator_lines(name: str, score: Score) -> Iterator[str]:
-    """Yield what the choice of an estimator does, and when the events of a swing happen; nothing without event metrics.
-
-    Args:
-        name: Id of the experiment, as `NewtonsCradle-metal`.
-        score: Its score.
-    """
+    """Yield what the choice of an estimator does, and when the events of a swing happen."""
     if score.lsd_s is not None:
         first, last = score.lsd_dropped_rests_s or (0.0, 0.0)
         yield (

@@ -80,12 +80,7 @@ def top_line(report: Report) -> str:
 
 
 def phenomena_table(*, include_deformables: bool = False, only: Sequence[str] = ()) -> Table:
-    """Return the rows that a sanity check can have: ids, titles, kinds and reality.
-
-    Args:
-        include_deformables: Whether to include phenomena of deformable bodies.
-        only: Ids or patterns; all when empty.
-    """
+    """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
     chosen = selection(only, include_deformables=include_deformables)
     known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
     known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
@@ -182,7 +177,13 @@ def _phenomenon_table(report: Report) -> Table:
             Column("title", "phenomenon", wide_only=True),
             Column("reality.kind", "kind", wide_only=True),
             Column("", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True),
-            Column("", "preset", lambda row: measured_text(row.default), is_number=True, style=_default_style),
+            Column(
+                "",
+                "preset",
+                lambda row: measured_text(row.default),
+                is_number=True,
+                style=lambda row: STYLES[row.default_verdict],
+            ),
             Column("", "this", lambda row: measured_text(row.configured), is_number=True, style=_style),
             Column("", "verdict", verdict_text, style=_style),
             Column("", "", lambda row: repeated[row.phenomenon], place=Place.BELOW, narrow_only=True),
@@ -214,10 +215,6 @@ def _repeated_causes(report: Report) -> dict[str, str]:
 
 def _style(row: PhenomenonResult) -> str:
     return "" if row.advisory else STYLES[row.verdict]
-
-
-def _default_style(row: PhenomenonResult) -> str:
-    return STYLES[row.default_verdict]
 
 
 def reality_text(reality: Reality, unit: str) -> str:
@@ -311,36 +308,29 @@ def against_line(comparison: Comparison) -> str:
     if not changed:
         unknown = sum(row.change is Change.UNKNOWN for row in comparison.rows)
         return "Nothing changes" + (f"; {unknown} rows are unknown" if unknown else "")
-    named = "; then ".join(map(_change_text, changed[:MOST_NAMED]))
-    return f"{len(changed)} of {len(comparison.rows)} rows change; most of all {named}"
-
-
-def _change_text(row: ChangeRow) -> str:
-    return with_unit(f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}", row.unit)
+    values = (f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}" for row in changed)
+    named = [with_unit(text, row.unit) for text, row in zip(values, changed[:MOST_NAMED], strict=False)]
+    return f"{len(changed)} of {len(comparison.rows)} rows change; most of all {'; then '.join(named)}"
 
 
 def _change_table(comparison: Comparison) -> Table:
+    def difference(row: ChangeRow) -> str:
+        known = row.trained is not None and row.deployed is not None
+        return with_unit(f"{(row.deployed or 0.0) - (row.trained or 0.0):+.3g}", row.unit) if known else "-"
+
+    def below(row: ChangeRow) -> str:
+        title = row.title if row.change in (Change.VISIBLE, Change.LARGE) else ""
+        return "; ".join(filter(None, (title, row.remark)))
+
     return Table(
         columns=(
             Column("id", "id"),
             Column("title", "quantity", wide_only=True),
             Column("trained", "trained", measured_text, is_number=True),
             Column("deployed", "deployed", measured_text, is_number=True),
-            Column("", "difference", _difference, is_number=True),
-            Column("", "change", lambda row: row.change.value, style=lambda row: CHANGE_STYLES[row.change]),
-            Column("", "", _below, place=Place.BELOW),
+            Column("", "difference", difference, is_number=True),
+            Column("change", "change", lambda change: change.value, style=CHANGE_STYLES.__getitem__),
+            Column("", "", below, place=Place.BELOW),
         ),
         rows=comparison.rows,
     )
-
-
-def _difference(row: ChangeRow) -> str:
-    if row.trained is None or row.deployed is None:
-        return "-"
-    return with_unit(f"{row.deployed - row.trained:+.3g}", row.unit)
-
-
-def _below(row: ChangeRow) -> str:
-    """Return the title of a row that changes, and its remark."""
-    parts = (row.title if row.change in (Change.VISIBLE, Change.LARGE) else "", row.remark)
-    return "; ".join(part for part in parts if part)

@@ -86,13 +86,12 @@ def save_site(
     check_replaceable(out)
     part = out.with_name(f".{out.name}.{token_hex(8)}.tmp")
     try:
-        try:
-            notes = _write(results, part, replays=replays, command=command, progress=progress)
-            _replace(part, out)
-        except OSError as error:
-            if isinstance(error, GaugeError):
-                raise
-            raise ResultFileError(f"{out}: cannot be written: {error.strerror or error}") from error
+        notes = _write(results, part, replays=replays, command=command, progress=progress)
+        _replace(part, out)
+    except GaugeError:
+        raise
+    except OSError as error:
+        raise ResultFileError(f"{out}: cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return notes

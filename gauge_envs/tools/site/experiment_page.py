@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, element, folded, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, discretization_text
-from gauge_envs.pages.svg import ForestRow, forest
+from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, compare_grade, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
-from gauge_envs.tools.site.curves import curve_section
 from gauge_envs.tools.site.model import Site, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
@@ -47,10 +50,21 @@ UNCERTAINTY_NOTE = (
     "observations, B from other knowledge (GUM)."
 )
 
-Parts = list[Part]
+FloatArray = NDArray[np.float64]
 
 Results = Mapping[int, Result]
 """First result of each configuration that ran, by its index."""
+
+Parts = list[Part]
+
+MOST_PANELS = 6
+"""Largest number of coordinates that are drawn."""
+
+MOST_SECONDS = 10.0
+"""Longest time that is drawn [s]: in a longer one, swings of a second cannot be told apart."""
+
+Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
+"""Configuration, times [s], g(t) of shape [sample_count, coordinate_count], and names of the coordinates."""
 
 
 def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, replay_notes: Sequence[str]) -> str:
@@ -75,7 +89,7 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
         *_forest(site, one),
         *_scores(site, one),
         *([Heading("3D replay"), *replays] if replays else []),
-        *curve_section(site, one, band),
+        *_curves(site, one.unit, results, band),
         *_pairs(site, one),
         *_distances(site, one),
         *_error_budgets(site, results),
@@ -274,3 +288,88 @@ def _not_run(site: Site, one: ExperimentComparison) -> Table:
         if (reason := result.error or result.diverged_reason)
     ]
     return grid(("engine", "outcome", "reason"), rows)
+
+
+# --- curves ---
+
+
+def _curves(site: Site, unit: str, results: Results, band: Band | None) -> Parts:
+    """Return the curves of all configurations that ran over the band, or without one."""
+    recorded = [
+        (index, *result.trajectory.arrays(), result.trajectory.coordinates)
+        for index, result in results.items()
+        if result.trajectory is not None
+    ]
+    if not recorded:
+        return []
+    end_s = max(float(times[-1]) for _, times, _, _ in recorded)
+    shown_s = min(end_s, MOST_SECONDS)
+    if band is None:
+        panels, note = _plain_panels(site, unit, recorded, shown_s)
+    else:
+        panels, note = _band_panels(site, unit, recorded, band, shown_s)
+    notes = [note] if note else []
+    if shown_s < end_s:
+        notes.append(f"The first {shown_s:g} of {end_s:.3g} s are drawn; scores use all frames.")
+    return [
+        Heading("Curves" if band is None else "Curves over the reference"),
+        _legend(site, [index for index, *_ in recorded], band),
+        element("div", *(element("figure", curve_panel(panel)) for panel in panels), class_="panels"),
+        *(Paragraph(note, Tone.NOTE) for note in notes),
+    ]
+
+
+def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
+    entries = [site.links[index] for index in indices]
+    if band is not None:
+        means = {BandGrade.RECORDING: "real: one recorded trial", BandGrade.LAW: "law"}
+        mean = "real mean" if band.trial_count is None else f"real mean of {band.trial_count} trials"
+        for color, kind, text in (
+            ("--real", "swatch", means.get(band.grade, mean)),
+            ("--band1", "swatch area", "1 sigma"),
+            ("--band2", "swatch area", "2 sigma"),
+        ):
+            entries.append(join([element("span", class_=kind, style=f"background:var({color})"), text]))
+        if (~band.measured & np.isfinite(band.mean).all(axis=1)).any():
+            entries.append(join(["dotted: extrapolated, not measured"]))
+    return listed(entries, class_="key")
+
+
+def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: float) -> tuple[list[CurvePanel], str]:
+    """Return the panels of the coordinates with the largest real motion, and a note if others are left out."""
+    width = band.projection.shape[1]
+    projected = [(i, times, band.project(values)) for i, times, values, _ in recorded if values.shape[1] == width]
+    spans = [float(np.ptp(column[np.isfinite(column)])) if np.isfinite(column).any() else 0.0 for column in band.mean.T]
+    panels = [
+        CurvePanel(
+            title=f"{band.coordinates[column]} [{unit}]",
+            curves=[(site.color(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
+            end_s=end_s,
+            times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
+            mean=band.mean[:, column],
+            sigma=band.sigma[:, column],
+            measured=band.measured,
+        )
+        for column in sorted(np.argsort(spans)[::-1][:MOST_PANELS].tolist())
+    ]
+    left_out = f"{len(panels)} of {len(spans)} coordinates: those in which the real motion is largest."
+    return panels, left_out if len(spans) > len(panels) else ""
+
+
+def _plain_panels(site: Site, unit: str, recorded: Recorded, end_s: float) -> tuple[list[CurvePanel], str]:
+    """Return panels without a reference: each coordinate, or of many the displacement from the start, with a note."""
+    names, text = recorded[0][3], ""
+    alike = [(i, times, values) for i, times, values, own in recorded if len(own) == len(names)]
+    if len(names) > MOST_PANELS:
+        text = f"Root mean square over all {len(names)} coordinates of the change since the start."
+        changes = ((i, times, np.sqrt(np.mean((x - x[0]) ** 2, axis=1, keepdims=True))) for i, times, x, _ in recorded)
+        names, alike = ["change from the start, rms"], list(changes)
+    panels = [
+        CurvePanel(
+            title=f"{name} [{unit}]",
+            curves=[(site.color(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
+            end_s=end_s,
+        )
+        for column, name in enumerate(names)
+    ]
+    return panels, text

@@ -25,9 +25,6 @@ from gauge_envs.tools.site.model import Site, site_page
 def run_command(results: Sequence[Result]) -> str | None:
     """Return the `gauge run` command that makes the repeats of one configuration in one experiment.
 
-    Args:
-        results: Repeats, which differ in their seed alone.
-
     Returns:
         The command; None for a trajectory file of a user, which no engine made.
     """
@@ -113,12 +110,7 @@ def _digest(file: Path) -> str:
 
 
 def reproduce_page(site: Site, command: str) -> str:
-    """Return the page with the origin of every number.
-
-    Args:
-        site: The site.
-        command: Command that made the site.
-    """
+    """Return the page with the origin of every number."""
     rows = []
     for one in site.comparison.experiments:
         for index, cell in enumerate(one.cells):

@@ -94,11 +94,7 @@ def _sums(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def outcome_table(counts: Mapping[tuple[str, Outcome], int]) -> Table:
-    """Return the number of episodes of each outcome, a row for each engine.
-
-    Args:
-        counts: Number of episodes by engine and outcome.
-    """
+    """Return the number of episodes of each outcome, a row for each engine."""
     rows = [
         {"backend": name} | {outcome.value: counts.get((name, outcome), 0) for outcome in Outcome}
         for name in dict.fromkeys(backend for backend, _ in counts)

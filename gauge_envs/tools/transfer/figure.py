@@ -53,12 +53,7 @@ def draw_transfer(report: TransferReport) -> Figure:
 
 
 def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
-    """Return the picture: the distribution of the quantity, and the quantity over each parameter.
-
-    Args:
-        envelope: The points.
-        report: Its report.
-    """
+    """Return the picture: the distribution of the quantity, and the quantity over each parameter."""
     rows = math.ceil((1 + len(report.effects)) / COLUMNS)
     figure = new_figure(10.5, 3.1 * rows + 0.5)
     unit = "" if report.unit == "1" else f" [{report.unit}]"

@@ -52,12 +52,7 @@ class ParameterRange:
 
 
 def ranges_of(parameters: Sequence[UncertainParameter], width: float = 2.0) -> list[ParameterRange]:
-    """Return ranges of so many standard uncertainties to each side, within the physical values.
-
-    Args:
-        parameters: The parameters.
-        width: Number of standard uncertainties, above 0.
-    """
+    """Return ranges of so many standard uncertainties to each side, within the physical values."""
     if not width > 0.0:
         raise ParameterError(f"width {width}: give a number of standard uncertainties above 0")
     return [

@@ -8,7 +8,7 @@ from typing import Any
 from gauge_envs.pages.document import Document, Paragraph
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import counted, value_text, with_unit
-from gauge_envs.tools.transfer.envelope_statistics import EnvelopeReport, ParameterEffect
+from gauge_envs.tools.transfer.envelope_statistics import EnvelopeReport
 from gauge_envs.tools.transfer.transfer import FALL_SHARE, Estimate, TransferReport, WorldTransfer
 
 
@@ -109,10 +109,14 @@ def envelope_verdict(report: EnvelopeReport) -> str:
 def envelope_document(report: EnvelopeReport) -> Document:
     """Return one row for each parameter, the most important first, and the result; the JSON row is the report."""
     verdict = envelope_verdict(report)
+
+    def calibrated(value: Any) -> str:
+        return "its start" if isinstance(value, tuple) else value_text(value)
+
     table = Table(
         columns=(
             Column("parameter.name", "parameter"),
-            Column("", "calibrated", _calibrated, is_number=True),
+            Column("parameter.value", "calibrated", calibrated, is_number=True),
             Column("parameter.std", "sigma", lambda value: f"{value:.3g}", is_number=True),
             Column("parameter.unit", "unit"),
             Column("rank_correlation", "rank correlation", lambda value: f"{value:+.2f}", is_number=True),
@@ -124,8 +128,3 @@ def envelope_document(report: EnvelopeReport) -> Document:
     # An infinite bound, which means none, becomes null.
     rows = [dataclasses.asdict(report) | {"verdict": verdict}]
     return Document(parts=(table, Paragraph(""), Paragraph(verdict)), rows=rows)
-
-
-def _calibrated(effect: ParameterEffect) -> str:
-    value = effect.parameter.value
-    return "its start" if isinstance(value, tuple) else value_text(value)
