@@ -1,4 +1,4 @@
-"""Measure ten recipes of contacts and those of six fabrics on each engine, and write their tables in `docs/recipes.md`.
+"""Measure ten recipes of contacts and those of six fabrics on each engine, and write their tables in `studies/recipes/tables.md`.
 
     python scripts/build_recipes.py                   all engines of recipes that are installed
     python scripts/build_recipes.py mujoco rapier     these alone; the other tables stay
@@ -26,7 +26,7 @@ from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_re
 from gauge_envs.tools.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "recipes.md"
+PAGE = ROOT / "studies" / "recipes" / "tables.md"
 RECORDS = ROOT / "results" / "recipes"
 
 Record = dict[str, Any]
