@@ -1,7 +1,7 @@
 """Check that generated files are current, by the table `scripts/generated.toml`.
 
-    python scripts/check_generated.py           runs all quick checks; fails if a file is not current
-    python scripts/check_generated.py --list    prints which script writes which files
+python scripts/check_generated.py           runs all quick checks; fails if a file is not current
+python scripts/check_generated.py --list    prints which script writes which files
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def faults(entry: Mapping[str, Any]) -> list[str]:
             missing.append(f"{entry['script']} {' '.join(entry['check'])} failed")
     elif "inputs" in entry and (found := hash_of(entry["inputs"])) != entry["sha256"]:
         missing.append(
-            f"{', '.join(entry['files'])}: {', '.join(entry['inputs'])} changed. Run {entry['script']}, then set sha256 "
-            f"to {found} in {TABLE.name}"
+            f"{', '.join(entry['files'])}: {', '.join(entry['inputs'])} changed. Run {entry['script']}, then set "
+            f"sha256 to {found} in {TABLE.name}"
         )
     return missing
 

@@ -28,7 +28,9 @@ def test_all_rows_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert script.main(["--tables"]) == 0
     lines = capsys.readouterr().out.splitlines()
     rows = json.loads(script.DATA.read_text(encoding="utf-8"))["rows"]
-    assert sum("slide-wood" in row["values"] for row in rows) == sum(line.count(" | ") == 13 for line in lines) - 2 * len(script.PACKAGES)
+    assert sum("slide-wood" in row["values"] for row in rows) == sum(
+        line.count(" | ") == 13 for line in lines
+    ) - 2 * len(script.PACKAGES)
     assert sum(line.startswith("### ") for line in lines) == len(script.PACKAGES)
 
 
