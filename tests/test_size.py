@@ -8,7 +8,6 @@ import tokenize
 from collections.abc import Iterable
 from pathlib import Path
 
-import pytest
 from places import ROOT
 
 PACKAGE = ROOT / "gauge_envs"
@@ -20,7 +19,6 @@ MOST_CORE_LINES = 45_000
 """Of the package without `tools/`."""
 MOST_WORDS, MOST_WORDS_OF_A_PAGE = 50_000, 3_000
 """Of the guides, without generated pages."""
-MOST_WORDS_OF_A_STUDY = 600
 
 GENERATED = {"api", "environments"}
 NO_CODE = {
@@ -86,8 +84,3 @@ def test_the_guides_do_not_grow() -> None:
     pages = [page for page in DOCS.rglob("*.md") if not GENERATED & set(page.relative_to(DOCS).parts)]
     assert words(pages) <= MOST_WORDS
     assert {page.name: words([page]) for page in pages if words([page]) > MOST_WORDS_OF_A_PAGE} == {}
-
-
-@pytest.mark.parametrize("note", sorted((ROOT / "studies").glob("*/README.md")), ids=lambda note: note.parent.name)
-def test_the_note_of_a_study_is_short(note: Path) -> None:
-    assert words([note]) <= MOST_WORDS_OF_A_STUDY
