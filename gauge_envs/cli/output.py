@@ -8,9 +8,13 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
@@ -18,8 +22,11 @@ from rich.control import Control
 from rich.segment import Segment
 
 from gauge_envs.cli.streams import result_stream
-from gauge_envs.files import printable
-from gauge_envs.pages.table import Table, as_rich, as_rows
+from gauge_envs.errors import ResultFileError
+from gauge_envs.files import printable, write_whole
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
 
 UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters but tabs and ends of lines, and lone surrogates."""
@@ -86,6 +93,61 @@ def plain_text(text: str) -> str:
     return escape(text)
 
 
+def message(text: object, label: str = "") -> None:
+    """Print a sentence on stderr, behind a label such as `note`, which is yellow, or `error`, which is red."""
+    color = "red" if label in ("error", "stale") else "yellow"
+    start = f"[{color}]{label}:[/] " if label else ""
+    stderr_console().print(f"{start}{plain_text(str(text))}", soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """Print a note on stderr."""
+    message(text, "note")
+
+
+class Progress:
+    """Progress on stderr: a bar on a terminal. Elsewhere nothing, or lines.
+
+    Args:
+        noun: What is counted.
+        total: Number of steps; None if it is not known.
+        line_interval_s: Least time between two lines where there is no terminal [s]; None for no lines.
+    """
+
+    def __init__(self, noun: str, total: int | None, *, line_interval_s: float | None = None) -> None:
+        self._console = stderr_console()
+        self._bar = progress_bar(self._console)
+        self._task = self._bar.add_task(noun, total=total)
+        self._total, self._done = total, 0
+        self._interval_s = None if self._console.is_terminal else line_interval_s
+        self._line_s = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._bar.stop()
+
+    def advance(self, text: object = "") -> None:
+        """Count a step, and show its name."""
+        self._done += 1
+        self.show(text, self._done)
+        now_s = time.monotonic()
+        if self._interval_s is not None and now_s - self._line_s >= self._interval_s:
+            self._line_s = now_s
+            self.line(f"{self._done}/{self._total} {text}")
+
+    def line(self, text: str) -> None:
+        """Print a line where there is no terminal."""
+        if not self._console.is_terminal:
+            message(text)
+
+    def show(self, text: object, done: int | None = None, total: int | None = None) -> None:
+        """Show what is done at the moment, and how many steps of all."""
+        self._bar.update(self._task, completed=done, total=total, description=plain_text(str(text)))
+
+
 def progress_bar(console: Console) -> Any:
     """Return a progress bar, which only a terminal shows."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -106,18 +168,88 @@ def echo(text: object, *, nl: bool = True) -> None:
     typer.echo(UNSAFE.sub(lambda found: printable(found[0]), str(text)), file=result_stream(), nl=nl)
 
 
-def print_json_lines(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print one JSON object per line on stdout."""
-    for row in rows:
-        echo(json.dumps(row, allow_nan=False))
+class Format(StrEnum):
+    """Format of the results on stdout."""
+
+    TEXT = "text"
+    WIDE = "wide"
+    MARKDOWN = "markdown"
+    JSON = "json"
 
 
-def print_table(table: Table, *, json_lines: bool, wide: bool = False) -> None:
-    """Print a table, or its rows as JSON objects."""
-    if json_lines:
-        print_json_lines(as_rows(table))
+def print_result(
+    form: Format,
+    *,
+    rows: Callable[[], Iterable[Mapping[str, Any]]],
+    view: Callable[[bool], Any],
+    markdown: Callable[[], str] | None = None,
+    files: Mapping[str, Path] | None = None,
+    writers: Mapping[str, Callable[[Path], object]] | None = None,
+) -> None:
+    """Print the result of a command on stdout, and write it to files, whose paths go to stderr.
+
+    Args:
+        form: The format.
+        rows: Returns the JSON objects, also of a file `.json`.
+        view: Returns what rich prints, with all columns if the argument is true.
+        markdown: Returns the Markdown, also of a file `.md`; None for the text as a block of code.
+        files: Files by suffix, of `arguments.by_suffix`.
+        writers: What writes the files of other suffixes, and returns their paths.
+    """
+
+    def markdown_text() -> str:
+        if markdown is not None:
+            return markdown()
+        console = stdout_console()
+        with console.capture() as captured:
+            console.print(view(True))
+        return f"```text\n{captured.get().rstrip()}\n```\n"
+
+    if form is Format.JSON:
+        print_json_lines(rows())
+    elif form is Format.MARKDOWN:
+        echo(markdown_text(), nl=False)
     else:
-        stdout_console().print(as_rich(table, wide=wide))
+        stdout_console().print(view(form is Format.WIDE))
+    others = writers or {}
+    for suffix, file in (files or {}).items():
+        if suffix in others:
+            message(others[suffix](file))
+        else:
+            message(write_text(file, json_text(rows()) if suffix == ".json" else markdown_text()))
+
+
+def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
+    """Print one JSON object per line on stdout."""
+    echo(json_text(rows), nl=False)
+
+
+def json_text(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as JSON, one object a line."""
+    return "".join(f"{json.dumps(row, allow_nan=False)}\n" for row in rows)
+
+
+def print_tables(form: Format, *tables: Table) -> None:
+    """Print tables below each other."""
+    from gauge_envs.pages.table import as_markdown, as_rich, as_rows
+
+    for table in tables:
+        print_result(
+            form,
+            rows=lambda: as_rows(table),  # noqa: B023
+            view=lambda wide: as_rich(table, wide=wide),
+            markdown=lambda: as_markdown(table),
+        )
+
+
+def write_text(file: Path, text: str) -> Path:
+    """Write a file of a command as a whole, with its folder, and return its path."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, text.encode())
+    except OSError as error:
+        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
+    return file
 
 
 def counted(number: int, noun: str) -> str:

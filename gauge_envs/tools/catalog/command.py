@@ -2,53 +2,62 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, Wide
-from gauge_envs.cli.output import (
-    EXIT_FAILED,
-    counted,
-    plain_text,
-    print_json_lines,
-    print_table,
-    stderr_console,
-    stdout_console,
-)
-from gauge_envs.experiments.patterns import matching_variants
-from gauge_envs.references.imported import DataSource
+from gauge_envs.cli.arguments import AssetOption, FormatOption, UseOption, matching, parsed_use
+from gauge_envs.cli.commands import LISTINGS, load
+from gauge_envs.cli.output import Format, counted, message, note, print_result, print_tables, stdout_console
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
+
+EXPERIMENTS = "experiments"
+"""The kind that `gauge list` lists by default."""
 
 
 def list_(
-    pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KIND] [PATTERN]...",
+            help=f"{EXPERIMENTS}, {', '.join(LISTINGS)}; and ids or patterns such as 'SlopeSlider-*'.",
+        ),
+    ] = None,
     scored: Annotated[bool, typer.Option("--scored", help="Only ids with a reference, and so with a reward.")] = False,
-    json_lines: Json = False,
-    wide: Wide = False,
-) -> None:
-    """List experiments with their observable, the grade of their reference, and the engines that can run them.
+    form: FormatOption = Format.TEXT,
+) -> bool:
+    """List experiments; or backends, checks, phenomena, materials, scenes, ...
 
-    Exit code 1 when a wrong task file was skipped.
+    Experiments have their observable, the grade of their reference, and the engines that can run them. The pattern '*'
+    lists also phenomena of deformable bodies. Exit code 1 when a wrong task file was skipped.
     """
+    kind, *patterns = words if words and words[0] in (EXPERIMENTS, *LISTINGS) else [EXPERIMENTS, *(words or ())]
+    if kind == EXPERIMENTS:
+        return _list_experiments(patterns, scored, form)
+    print_tables(form, *load(LISTINGS[kind], f"list {kind}")(patterns))
+    return False
+
+
+def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
+    """Print the experiments of patterns, and return whether a task file was skipped."""
+    from gauge_envs.experiments.patterns import matching_variants
     from gauge_envs.experiments.task_files import task_file_faults
     from gauge_envs.references.bands import BandGrade
     from gauge_envs.tools.catalog.listing import list_rows, list_table
 
-    stderr = stderr_console()
     faults = task_file_faults()
     for fault in faults.values():
-        stderr.print(f"[yellow]skipped:[/] {plain_text(str(fault))}", soft_wrap=True)
-    found = list_rows(
-        [variant for variant in matching_variants(pattern) if variant.family not in faults],
-        isolate=True,
-        notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
-    )
+        message(fault, "skipped")
+    variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
+    found = list_rows([one for one in variants if one.family not in faults], isolate=True, notify=note)
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
-    print_table(list_table(rows), json_lines=json_lines, wide=wide)
-    if not json_lines:
-        _print_counts(rows, with_control=pattern == "*" and not scored)
-    if faults:
-        raise typer.Exit(EXIT_FAILED)
+    print_tables(form, list_table(rows))
+    if form in (Format.TEXT, Format.WIDE):
+        _print_counts(rows, with_control=patterns in ([], ["*"]) and not scored)
+    return bool(faults)
 
 
 def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
@@ -63,16 +72,23 @@ def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
     console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
 
 
+def list_backends(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the installed engines and their versions."""
+    from gauge_envs.tools.catalog.listing import backend_rows, backend_table
+
+    rows = backend_rows(isolate=True)
+    return [backend_table(matching(rows, patterns, kind="backend", key="name"))]
+
+
 def show(
     name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/; or an experiment file.")],
     asset: AssetOption = None,
-    drivers: DriversOption = DataSource.BUNDLED,
-    reference: ReferenceOption = DataSource.BUNDLED,
-    json_lines: Json = False,
+    use: UseOption = "",
+    form: FormatOption = Format.TEXT,
 ) -> None:
-    """Show one experiment: scene, constants and their sources, reference, published scores.
+    """Show one experiment or control task: scene, constants, reference, published scores.
 
-    For a control task: law, limit and reward.
+    Constants have their sources. For a control task: law, limit and reward.
     """
     from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
@@ -80,12 +96,8 @@ def show(
     from gauge_envs.tools.catalog.description import description, description_view
 
     if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
-        values = control_description(find_control_task(name))
-        view = control_view(values)
+        values, view = control_description(find_control_task(name)), control_view
     else:
-        values = description(resolve_experiment(name, drivers=drivers, reference=reference, asset=asset))
-        view = description_view(values)
-    if json_lines:
-        print_json_lines([values])
-    else:
-        stdout_console().print(view)
+        values = description(resolve_experiment(name, asset=asset, **parsed_use(use, "drivers", "reference")))
+        view = description_view
+    print_result(form, rows=lambda: [values], view=lambda _: view(values))

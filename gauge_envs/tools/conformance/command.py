@@ -1,210 +1,227 @@
-"""`gauge backend`."""
+"""`gauge backend check`."""
 
 from __future__ import annotations
 
-import time
-from contextlib import ExitStack
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
+from shlex import join
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, parsed_settings
-from gauge_envs.cli.output import (
-    EXIT_FAILED,
-    counted,
-    echo,
-    plain_text,
-    print_json_lines,
-    print_table,
-    progress_bar,
-    stderr_console,
-    stdout_console,
+from gauge_envs.cli.arguments import (
+    FormatOption,
+    LimitsOption,
+    OnlyOption,
+    ProcessLimits,
+    SettingsOption,
+    by_suffix,
+    parsed_limits,
+    parsed_settings,
+    split_list,
 )
-from gauge_envs.errors import ParameterError
-from gauge_envs.tools.conformance.matrix_command import MatrixOutput, check_matrix
+from gauge_envs.cli.output import Format, Progress, counted, echo, message, print_json_lines, print_result
+from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from rich.console import Console
-
+    from gauge_envs.pages.table import Table
+    from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import CheckResult
+    from gauge_envs.tools.conformance.matrix import MatrixColumn
+
+LINE_INTERVAL_S = 5.0
+"""Least time between two lines of progress where there is no terminal [s]."""
 
 
-backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=True)
+def list_checks(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the checks with their scenes and laws."""
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.words import checks_table
+
+    return [checks_table(checks(patterns))]
 
 
-@backend_app.command("list")
-def backend_list(json_lines: Json = False) -> None:
-    """List installed backends and the versions of their engines."""
-    from gauge_envs.tools.catalog.listing import backend_rows, backend_table
-
-    print_table(backend_table(backend_rows(isolate=True)), json_lines=json_lines)
-
-
-@backend_app.command("check")
 def backend_check(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME...", help="Engines; one column of the table each.")
-    ] = None,
-    only: Annotated[list[str] | None, typer.Option("--only", help="Id or pattern of checks; repeatable.")] = None,
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Numerical setting of the engines, as timestep_s=0.0005.")
-    ] = None,
-    describe: Annotated[
-        bool, typer.Option("--list", help="List the checks with their scenes and laws, and run none.")
-    ] = False,
-    isolate: Annotated[
-        bool,
-        typer.Option("--isolate", help="Run the checks in another process; engines of other packages always do."),
-    ] = False,
-    time_limit_s: Annotated[
-        float | None, typer.Option(help="Time limit of a check in another process in s, 600 by default.")
-    ] = None,
-    memory_limit_gb: Annotated[
-        float | None, typer.Option(help="Limit of the resident memory of that process in GB, on Linux.")
-    ] = None,
-    every: Annotated[
-        bool,
-        typer.Option(
-            "--all",
-            help="Every solver and preset that the backends declare, of all installed ones if none is named; one check "
-            "per phenomenon without --only. Needs --report, --out, --markdown or --json.",
+        list[str],
+        typer.Argument(
+            metavar="NAME...",
+            help="Engines, one column of the table each. ENGINE:CONFIGURATION is one of the solvers and presets that an "
+            "engine declares, as mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has columns "
+            "that are not measured again.",
         ),
-    ] = False,
-    configurations: Annotated[
-        list[str] | None,
-        typer.Option("--configuration", metavar="NAME", help="With --all, only this solver or preset; repeatable."),
-    ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(metavar="PAGE", help="One HTML page: checks in rows, engines in columns, with all commands."),
-    ] = None,
+    ],
+    only: OnlyOption = None,
+    changes: SettingsOption = None,
+    limits: LimitsOption = "",
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File for the columns of the page, which --from reads.")
-    ] = None,
-    files: Annotated[
         list[Path] | None,
         typer.Option(
-            "--from",
             metavar="FILE",
-            help="Columns that --out wrote, which are not measured again; repeatable.",
+            help="Page with checks in rows, engines in columns, and all commands (.html), or the columns (.json); "
+            "repeatable.",
         ),
     ] = None,
-    json_lines: Json = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
-    wide: Wide = False,
-) -> None:
+    form: FormatOption = Format.TEXT,
+) -> bool:
     """Check engines against closed forms in small scenes, with a diagnosis of each failure.
 
-    Exit code 1 when a check failed or raised an error. A declined check is no failure. An engine that crashes, exits or
-    hangs in another process costs one check. A limit implies --isolate, and so do --all, --report and --out.
+    gauge list checks shows the checks; for configurations, one per phenomenon runs without --only. Exit code 1 when a
+    check failed or raised an error. A declined check is no failure. Engines of other packages run in another process,
+    all engines do with --limits, --out or a configuration: one that crashes, exits or hangs there costs one check.
     """
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.matrix import CANONICAL
     from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
-    from gauge_envs.tools.conformance.words import checks_table, findings_markdown, findings_view
 
-    patterns = only or []
-    if describe:
-        print_table(checks_table(checks(patterns)), json_lines=json_lines, wide=wide)
-        return
-    if not names and not every and not files:
-        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list or --all")
-    if misplaced := [name for name in names or [] if name in {one.id for one in checks()}]:
-        raise ParameterError(f"{misplaced[0]!r} is a check and no backend: repeat the option, as --only {misplaced[0]}")
-    if configurations and not every:
-        raise ParameterError("--configuration chooses among those of --all: add --all")
-    limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s
-    if every or files or report is not None or out is not None:
-        output = MatrixOutput(report=report, file=out, json_lines=json_lines, markdown=markdown)
-        output.check()
-        check_matrix(
-            names or [],
-            every=every,
-            configurations=configurations or [],
-            files=files or [],
-            settings=parsed_settings(changes or []),
-            only=patterns or (CANONICAL if every else []),
-            limits=(limit_s, memory_limit_gb),
-            output=output,
+    files = [Path(name) for name in names if name.endswith(".json")]
+    engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
+    if misplaced := {one.id for one in checks()}.intersection(engines):
+        name = min(misplaced)
+        raise ParameterError(f"{name!r} is a check and no backend: repeat the option, as --only {name}")
+    patterns = [part for text in only or () for part in split_list(text)]
+    bounds = parsed_limits(limits)
+    if bounds.time_s is None:
+        bounds = bounds._replace(time_s=CHECK_LIMIT_S)
+    has_configurations = any(":" in name for name in engines)
+    if has_configurations or files or out:
+        matrix = _Matrix(by_suffix(out, ".html", ".json"), form, bounds)
+        return matrix.run(
+            engines, files, parsed_settings(changes), patterns or (CANONICAL if has_configurations else [])
         )
-        return
-    findings = _findings(
-        list(dict.fromkeys(names or [])),
-        patterns,
-        parsed_settings(changes or []),
-        isolate=isolate or time_limit_s is not None or memory_limit_gb is not None,
-        limits=(limit_s, memory_limit_gb),
-        json_lines=json_lines,
-    )
-    if markdown:
-        echo(findings_markdown(findings))
-    elif not json_lines:
-        stdout_console().print(findings_view(findings, wide=wide))
-    bad = sum(finding.is_bad for finding in findings)
-    stderr_console().print(f"{counted(len(findings), 'check')}, {bad} failed")
-    if bad:
-        raise typer.Exit(EXIT_FAILED)
+    return _check(engines, patterns, parsed_settings(changes), bounds, form)
 
 
-def _findings(
-    engines: list[str],
-    patterns: list[str],
-    settings: Mapping[str, Any] | None,
-    *,
-    isolate: bool,
-    limits: tuple[float, float | None],
-    json_lines: bool,
-) -> list[CheckResult]:
-    """Run checks on engines and return the results, with a bar or lines of progress."""
+def _check(
+    engines: Sequence[str], only: Sequence[str], settings: Mapping[str, Any] | None, limits: ProcessLimits, form: Format
+) -> bool:
+    """Run checks on engines, print the results, and return whether one is bad."""
     from gauge_envs.backends import backend_names
     from gauge_envs.backends.registry import is_bundled
-    from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks, run_checks
+    from gauge_envs.tools.conformance.words import findings_markdown, findings_view
 
     findings: list[CheckResult] = []
-    stderr = stderr_console()
-    total = len(checks(patterns)) * len(engines)
-    lines = _ProgressLines(stderr, total)
-    apart = {name for name in backend_names() if isolate or not is_bundled(name)}
-    with ExitStack() as stack:
-        progress = stack.enter_context(progress_bar(stderr))
-        worker = stack.enter_context(Worker(*limits))
-        bar = progress.add_task("checks", total=total)
+    apart = {name for name in backend_names() if limits.isolate or not is_bundled(name)}
+    total = len(checks(only)) * len(engines)
+    with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress, _worker(limits) as worker:
+        # Settings and patterns of all engines are checked before the first one runs.
         runs = [
-            run_checks(name, settings=settings, only=patterns, worker=worker if name in apart else None)
-            for name in engines
+            run_checks(name, settings=settings, only=only, worker=worker if name in apart else None) for name in engines
         ]
-        for run in runs:
-            for finding in run:
-                findings.append(finding)
-                progress.update(bar, advance=1, description=f"{finding.backend}: {finding.check}")
-                lines.update(len(findings), f"{finding.backend}: {finding.check}")
-                if json_lines:
-                    print_json_lines([finding.to_dict()])
-    return findings
+        for finding in (finding for run in runs for finding in run):
+            findings.append(finding)
+            progress.advance(f"{finding.backend}: {finding.check}")
+            if form is Format.JSON:
+                print_json_lines([finding.to_dict()])
+    print_result(
+        form,
+        rows=list,
+        view=lambda wide: findings_view(findings, wide=wide),
+        markdown=lambda: f"{findings_markdown(findings)}\n",
+    )
+    bad = sum(finding.is_bad for finding in findings)
+    message(f"{counted(len(findings), 'check')}, {bad} failed")
+    return bad > 0
 
 
-class _ProgressLines:
-    """Lines that report progress where there is no terminal, at most one every few seconds.
+def _worker(limits: ProcessLimits) -> Worker:
+    from gauge_envs.runs.isolation import Worker
+
+    assert limits.time_s is not None
+    return Worker(limits.time_s, limits.memory_gb)
+
+
+class _Matrix:
+    """A matrix of engines and checks; where it goes is checked before checks run, which may take hours.
 
     Args:
-        console: The console of messages.
-        total: Number of checks.
+        files: Files by suffix: the page, and the columns.
+        form: Format on stdout. A matrix has no text for a terminal.
+        limits: Limits of a process.
     """
 
-    INTERVAL_S = 5.0
+    def __init__(self, files: Mapping[str, Path], form: Format, limits: ProcessLimits) -> None:
+        from gauge_envs.files import check_replaceable
+        from gauge_envs.runs.batch import check_writable
 
-    def __init__(self, console: Console, total: int) -> None:
-        self._console, self._total = console, total
-        self._last_s = time.monotonic()
+        self._files, self._form, self._limits = files, form, limits
+        if not files and form not in (Format.JSON, Format.MARKDOWN):
+            raise ParameterError(
+                "configurations and files make a matrix: give --out PAGE.html, --out FILE.json, --format markdown or "
+                "--json"
+            )
+        for file in files.values():
+            try:
+                check_replaceable(file)
+            except OSError as error:
+                raise ResultFileError(f"{file}: cannot be written: {error.strerror}") from error
+            check_writable(file.parent)
 
-    def update(self, done: int, text: str) -> None:
-        """Print a line if there is no terminal and the last line is old."""
-        now_s = time.monotonic()
-        if self._console.is_terminal or now_s - self._last_s < self.INTERVAL_S:
-            return
-        self._last_s = now_s
-        self._console.print(plain_text(f"{done} of {counted(self._total, 'check')} done, {text}"), soft_wrap=True)
+    def run(
+        self, names: Sequence[str], files: Sequence[Path], settings: Mapping[str, Any] | None, only: Sequence[str]
+    ) -> bool:
+        """Run checks, each engine in a process of its own, write the matrix, and return whether a result is bad.
+
+        Args:
+            names: Engines and configurations that run.
+            files: Files with further columns.
+            settings: Settings for every column that runs.
+            only: Ids or patterns of checks; none are those of the files.
+        """
+        from gauge_envs.tools.conformance import checks
+        from gauge_envs.tools.conformance.matrix import matrix_columns
+        from gauge_envs.tools.conformance.matrix_file import with_columns, write_columns
+        from gauge_envs.tools.conformance.matrix_words import matrix_markdown
+        from gauge_envs.tools.conformance.page import save_conformance_page
+
+        new: list[MatrixColumn] = []
+        if names:
+            with _worker(self._limits) as importer:
+                new = matrix_columns(names, settings, worker=importer)
+        # Before anything runs, so that a wrong file costs no time.
+        columns = with_columns(new, files)
+        rows = self._files.get(".json")
+        for column in self._measured(new, only):
+            if rows is not None and column is not new[-1]:
+                # After each column, so that a run that is stopped leaves the columns that ended.
+                write_columns([one for one in columns if one.made], rows)
+        found = {name for column in columns for name in (*column.findings, *column.refused)}
+        chosen = [check for check in checks(only) if new or only or check.id in found]
+        if rows is not None:
+            message(write_columns(columns, rows))
+        if ".html" in self._files:
+            command = join(["gauge", *sys.argv[1:]])
+            message(save_conformance_page(columns, chosen, self._files[".html"], command=command))
+        if self._form is Format.MARKDOWN:
+            echo(matrix_markdown(columns, chosen), nl=False)
+        bad = sum(finding.is_bad for column in new for finding in column.findings.values())
+        if new:
+            message(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")
+        else:
+            message(f"{counted(len(columns), 'column')} of files; no check ran")
+        return bad > 0
+
+    def _measured(self, columns: Sequence[MatrixColumn], only: Sequence[str]) -> Iterator[MatrixColumn]:
+        """Run the checks of columns, and yield each column as it ends."""
+        from gauge_envs.tools.conformance import checks
+        from gauge_envs.tools.conformance.matrix import run_column
+
+        with Progress("checks", len(checks(only)) * len(columns)) as progress:
+            for _, group in groupby(columns, key=lambda column: column.backend):
+                # Configurations of one engine share a process, which imports it once; two engines share none.
+                with _worker(self._limits) as worker:
+                    for column in group:
+                        for finding in run_column(column, only, worker):
+                            progress.advance(f"{column.title}: {finding.check}")
+                            if self._form is Format.JSON:
+                                print_json_lines([finding.to_dict() | {"configuration": column.name}])
+                        progress.line(f"{column.title}: {_summary(column)}")
+                        yield column
+
+
+def _summary(column: MatrixColumn) -> str:
+    bad = sum(finding.is_bad for finding in column.findings.values())
+    return column.reason or f"{counted(len(column.findings), 'check')}, {bad} failed"

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, WithheldOption
-from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_json_lines, stderr_console, stdout_console
+from gauge_envs.cli.arguments import (
+    FormatOption,
+    SourcesArgument,
+    WithheldOption,
+    boolean,
+    parsed_use,
+    split_details,
+    split_list,
+)
+from gauge_envs.cli.output import Format, message, print_result
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError
 
@@ -18,58 +27,63 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    sources: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
-    ] = None,
+    sources: SourcesArgument = None,
     name: Annotated[
-        str | None, typer.Option("--id", help="Experiment of trajectory files, as for gauge score.")
+        str | None, typer.Option("--id", metavar="ID", help="Experiment of trajectory files, as for gauge score.")
     ] = None,
-    order: Annotated[
-        str, typer.Option(help="Parts in the order in which they are added to the fit.")
-    ] = "release,offset,rate",
-    measured_only: Annotated[bool, typer.Option("--measured-only", help="Leave out extrapolated frames.")] = False,
-    use_withheld: WithheldOption = False,
-    out: Annotated[Path | None, typer.Option(help="Draw a picture into this folder.")] = None,
-    json_lines: Json = False,
-    wide: Wide = False,
-) -> None:
-    """Split the error of episodes: release time, constant offset, rate or scale of the motion, and the rest.
+    use: WithheldOption = "",
+    form: FormatOption = Format.TEXT,
+) -> bool:
+    """Split the error of episodes: release time, constant offset, rate of the motion, rest.
 
-    Results without a reference, or that did not run to their end, are reported and left out. Exit code 2 when no
-    result is left, 1 when a damaged file was skipped.
+    Details after the results: order=release,offset,rate, in which the parts are added to the fit; measured_only=true,
+    to leave out extrapolated frames. Results without a reference, or that did not run to their end, are reported and
+    left out. Exit code 2 when no result is left, 1 when a damaged file was skipped.
     """
-    from gauge_envs.runs.score_file import score_file
-    from gauge_envs.tools.diagnose.error_budget import DiagnosisError, stage_order
-    from gauge_envs.tools.diagnose.error_budget import diagnose as diagnose_result
     from gauge_envs.tools.diagnose.words import diagnosis_rows, diagnosis_view
 
-    stages = stage_order(part.strip() for part in order.split(","))
+    pairs, skipped = _diagnoses(sources, name, use)
+    print_result(form, rows=lambda: diagnosis_rows(pairs), view=lambda wide: diagnosis_view(pairs, wide=wide))
+    return bool(skipped)
+
+
+def draw_diagnose(
+    sources: Sequence[str], out: Path, name: str | None = None, use: str = ""
+) -> tuple[Sequence[Path], int]:
+    """Draw the parts of the error of all results."""
+    from gauge_envs.tools.diagnose.figure import save_diagnoses
+
+    pairs, skipped = _diagnoses(sources, name, use)
+    return [save_diagnoses(pairs, out)], skipped
+
+
+def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tuple[list[tuple[Result, Diagnosis]], int]:
+    """Return results with their diagnoses, and the number of skipped files; report what is left out."""
+    from gauge_envs.runs.score_file import score_file
+    from gauge_envs.tools.diagnose.error_budget import DEFAULT_ORDER, DiagnosisError, diagnose, stage_order
+
+    files, details = split_details(sources, {"order": split_list, "measured_only": boolean})
+    stages = stage_order(part.strip() for part in details.get("order", DEFAULT_ORDER))
+    use_withheld = parsed_use(use, "use_withheld")["use_withheld"]
     if name is None:
-        results, skipped = loaded_results(sources, with_scene=True)
+        results, skipped = loaded_results(files, with_scene=True)
+    elif not files:
+        raise ParameterError("--id needs trajectory files: give one or more")
     else:
-        if not sources:
-            raise ParameterError("--id needs trajectory files: give one or more")
-        results, skipped = [score_file(file, variant=name, use_withheld=use_withheld)[0] for file in sources], 0
+        results = [score_file(Path(file), variant=name, use_withheld=use_withheld)[0] for file in files]
+        skipped = 0
     pairs: list[tuple[Result, Diagnosis]] = []
-    reasons: list[str] = []
+    reasons: dict[str, None] = {}
     for result in results:
         try:
-            diagnosis = diagnose_result(result, order=stages, measured_only=measured_only, use_withheld=use_withheld)
+            diagnosis = diagnose(
+                result, order=stages, measured_only=details.get("measured_only", False), use_withheld=use_withheld
+            )
             pairs.append((result, diagnosis))
         except DiagnosisError as error:
-            reasons.append(str(error))
+            reasons[str(error)] = None
     if results and not pairs:
-        raise DiagnosisError("; ".join(dict.fromkeys(reasons)))
-    for reason in dict.fromkeys(reasons):
-        stderr_console().print(f"[yellow]left out:[/] {plain_text(reason)}", soft_wrap=True)
-    if json_lines:
-        print_json_lines(diagnosis_rows(pairs))
-    else:
-        stdout_console().print(diagnosis_view(pairs, wide=wide))
-    if out is not None:
-        from gauge_envs.tools.diagnose.figure import save_diagnoses
-
-        stderr_console().print(plain_text(str(save_diagnoses(pairs, out))), soft_wrap=True)
-    if skipped:
-        raise typer.Exit(EXIT_FAILED)
+        raise DiagnosisError("; ".join(reasons))
+    for reason in reasons:
+        message(reason, "left out")
+    return pairs, skipped

@@ -127,7 +127,9 @@ def results_of_one_experiment(results: Mapping[Path, Result], name: str | None =
     ids = sorted({short_id(result.id) for result in results.values()})
     if name is None:
         if len(ids) > 1:
-            raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose one with --id")
+            raise ResultFileError(
+                f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose one with --only"
+            )
         if not ids:
             raise ResultFileError("no result is left to film; gauge run writes them")
         return dict(results)

@@ -116,7 +116,7 @@ def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) 
             f"{engine.engine} contact {text!r}: expected settings as name=values; settings: {', '.join(known)}"
         )
     if "timestep_s" in found:
-        raise ParameterError("the time step is an option of its own: --timestep 0.002")
+        raise ParameterError("the time step stands beside the settings: timestep_s=0.002")
     try:
         return engine.model_validate({**found, "timestep_s": timestep_s})
     except ValidationError as error:

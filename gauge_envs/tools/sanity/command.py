@@ -1,30 +1,31 @@
-"""`gauge sanity`."""
+"""`gauge sanity`, and the commands that carry its scenes and settings to other machines."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, check_one_format
+from gauge_envs.cli.arguments import FormatOption, OnlyOption, by_suffix, parsed_limits, split_list
 from gauge_envs.cli.output import (
-    EXIT_FAILED,
+    Format,
+    Progress,
+    counted,
     echo,
+    message,
     plain_text,
-    print_json_lines,
-    print_table,
-    progress_bar,
-    stderr_console,
-    stdout_console,
+    print_result,
+    write_text,
 )
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from gauge_envs.tools.sanity import PhenomenonResult, Report, Verdict
+    from gauge_envs.pages.table import Table
+    from gauge_envs.tools.sanity import Report
 
 
 class OtherEngine(StrEnum):
@@ -41,16 +42,29 @@ class FailOn(StrEnum):
     NEVER = "never"
 
 
+FailOnOption = Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")]
+
+BaselineOption = Annotated[
+    Path | None,
+    typer.Option("--baseline", metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only."),
+]
+
+OutOption = Annotated[
+    list[Path] | None,
+    typer.Option("--out", metavar="FILE", help="Page with pictures (.html), table (.md) or rows (.json); repeatable."),
+]
+
+
 def sanity(
     target: Annotated[
-        str | None,
+        str,
         typer.Argument(
             help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
             "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
             "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
             "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
-    ] = None,
+    ],
     pair: Annotated[
         str | None,
         typer.Option(
@@ -64,140 +78,136 @@ def sanity(
             metavar="TARGET", help="Target where the policy runs: report what changes from the first target to it."
         ),
     ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option("--only", help="Ids or patterns of phenomena, as 'creep-*,gravity'; repeatable."),
-    ] = None,
-    every: Annotated[bool, typer.Option("--all", help="Also check deformable bodies, which takes longer.")] = False,
-    describe: Annotated[
-        bool, typer.Option("--list", help="List ids, titles and kinds of the phenomena, and measure none.")
-    ] = False,
-    fail_on: Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")] = (
-        FailOn.NEVER
-    ),
-    baseline: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="JSON output of an earlier run; exit code 1 on regressions only."),
-    ] = None,
-    time_limit_s: Annotated[
-        float | None,
+    only: OnlyOption = None,
+    fail_on: FailOnOption = FailOn.NEVER,
+    baseline: BaselineOption = None,
+    limits: Annotated[
+        str,
         typer.Option(
-            "--time-limit-s", min=0.0, help="Start no simulation after this time in s; other rows are declined."
+            "--limits", metavar="TIME", help="Start no simulation after this time, as 60s; other rows are declined."
         ),
-    ] = None,
-    on_engine: Annotated[
+    ] = "",
+    backend: Annotated[
         OtherEngine | None,
         typer.Option(help="Run flagged rows of a MuJoCo model again on mujoco_warp: a minute more, longer at first."),
     ] = None,
-    html: Annotated[Path | None, typer.Option(metavar="FILE", help="File for an HTML page with pictures.")] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
-    json_lines: Json = False,
-    wide: Wide = False,
-) -> None:
-    """Report which physics a training configuration gets wrong, and the change that corrects most of it.
+    out: OutOption = None,
+    form: FormatOption = Format.TEXT,
+) -> bool:
+    """Report which physics a training configuration gets wrong, and what corrects it.
 
     Runs measured objects with the numerical settings of the target and of this package's presets, and compares both
-    with real trials and laws. Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from
-    --baseline, or when nothing could be measured.
+    with real trials and laws; gauge list phenomena shows them. Deformable bodies, which take longer, are checked where
+    a pattern of --only is '*' or names them alone. Exit code 1 for a phenomenon as bad as --fail-on states, for a
+    regression from --baseline, or when nothing could be measured.
     """
     from gauge_envs.tools.sanity import check, configuration
-    from gauge_envs.tools.sanity.baseline import read_baseline
-    from gauge_envs.tools.sanity.page import check_can_draw, save_sanity_page
     from gauge_envs.tools.sanity.selection import selection
     from gauge_envs.tools.sanity.target import compiled_model
-    from gauge_envs.tools.sanity.words import phenomena_rows, phenomena_table
 
-    check_one_format(json_lines, markdown)
+    time_limit = parsed_limits(limits)
+    if (limits and time_limit.time_s is None) or time_limit.memory_gb is not None:
+        raise ParameterError(f"--limits {limits!r}: expected a time alone, as 60s")
     patterns = only or []
-    if describe:
-        listed = phenomena_rows(include_deformables=every, only=patterns)
-        print_table(phenomena_table(listed), json_lines=json_lines, wide=wide)
-        return
-    if target is None:
-        raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5, or use --list")
+    common: dict[str, Any] = {
+        "only": patterns,
+        "include_deformables": _with_deformables(patterns),
+        "time_limit_s": time_limit.time_s,
+    }
     if against is not None:
-        if html is not None or baseline is not None or pair is not None:
-            raise ParameterError("--against goes with none of --html, --baseline and --pair: leave them out")
-        _compare(target, against, patterns, every, time_limit_s, fail_on, json_lines, markdown, wide)
-        return
-    if html is not None:
-        check_can_draw()
-    before = None if baseline is None else read_baseline(baseline)
+        if baseline is not None or pair is not None:
+            raise ParameterError("--against goes with neither --baseline nor --pair: leave them out")
+        return _compare(target, against, common, fail_on, by_suffix(out, ".md", ".json"), form)
+    is_bad = _judged_by(fail_on, baseline)
+    files = _checked_files(out)
     checked = configuration(target, pair=_geom_pair(pair))
-    with progress_bar(stderr_console()) as progress:
-        bar = progress.add_task("phenomena", total=len(selection(patterns, include_deformables=every)))
-
-        def notify(row: PhenomenonResult) -> None:
-            progress.update(bar, advance=1, description=row.phenomenon)
-
-        report = check(checked, only=patterns, include_deformables=every, time_limit_s=time_limit_s, notify=notify)
-        if on_engine is not None:
+    rows = len(selection(patterns, include_deformables=common["include_deformables"]))
+    with Progress("phenomena", rows) as progress:
+        report = check(checked, notify=lambda row: progress.advance(row.phenomenon), **common)
+        if backend is not None:
             from gauge_envs.tools.sanity.mujoco_warp_run import with_mujoco_warp
 
-            progress.update(bar, description=on_engine.value)
+            progress.show(backend.value)
             report = with_mujoco_warp(report, model=compiled_model(target))
-    print_report(report, json_lines, markdown, wide)
-    if html is not None:
-        stderr_console().print(plain_text(str(save_sanity_page(report, html))), soft_wrap=True)
-    if has_failed(report, fail_on, before):
-        raise typer.Exit(EXIT_FAILED)
+    _print_report(report, form, files)
+    return is_bad(report)
 
 
-def print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
-    """Print a sanity check as JSON lines, as Markdown, or for a terminal."""
+def _with_deformables(patterns: Sequence[str]) -> bool:
+    """Return whether a pattern chooses deformable bodies: it is '*', or matches no row of rigid bodies."""
+    from gauge_envs.tools.sanity.selection import selection
+
+    rigid = selection()
+    return any(
+        pattern == "*" or not any(fnmatchcase(name, pattern) for name in rigid)
+        for text in patterns
+        for pattern in map(str.strip, split_list(text))
+    )
+
+
+def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
+    """Return the files of `--out`; a page needs what draws its pictures."""
+    from gauge_envs.tools.sanity.page import check_can_draw
+
+    files = by_suffix(out, ".html", ".md", ".json")
+    if ".html" in files:
+        check_can_draw()
+    return files
+
+
+def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> None:
+    from gauge_envs.tools.sanity.page import save_sanity_page
     from gauge_envs.tools.sanity.words import sanity_markdown, sanity_rows, sanity_view
 
-    if json_lines:
-        print_json_lines(sanity_rows(report))
-    elif markdown:
-        echo(sanity_markdown(report), nl=False)
-    else:
-        stdout_console().print(sanity_view(report, wide=wide))
+    print_result(
+        form,
+        rows=lambda: sanity_rows(report),
+        view=lambda wide: sanity_view(report, wide=wide),
+        markdown=lambda: sanity_markdown(report),
+        files=files,
+        writers={".html": lambda file: save_sanity_page(report, file)},
+    )
+
+
+def _judged_by(fail_on: FailOn, baseline: Path | None) -> Callable[[Report], bool]:
+    """Return what decides whether a check fails, and prints regressions from a baseline."""
+    from gauge_envs.tools.sanity import Verdict
+    from gauge_envs.tools.sanity.baseline import read_baseline, regressions
+
+    before = None if baseline is None else read_baseline(baseline)
+    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
+
+    def is_bad(report: Report) -> bool:
+        if report.worst is Verdict.DECLINED and any(row.applies for row in report.rows):
+            return True
+        if before is None:
+            return report.worst in bad[fail_on]
+        worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
+        for row in worse:
+            was = before.get(row.phenomenon, Verdict.DECLINED)
+            message(f"regression: {row.phenomenon}: {row.verdict.value}, was {was.value}")
+        return bool(worse)
+
+    return is_bad
 
 
 def _compare(
-    trained: str,
-    deployed: str,
-    patterns: list[str],
-    every: bool,
-    time_limit_s: float | None,
-    fail_on: FailOn,
-    json_lines: bool,
-    markdown: bool,
-    wide: bool,
-) -> None:
-    """Print what changes between two targets; exit code 1 for a change as large as --fail-on states."""
+    trained: str, deployed: str, options: dict[str, Any], fail_on: FailOn, files: Mapping[str, Path], form: Format
+) -> bool:
+    """Print what changes between two targets, and return whether a change is as large as --fail-on states."""
     from gauge_envs.tools.sanity.against import Change, compare
     from gauge_envs.tools.sanity.against_words import against_markdown, against_rows, against_view
 
-    comparison = compare(trained, deployed, only=patterns, include_deformables=every, time_limit_s=time_limit_s)
-    if json_lines:
-        print_json_lines(against_rows(comparison))
-    elif markdown:
-        echo(against_markdown(comparison), nl=False)
-    else:
-        stdout_console().print(against_view(comparison, wide=wide))
+    comparison = compare(trained, deployed, **options)
+    print_result(
+        form,
+        rows=lambda: against_rows(comparison),
+        view=lambda wide: against_view(comparison, wide=wide),
+        markdown=lambda: against_markdown(comparison),
+        files=files,
+    )
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE), FailOn.NEVER: ()}
-    if any(row.change in bad[fail_on] for row in comparison.rows):
-        raise typer.Exit(EXIT_FAILED)
-
-
-def has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
-    """Return whether a sanity check ends with an error, and print regressions from a baseline."""
-    from gauge_envs.tools.sanity import Verdict
-    from gauge_envs.tools.sanity.baseline import regressions
-
-    applicable = [row for row in report.rows if row.applies]
-    if applicable and report.worst is Verdict.DECLINED:
-        return True
-    if before is None:
-        bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
-        return report.worst in bad[fail_on]
-    worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
-    for row in worse:
-        was = before.get(row.phenomenon, Verdict.DECLINED)
-        stderr_console().print(plain_text(f"regression: {row.phenomenon}: {row.verdict.value}, was {was.value}"))
-    return bool(worse)
+    return any(row.change in bad[fail_on] for row in comparison.rows)
 
 
 def _geom_pair(text: str | None) -> tuple[str, str] | None:
@@ -207,3 +217,67 @@ def _geom_pair(text: str | None) -> tuple[str, str] | None:
     if len(names) != 2 or not all(names):
         raise ParameterError(f"--pair {text!r}: expected the names of two geoms, as floor,foot")
     return names[0], names[1]
+
+
+def list_phenomena(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of phenomena, those of deformable bodies only for patterns that choose them."""
+    from gauge_envs.tools.sanity.words import phenomena_rows, phenomena_table
+
+    return [phenomena_table(phenomena_rows(include_deformables=_with_deformables(patterns), only=patterns))]
+
+
+def sanity_probe(
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write, as gauge_probe.py.")] = None,
+) -> None:
+    """Print a Python file that saves the settings of a training environment.
+
+    Copy it to the training environment, where gauge-envs need not be installed, and run it there: python gauge_probe.py
+    TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
+    """
+    from gauge_envs.tools.sanity.probe import program_text
+
+    if out is None:
+        echo(program_text(), nl=False)
+    else:
+        message(write_text(out, program_text()))
+
+
+def sanity_export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder, or one of an earlier export.")],
+    only: OnlyOption = None,
+    form: FormatOption = Format.TEXT,
+) -> None:
+    """Write the scenes of a sanity check for any simulator.
+
+    They are MJCF, USD and URDF, with drivers, a manifest and a loop. Run the scenes in your simulator, as README.md in the folder explains, and judge them with gauge sanity judge DIR.
+    """
+    from gauge_envs.tools.sanity.export import export
+    from gauge_envs.tools.sanity.export_manifest import scenes
+
+    written = export(folder, only=only or [])
+    text = f"{folder}: {counted(len(scenes(only or [])), 'scene')}, {counted(len(written), 'file')}"
+    print_result(form, rows=lambda: [{"file": str(path)} for path in written], view=lambda _: plain_text(text))
+    if form is not Format.JSON:
+        message(f"next: read {folder / 'README.md'}")
+
+
+def sanity_judge(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of gauge sanity export, with your motion.")],
+    label: Annotated[str, typer.Option(metavar="NAME", help="Name of your simulator for the report.")] = "",
+    only: OnlyOption = None,
+    fail_on: FailOnOption = FailOn.NEVER,
+    baseline: BaselineOption = None,
+    out: OutOption = None,
+    form: FormatOption = Format.TEXT,
+) -> bool:
+    """Report which physics a simulator gets wrong, from its motion in exported scenes.
+
+    Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from --baseline, or when nothing could be
+    measured. A scene without a motion file is declined.
+    """
+    from gauge_envs.tools.sanity.judge import judge
+
+    files, is_bad = _checked_files(out), _judged_by(fail_on, baseline)
+    report = judge(folder, only=only or [], engine=label)
+    _print_report(report, form, files)
+    return is_bad(report)
