@@ -34,7 +34,15 @@ def load_command(name: str) -> Any:
     single.command(name, cls=_Command, epilog="\n\n".join(["See also", *below]) if below else None)(
         load(instrument, name)
     )
-    return typer.main.get_command(single)
+    command = typer.main.get_command(single)
+    if any("--format" in one.opts for one in command.params):
+        # Only for the help: `_Command` replaces it.
+        command.params.append(
+            typer.core.TyperOption(
+                param_decls=["json_lines", "--json"], is_flag=True, expose_value=False, help="Short for --format json."
+            )
+        )
+    return command
 
 
 def _below(name: str) -> list[str]:

@@ -22,9 +22,7 @@ Row = TypeVar("Row", bound=Mapping[str, Any])
 
 FormatOption = Annotated[
     Format,
-    typer.Option(
-        "--format", help="Format on stdout; wide has all columns, json one object a line. --json is short for the last."
-    ),
+    typer.Option("--format", help="Format on stdout; wide is text with all columns, json has one object a line."),
 ]
 
 SourcesArgument = Annotated[

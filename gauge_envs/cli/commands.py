@@ -48,8 +48,8 @@ COMMANDS = {
 }
 """Instrument and line in the help of each command; a group has no instrument.
 
-A name of two words is listed in the help of the first one. Its function in `gauge_envs.tools.INSTRUMENT.command` has the
-name of the command.
+A name of two words is listed in the help of the first one. The function in `gauge_envs.tools.INSTRUMENT.command` has
+the name of the command.
 """
 
 LISTINGS = {

@@ -22,11 +22,10 @@ from rich.control import Control
 from rich.segment import Segment
 
 from gauge_envs.cli.streams import result_stream
-from gauge_envs.errors import ResultFileError
-from gauge_envs.files import printable, write_whole
+from gauge_envs.files import printable
 
 if TYPE_CHECKING:
-    from gauge_envs.pages.table import Table
+    from gauge_envs.pages.document import Shown
 
 UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters but tabs and ends of lines, and lone surrogates."""
@@ -177,46 +176,36 @@ class Format(StrEnum):
     JSON = "json"
 
 
-def print_result(
+def print_document(
+    shown: Any,
     form: Format,
     *,
-    rows: Callable[[], Iterable[Mapping[str, Any]]],
-    view: Callable[[bool], Any],
-    markdown: Callable[[], str] | None = None,
     files: Mapping[str, Path] | None = None,
     writers: Mapping[str, Callable[[Path], object]] | None = None,
 ) -> None:
-    """Print the result of a command on stdout, and write it to files, whose paths go to stderr.
+    """Transition."""
+    from gauge_envs.pages.table import as_markdown, as_rich, as_rows
 
-    Args:
-        form: The format.
-        rows: Returns the JSON objects, also of a file `.json`.
-        view: Returns what rich prints, with all columns if the argument is true.
-        markdown: Returns the Markdown, also of a file `.md`; None for the text as a block of code.
-        files: Files by suffix, of `arguments.by_suffix`.
-        writers: What writes the files of other suffixes, and returns their paths.
-    """
+    for table in shown if isinstance(shown, list) else [shown]:
+        print_result(
+            form,
+            rows=lambda: as_rows(table),
+            view=lambda w: as_rich(table, wide=w),
+            markdown=lambda: as_markdown(table),
+        )
 
-    def markdown_text() -> str:
-        if markdown is not None:
-            return markdown()
-        console = stdout_console()
-        with console.capture() as captured:
-            console.print(view(True))
-        return f"```text\n{captured.get().rstrip()}\n```\n"
 
-    if form is Format.JSON:
-        print_json_lines(rows())
-    elif form is Format.MARKDOWN:
-        echo(markdown_text(), nl=False)
-    else:
-        stdout_console().print(view(form is Format.WIDE))
-    others = writers or {}
-    for suffix, file in (files or {}).items():
-        if suffix in others:
-            message(others[suffix](file))
-        else:
-            message(write_text(file, json_text(rows()) if suffix == ".json" else markdown_text()))
+def save_text(file: Path, text: str) -> Path:
+    """Transition."""
+    from gauge_envs.errors import ResultFileError
+    from gauge_envs.files import write_whole
+
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, text.encode())
+    except OSError as error:
+        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
+    return file
 
 
 def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
@@ -229,27 +218,29 @@ def json_text(rows: Iterable[Mapping[str, Any]]) -> str:
     return "".join(f"{json.dumps(row, allow_nan=False)}\n" for row in rows)
 
 
-def print_tables(form: Format, *tables: Table) -> None:
-    """Print tables below each other."""
-    from gauge_envs.pages.table import as_markdown, as_rich, as_rows
+def print_result(
+    form: Format,
+    *,
+    rows: Callable[[], Iterable[Mapping[str, Any]]],
+    view: Callable[[bool], Any],
+    markdown: Callable[[], str] | None = None,
+    files: Mapping[str, Path] | None = None,
+    writers: Mapping[str, Callable[[Path], object]] | None = None,
+) -> None:
+    """Transition: as print_document, with old words."""
 
-    for table in tables:
-        print_result(
-            form,
-            rows=lambda: as_rows(table),  # noqa: B023
-            view=lambda wide: as_rich(table, wide=wide),
-            markdown=lambda: as_markdown(table),
-        )
-
-
-def write_text(file: Path, text: str) -> Path:
-    """Write a file of a command as a whole, with its folder, and return its path."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, text.encode())
-    except OSError as error:
-        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
-    return file
+    if form is Format.JSON:
+        print_json_lines(rows())
+    elif form is Format.MARKDOWN and markdown:
+        echo(markdown(), nl=False)
+    else:
+        stdout_console().print(view(form is Format.WIDE))
+    others = writers or {}
+    for suffix, file in (files or {}).items():
+        if suffix in others:
+            message(others[suffix](file))
+        else:
+            message(save_text(file, json_text(rows()) if suffix == ".json" else markdown()))
 
 
 def counted(number: int, noun: str) -> str:

@@ -19,7 +19,7 @@ def data_scenes(
     out: Annotated[Path | None, typer.Option(help="Folder; the checked-in assets/ by default.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 if a file is stale.")] = False,
 ) -> bool:
-    """Write every scene as USD and MJCF, and every solid as OBJ, from the task files."""
+    """Write every scene as USD and MJCF, and every solid as OBJ."""
     from gauge_envs.tools.assets.build import assets_folder, build_assets, stale_asset
 
     folder = out or assets_folder()
@@ -55,7 +55,10 @@ def data_isaac_sim(
     pattern: Annotated[str, typer.Argument(metavar="ID", help="Id or pattern, as 'TextileBending-*'.")],
     out: Annotated[Path, typer.Option(help="Folder for the layers.")] = Path("isaac_sim"),
 ) -> None:
-    """Write experiments as USD layers that Isaac Sim simulates with examples/isaac_sim/run_layer.py."""
+    """Write experiments as USD layers that Isaac Sim simulates.
+
+    examples/isaac_sim/run_layer.py runs them.
+    """
     from gauge_envs.experiments.patterns import matching_variants
     from gauge_envs.experiments.resolve import load_experiment
     from gauge_envs.tools.assets.isaac_sim import unsupported_reason, write_isaac_sim_layer

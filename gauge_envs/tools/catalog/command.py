@@ -9,7 +9,7 @@ import typer
 
 from gauge_envs.cli.arguments import AssetOption, FormatOption, UseOption, matching, parsed_use
 from gauge_envs.cli.commands import LISTINGS, load
-from gauge_envs.cli.output import Format, counted, message, note, print_result, print_tables, stdout_console
+from gauge_envs.cli.output import Format, counted, message, note, print_document, print_result, stdout_console
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -37,7 +37,7 @@ def list_(
     kind, *patterns = words if words and words[0] in (EXPERIMENTS, *LISTINGS) else [EXPERIMENTS, *(words or ())]
     if kind == EXPERIMENTS:
         return _list_experiments(patterns, scored, form)
-    print_tables(form, *load(LISTINGS[kind], f"list {kind}")(patterns))
+    print_document(load(LISTINGS[kind], f"list {kind}")(patterns), form)
     return False
 
 
@@ -54,7 +54,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
     found = list_rows([one for one in variants if one.family not in faults], isolate=True, notify=note)
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
-    print_tables(form, list_table(rows))
+    print_document(list_table(rows), form)
     if form in (Format.TEXT, Format.WIDE):
         _print_counts(rows, with_control=patterns in ([], ["*"]) and not scored)
     return bool(faults)

@@ -48,9 +48,9 @@ def backend_check(
         list[str],
         typer.Argument(
             metavar="NAME...",
-            help="Engines, one column of the table each. ENGINE:CONFIGURATION is one of the solvers and presets that an "
-            "engine declares, as mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has columns "
-            "that are not measured again.",
+            help="Engines, one column of the table each. ENGINE:CONFIGURATION is one of the solvers and presets that "
+            "an engine declares, as mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has "
+            "columns that are not measured again.",
         ),
     ],
     only: OnlyOption = None,
@@ -66,7 +66,7 @@ def backend_check(
     ] = None,
     form: FormatOption = Format.TEXT,
 ) -> bool:
-    """Check engines against closed forms in small scenes, with a diagnosis of each failure.
+    """Check engines against closed forms, with a diagnosis of each failure.
 
     gauge list checks shows the checks; for configurations, one per phenomenon runs without --only. Exit code 1 when a
     check failed or raised an error. A declined check is no failure. Engines of other packages run in another process,

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gauge_envs.cli.arguments import split_details
-from gauge_envs.cli.output import note, write_text
+from gauge_envs.cli.output import note
 from gauge_envs.cli.results import loaded_results
 
 
@@ -17,6 +17,7 @@ def draw_cost(sources: Sequence[str], out: Path) -> tuple[Iterator[Path], int]:
     results, skipped = loaded_results(files, with_scene=True)
 
     def written() -> Iterator[Path]:
+        from gauge_envs.cli.output import save_text
         from gauge_envs.tools.cost.figure import save_pareto
         from gauge_envs.tools.cost.pareto import tradeoff
         from gauge_envs.tools.cost.words import pareto_json, pareto_markdown
@@ -25,7 +26,7 @@ def draw_cost(sources: Sequence[str], out: Path) -> tuple[Iterator[Path], int]:
         for text in found.notes:
             note(text)
         yield save_pareto(found, out / "pareto.png")
-        yield write_text(out / "pareto.md", pareto_markdown(found))
-        yield write_text(out / "pareto.json", json.dumps(pareto_json(found), indent=1) + "\n")
+        yield save_text(out / "pareto.md", pareto_markdown(found))
+        yield save_text(out / "pareto.json", json.dumps(pareto_json(found), indent=1) + "\n")
 
     return written(), skipped

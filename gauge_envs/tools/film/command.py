@@ -34,10 +34,10 @@ def video_film(
         list[str] | None,
         typer.Argument(
             metavar="[DIR or FILE]... [NAME=VALUE]...",
-            help="Result files, or folders of them; results/ by default. Details: speed=1, seconds of the experiment in "
-            "a second of the film; fps=30; from_s=0 and to_s=, times of the first and the last picture; hold_s=1 for "
-            "the last frame; width=480 and height=360 of a panel in pixels; columns=, panels in a row, at most four by "
-            "default; strip=COUNT, this number of times in a row instead of a film; recording=FILE, a video of the real "
+            help="Result files, or folders of them; results/ by default. Details: speed=1, seconds of the experiment "
+            "in one of the film; fps=30; from_s=0 and to_s=, times of the first and the last picture; hold_s=1 for the "
+            "last frame; width=480 and height=360 of a panel in pixels; columns=, panels in a row, at most four by "
+            "default; strip=COUNT, so many times in a row instead of a film; recording=FILE, a video of the real "
             "experiment as the first panel, recording_start_s=0, its time at which the experiment starts, and "
             "recording_rate_hz=, pictures that its camera took in a second, if it is in slow motion.",
         ),
@@ -45,8 +45,8 @@ def video_film(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Film, .mp4, .webp or .gif; with strip= a picture, .png or .webp; or a recording for the Rerun viewer, "
-            ".rrd, of one result. By default film.mp4 or strip.png."
+            help="Film, .mp4, .webp or .gif; with strip= a picture, .png or .webp; or .rrd for the Rerun viewer, of "
+            "one result. By default film.mp4 or strip.png."
         ),
     ] = None,
     only: Annotated[
@@ -54,7 +54,7 @@ def video_film(
     ] = None,
     use: WithheldOption = "",
 ) -> bool:
-    """Film results of one experiment side by side, or write an episode for the Rerun viewer.
+    """Film results of one experiment side by side, or write one for the Rerun viewer.
 
     Each panel has its reference, its tracked points and its score. The episodes are run again. A result without the
     same g(t), bit for bit, has no panel. Exit code 1 when a file was skipped or a result has no panel; 2 when none is

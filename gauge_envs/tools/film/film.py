@@ -127,9 +127,7 @@ def results_of_one_experiment(results: Mapping[Path, Result], name: str | None =
     ids = sorted({short_id(result.id) for result in results.values()})
     if name is None:
         if len(ids) > 1:
-            raise ResultFileError(
-                f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose one with --only"
-            )
+            raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose by --only")
         if not ids:
             raise ResultFileError("no result is left to film; gauge run writes them")
         return dict(results)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli.arguments import FormatOption
-from gauge_envs.cli.output import Format, Progress, counted, message, print_result, write_text
+from gauge_envs.cli.output import Format, Progress, counted, message, print_result
 
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
@@ -27,9 +27,9 @@ def leaderboard_check(
     ] = "",
     form: FormatOption = Format.TEXT,
 ) -> bool:
-    """Check submissions: layout, versions, task hashes, trajectories, and scores computed anew from these.
+    """Check submissions: layout, versions, task hashes, trajectories and scores.
 
-    Exit code 1 when anything is wrong.
+    Scores are computed anew from the trajectories. Exit code 1 when anything is wrong.
     """
     from gauge_envs.tools.leaderboard.words import check_records, check_view
 
@@ -46,11 +46,12 @@ def leaderboard_table(
     ] = None,
     form: FormatOption = Format.TEXT,
 ) -> bool:
-    """Print the table of all submissions without faults: scores with intervals, ranks and pairs.
+    """Print scores of all submissions without faults: intervals, ranks and pairs.
 
     Ranks and pairs are within each grade of reference. Exit code 1 when a submission has faults, and is therefore left
     out.
     """
+    from gauge_envs.cli.output import save_text
     from gauge_envs.tools.leaderboard.layout import GENERATED
     from gauge_envs.tools.leaderboard.words import leaderboard_markdown, leaderboard_records, leaderboard_view
 
@@ -58,7 +59,7 @@ def leaderboard_table(
     if out is not None:
         rows = json.dumps(leaderboard_records(check), allow_nan=False, indent=1) + "\n"
         for name, text in zip(GENERATED, (rows, leaderboard_markdown(check)), strict=True):
-            message(write_text(out / name, text))
+            message(save_text(out / name, text))
     if out is None or form is not Format.TEXT:
         print_result(
             form,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli.arguments import FormatOption, matching, split_details
-from gauge_envs.cli.output import Format, echo, print_result, print_tables
+from gauge_envs.cli.output import Format, echo, print_document, print_result
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], 
     aim = Aim(**({"friction": FREE_FRICTION} | numbers), is_friction_asked="friction" in numbers)
     found = find_recipe(settings, aim)
     if pair is not None and form is not Format.JSON:
-        print_tables(form, material_table((pair,)))
+        print_document(material_table((pair,)), form)
     values = found.json() | ({} if pair is None else {"material": dict(vars(pair))})
     _print(form, values, recipe_view(found), found.settings.snippet(aim.mass_kg))
     return found.found is None

@@ -150,8 +150,8 @@ def score(
 ) -> None:
     """Score a trajectory from your own simulator; no engine is needed.
 
-    It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists. Without a `time_s` column,
-    rows are 30 Hz frames.
+    It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
+    Without a `time_s` column, rows are 30 Hz frames.
     """
     from gauge_envs.pages.results import summary_view
     from gauge_envs.runs.score_file import score_file

@@ -19,7 +19,6 @@ from gauge_envs.cli.output import (
     message,
     plain_text,
     print_result,
-    write_text,
 )
 from gauge_envs.errors import ParameterError
 
@@ -234,12 +233,13 @@ def sanity_probe(
     Copy it to the training environment, where gauge-envs need not be installed, and run it there: python gauge_probe.py
     TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
     """
+    from gauge_envs.cli.output import save_text
     from gauge_envs.tools.sanity.probe import program_text
 
     if out is None:
         echo(program_text(), nl=False)
     else:
-        message(write_text(out, program_text()))
+        message(save_text(out, program_text()))
 
 
 def sanity_export(
@@ -249,7 +249,8 @@ def sanity_export(
 ) -> None:
     """Write the scenes of a sanity check for any simulator.
 
-    They are MJCF, USD and URDF, with drivers, a manifest and a loop. Run the scenes in your simulator, as README.md in the folder explains, and judge them with gauge sanity judge DIR.
+    They are MJCF, USD and URDF, with drivers, a manifest and a loop. Run them in your simulator, as README.md in the
+    folder explains, and judge them with gauge sanity judge DIR.
     """
     from gauge_envs.tools.sanity.export import export
     from gauge_envs.tools.sanity.export_manifest import scenes

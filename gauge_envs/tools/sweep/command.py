@@ -28,7 +28,7 @@ from gauge_envs.cli.arguments import (
     whole,
 )
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
-from gauge_envs.cli.output import Format, counted, echo, message, note, print_json_lines, print_tables, stderr_console
+from gauge_envs.cli.output import Format, counted, echo, message, note, print_document, print_json_lines, stderr_console
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def _show_plan(plan: SweepPlan, out: Path, workers: int, *, retry_failed: bool, 
     tasks = list(remaining_tasks(plan, {entry.name for entry in folder.files(*kept)}))
     costs = EarlierCosts(folder)
     rows = plan_rows(plan, tasks, costs)
-    print_tables(form, plan_table(rows, wide=form is not Format.TEXT))
+    print_document(plan_table(rows, wide=form is not Format.TEXT), form)
     left = sum(row["left"] for row in rows)
     message(f"{plan.episode_count} episodes, {left} left; {counted(plan.duplicates, 'duplicate')} left out")
     message(cost_text(costs.of(task for task in tasks if task.run.declined is None), workers))
@@ -275,7 +275,7 @@ def _run(
     if form is Format.JSON:
         message(f"{counted(counts.total(), 'episode')}; results in {out}")
     else:
-        print_tables(form, outcome_table(counts))
+        print_document(outcome_table(counts), form)
         message(f"results in {out}")
     if any(counts[name, Outcome.FAILED] for name in spec.backends):
         message("causes of failures are in the folder failed; --retry-failed runs them again")

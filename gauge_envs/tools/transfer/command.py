@@ -77,9 +77,10 @@ def transfer(
     ] = None,
     form: FormatOption = Format.TEXT,
 ) -> bool:
-    """Replay trained policies in other engines, settings and constants: how much reward do they keep?
+    """Replay trained policies in other engines: how much of their reward do they keep?
 
-    Exit code 1 when they keep less than --fail-below states.
+    Worlds differ in their engine, its settings, and constants within their uncertainty. Exit
+    code 1 when they keep less than --fail-below states.
     """
     from gauge_envs.tools.transfer.policies.load import load_policies
     from gauge_envs.tools.transfer.policy_replays import make_control_env, other_worlds, replay, training_world
@@ -148,12 +149,12 @@ def transfer_envelope(
         list[Path] | None,
         typer.Option(
             metavar="PATH",
-            help="Picture (.png), or folder for the ranges as code for four training stacks; repeatable.",
+            help="Picture (.png), or folder for the ranges as code of four stacks; repeatable.",
         ),
     ] = None,
     form: FormatOption = Format.TEXT,
 ) -> None:
-    """Show what the measured uncertainty of constants and start does to a reward or a score.
+    """Show what uncertain constants and starts do to a reward or a score.
 
     With --out DIR it writes the same uncertainty as ranges of domain randomization.
     """

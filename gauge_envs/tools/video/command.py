@@ -18,7 +18,7 @@ from gauge_envs.cli.arguments import (
     parsed_settings,
     split_details,
 )
-from gauge_envs.cli.output import Format, Progress, counted, echo, json_text, message, print_result, write_text
+from gauge_envs.cli.output import Format, Progress, counted, echo, json_text, message, print_result
 from gauge_envs.errors import ParameterError, VideoError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def video_prompts(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for TASK.png, TASK.txt and a note.")] = Path("world_model_inputs"),
 ) -> None:
-    """Fetch the first frame and the prompt of each task from the benchmark's repository (3 MB).
+    """Fetch the first frame and the prompt of each task of the benchmark (3 MB).
 
     Files that are there are checked and kept, so that the same command continues after an error.
     """
@@ -94,7 +94,7 @@ def video_score(
     ] = None,
     form: FormatOption = Format.TEXT,
 ) -> bool:
-    """Track the object in videos, fit the law of the task, and report its metrics with intervals.
+    """Follow the object in videos, fit the law of the task, and report its metrics.
 
     Exit code 1 when a video is graded invalid.
     """
@@ -149,10 +149,11 @@ def video_report(
         Path | None, typer.Option(metavar="DIR", help="Folder with the pictures that the models were given, TASK.png.")
     ] = None,
 ) -> bool:
-    """Score the videos of many models, and write a page with a table and pictures of what was followed.
+    """Score the videos of many models, and write a page with a table and pictures.
 
     Exit code 1 when a video cannot be read; the others are on the page.
     """
+    from gauge_envs.cli.output import save_text
     from gauge_envs.tools.video import score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.page import find_videos, save_video_page
@@ -176,7 +177,7 @@ def video_report(
     if results:
         page = save_video_page(results, files, out)
         rows = [{"model": model, **result.to_dict()} for (model, _), result in results.items()]
-        write_text(out / "results.json", json_text(rows))
+        save_text(out / "results.json", json_text(rows))
         echo(page)
     return bool(broken) or not results
 
@@ -195,7 +196,10 @@ def video_render(
     parameters: ParametersOption = None,
     changes: SettingsOption = None,
 ) -> None:
-    """Make a video of an engine with the view of the first frame of a task, for gauge video score."""
+    """Make a video of an engine with the view of the first frame of a task.
+
+    gauge video score judges it.
+    """
     from gauge_envs.tools.video.render import film
 
     tasks, details = split_details(words, {"fps": float, "seconds": float})
