@@ -34,15 +34,22 @@ def load_command(name: str) -> Any:
     single.command(name, cls=_Command, epilog="\n\n".join(["See also", *below]) if below else None)(
         load(instrument, name)
     )
-    command = typer.main.get_command(single)
+    command: Any = typer.main.get_command(single)
     if any("--format" in one.opts for one in command.params):
-        # Only for the help: `_Command` replaces it.
-        command.params.append(
-            typer.core.TyperOption(
-                param_decls=["json_lines", "--json"], is_flag=True, expose_value=False, help="Short for --format json."
-            )
-        )
+        command.params.append(_json_option())
     return command
+
+
+def _json_option() -> Any:
+    """Return the short form of `--format json`, for the help alone: `_Command` replaces it."""
+
+    def command(json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False) -> None: ...
+
+    single = typer.Typer(add_completion=False)
+    single.command()(command)
+    (option,) = typer.main.get_command(single).params
+    option.expose_value = False
+    return option
 
 
 def _below(name: str) -> list[str]:
