@@ -25,7 +25,7 @@ from gauge_envs.cli.streams import result_stream
 from gauge_envs.files import printable
 
 if TYPE_CHECKING:
-    from gauge_envs.pages.document import Shown
+    pass
 
 UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters but tabs and ends of lines, and lone surrogates."""
@@ -228,7 +228,6 @@ def print_result(
     writers: Mapping[str, Callable[[Path], object]] | None = None,
 ) -> None:
     """Transition: as print_document, with old words."""
-
     if form is Format.JSON:
         print_json_lines(rows())
     elif form is Format.MARKDOWN and markdown:
