@@ -45,14 +45,14 @@ def list_checks(patterns: Sequence[str]) -> list[Table]:
 
 def backend_check(
     names: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
             metavar="NAME...",
             help="Engines, one column of the table each. ENGINE:CONFIGURATION is one of the solvers and presets that "
             "an engine declares, as mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has "
             "columns that are not measured again.",
         ),
-    ],
+    ] = None,
     only: OnlyOption = None,
     changes: SettingsOption = None,
     limits: LimitsOption = "",
@@ -76,6 +76,8 @@ def backend_check(
     from gauge_envs.tools.conformance.matrix import CANONICAL
     from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
 
+    if not names:
+        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco; see gauge list backends")
     files = [Path(name) for name in names if name.endswith(".json")]
     engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
     if misplaced := {one.id for one in checks()}.intersection(engines):

@@ -56,14 +56,14 @@ OutOption = Annotated[
 
 def sanity(
     target: Annotated[
-        str,
+        str | None,
         typer.Argument(
             help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
             "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
             "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
             "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
-    ],
+    ] = None,
     pair: Annotated[
         str | None,
         typer.Option(
@@ -104,6 +104,8 @@ def sanity(
     from gauge_envs.tools.sanity.selection import selection
     from gauge_envs.tools.sanity.target import compiled_model
 
+    if target is None:
+        raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5")
     time_limit = parsed_limits(limits)
     if (limits and time_limit.time_s is None) or time_limit.memory_gb is not None:
         raise ParameterError(f"--limits {limits!r}: expected a time alone, as 60s")

@@ -115,6 +115,8 @@ def sweep(
 
     file, given = _split(words)
     if file is None and not given and not changes:
+        if not out.is_dir():
+            raise ParameterError("nothing to run: give a sweep file, or words as variants='SlopeSlider-2-*'")
         echo(update_store(out, note))
         return False
     stated = {} if file is None else load_sweep_file(file)

@@ -10,7 +10,7 @@ import json
 import math
 import sqlite3
 from collections.abc import Callable, Container, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -111,8 +111,11 @@ def update_store(path: Path, notify: Notify = lambda text: None) -> Path:
         with folder.lock(), SweepStore(folder, notify) as store:
             store.synchronise()
     except (ResultFileError, OSError) as error:
-        if not folder.store_path.exists():
-            raise
+        try:
+            with closing(read_only(folder.store_path)) as connection:
+                connection.execute("SELECT file FROM results LIMIT 1").fetchone()
+        except (ResultFileError, sqlite3.Error):
+            raise error from None
         notify(f"the store is not brought up to date: {error}")
     return folder.store_path
 
