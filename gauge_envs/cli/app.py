@@ -18,7 +18,7 @@ from gauge_envs.cli.interrupts import (
 )
 from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, echo, message
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
-from gauge_envs.errors import GaugeError, UnknownNameError
+from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -62,7 +62,9 @@ class _Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         known = {option for one in self.params for option in (*one.opts, *one.secondary_opts)}
-        if "--format" in known:
+        if "--format" in known and "--json" in args:
+            if any(word.startswith("--format") for word in args):
+                raise ParameterError("--json is --format json: give one of them")
             args = ["--format=json" if word == "--json" else word for word in args]
         for word in args:
             option = word.partition("=")[0]

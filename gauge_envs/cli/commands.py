@@ -97,7 +97,7 @@ OLD_SPELLINGS = {
     "--html": "--out PAGE.html",
     "--figure": "--out FILE.png",
     "run --all": "'*'",
-    "run --marker-proxy": "marker_proxy=nearest",
+    "run --marker-proxy": "marker_proxy=node",
     "plot --pareto": "--kind cost",
     "compare --out": "gauge plot --kind compare --out DIR",
     "compare --metric": "metric=rmse",

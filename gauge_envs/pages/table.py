@@ -53,7 +53,7 @@ class Column:
         format: Text of a value that is not None.
         unit: Unit of all values; it stands in brackets behind the title.
         is_number: Whether the texts are aligned on the right.
-        wide_only: Whether a terminal shows the column only with `--wide`.
+        wide_only: Whether a terminal shows the column only with `--format wide`.
         place: Where the column stands in a terminal.
         style: Rich style of a value; None for plain text.
     """
@@ -101,7 +101,7 @@ class Table:
         rows: Mappings or objects that the columns read.
         title: Line above the table; empty for none.
         notes: Lines below the table.
-        wide_only: Whether a terminal shows the table only with `--wide`.
+        wide_only: Whether a terminal shows the table only with `--format wide`.
     """
 
     columns: tuple[Column, ...]

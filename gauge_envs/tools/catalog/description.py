@@ -167,7 +167,7 @@ def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
         for motion, used in zip(motions, driver.motions, strict=True):
             motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
     elif has_import(experiment.name):
-        note = f"{note}; imported trials exist: drivers='imported' or --drivers imported uses their motion"
+        note = f"{note}; imported trials exist: drivers='imported' or --use imported-drivers uses their motion"
     return {
         "body": driver.body,
         "provenance": driver.provenance,
@@ -312,7 +312,7 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
     elif reference["normalized_by_baseline"] is False:
         facts["normalized"] = "no: the published baseline is of another span of the motion"
     if reference["withheld"] is not None:
-        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"
+        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
     return facts
 
 

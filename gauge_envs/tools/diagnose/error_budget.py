@@ -150,7 +150,7 @@ def stage_order(names: Iterable[str]) -> tuple[BudgetStage, ...]:
 def _why_no_band(variant: str) -> str:
     found = load_band(variant)
     if found is not None and found.withheld is not None:
-        return f"its band is withheld: {found.withheld}; use_withheld=True or --use-withheld splits the error to it"
+        return f"its band is withheld: {found.withheld}; use_withheld=True or --use withheld splits the error to it"
     return (
         "there is no reference band (grade none), so no error to split; it needs the mean of real trials "
         "(gauge data import), of a recording or of a law"

@@ -51,7 +51,7 @@ def run(
             metavar="[ID or pattern]... [NAME=VALUE]...",
             help="Ids or patterns, as 'SlopeSlider-*', or '*' for all; or experiment files. Details: seed=0; repeats=1 "
             "from starts that scatter as real ones do; jitter=1mm,0.5deg, the scatter of positions and angles; "
-            "marker_proxy=material for a marker on a deformable body, or nearest for its nearest node (paper).",
+            "marker_proxy=material for a marker on a deformable body, or node for its nearest node (paper).",
         ),
     ] = None,
     backends: BackendsOption = None,

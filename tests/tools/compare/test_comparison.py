@@ -763,7 +763,7 @@ def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
         (["nowhere"], "holds no result files"),
         ([], "holds no result files"),
         (["--metric", "rsme"], "unknown metric 'rsme'; did you mean rmse"),
-        (["--json", "--markdown"], "exclude each other"),
+        (["--json", "--format", "markdown"], "give one of them"),
     ],
 )
 def test_wrong_requests_get_a_message_and_exit_code_2(gauge, arguments, message):
